@@ -65,12 +65,12 @@ def panorama_settings(camera: bpy.types.Camera) -> Any:
     return camera if hasattr(camera, "panorama_type") else getattr(camera, "cycles", None)
 
 
-def native_splat_type() -> tuple[str, str] | None:
-    """Property of PointCloud and its value that make Blender's own splats; None without them."""
-    for prop in bpy.types.PointCloud.bl_rna.properties:
-        if prop.type == "ENUM" and "GAUSSIAN_SPLAT" in prop.enum_items:
-            return prop.identifier, "GAUSSIAN_SPLAT"
-    return None
+def splat_cloud_type() -> str:
+    """What nodes call a point cloud of Blender's own splats; empty before 5.3, which has none."""
+    kinds = bpy.types.PointCloud.bl_rna.properties.get("type")
+    items = {} if kinds is None else kinds.enum_items
+    there = "GAUSSIAN_SPLAT" in items and hasattr(bpy.types, "GeometryNodePointsSetType")
+    return items["GAUSSIAN_SPLAT"].name if there else ""
 
 
 def rec709_to_scene() -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Node group "Splat Display": mesh vertices to points, ellipsoids or soft splats."""
+"""Node group "Splat Display": mesh vertices to points, ellipsoids, soft splats or Blender's."""
 
 from collections.abc import Callable
 
@@ -11,8 +11,9 @@ from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, so
 
 NAME = "Splat Display"
 MODES = ("POINTS", "ELLIPSOIDS", "SOFT", "NATIVE", "SPLATS")
-"""By number, as the group's input Display has them; NATIVE leaves the picture to the copy. SPLATS
-leaves that of viewports to the drawing of `live`, with a box for a handle, and renders as SOFT."""
+"""By number, as the group's input Display has them; NATIVE are Blender's own splats, where it has
+them (5.3). SPLATS leaves the picture of viewports to the drawing of `live`, with a box for a
+handle, and renders as NATIVE, before 5.3 as SOFT."""
 _RENDERS_SOFT = MODES.index("SOFT"), MODES.index("SPLATS")
 _BOX = 2.0
 """Half sides of the handle, in standard deviations of the splats' positions."""
@@ -56,13 +57,14 @@ def _build(name: str) -> bpy.types.NodeTree:
     from_camera = graph.call("FunctionNodeBooleanMath", *renders_soft, operation="OR")
     points = _points(graph, given, visible, from_camera)
     soft = _instances(graph, _with_opacity(graph, points), materials.REACH, materials.soft())
+    native = _native(graph, given["Geometry"], visible) if compat.splat_cloud_type() else None
     in_viewport = graph.call("GeometryNodeIsViewport")
     options = [
         graph.call("GeometryNodeSetMaterial", points, None, materials.points()),
         _instances(graph, points, given["Ellipsoid Size"], materials.ellipsoids()),
         soft,
-        None,
-        graph.switch("GEOMETRY", in_viewport, soft, _handle(graph, given, visible)),
+        native,
+        graph.switch("GEOMETRY", in_viewport, native or soft, _handle(graph, given, visible)),
     ]
     result(graph, "Geometry", "Geometry", graph.choose("GEOMETRY", given["Display"], options))
     return tree
@@ -93,6 +95,17 @@ def _points(graph: Graph, given: dict[str, Socket], visible: Socket, from_camera
     graph.feed(points.inputs["Selection"], visible)
     graph.feed(points.inputs["Radius"], given["Point Radius"])
     return points.outputs[0]
+
+
+def _native(graph: Graph, mesh: Socket, visible: Socket) -> Socket:
+    """The visible splats as a point cloud of Blender's own; attributes are named as it wants."""
+    points = graph.node("GeometryNodeMeshToPoints")
+    graph.feed(points.inputs["Mesh"], mesh)
+    graph.feed(points.inputs["Selection"], visible)
+    node = graph.node("GeometryNodePointsSetType")
+    graph.feed(node.inputs["Points"], points.outputs[0])
+    graph.feed(node.inputs["Type"], compat.splat_cloud_type())
+    return node.outputs[0]
 
 
 def _handle(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:

@@ -5,11 +5,13 @@ from typing import Any
 
 import bpy
 
+from .. import compat
+
 Socket = bpy.types.NodeSocket
 Value = Any
 """A socket to link, or a constant for the socket's default."""
 
-VERSION = 4
+VERSION = 5
 """Of the node groups and materials; a file with older ones gets new ones."""
 _TAG = "gs_nodes"
 
@@ -19,11 +21,13 @@ def ensure(datablocks: Any, name: str, make: Callable[[str], bpy.types.ID]) -> b
 
     A datablock of the same name that is not ours, or of another version, is left alone.
     """
+    # What Blenders with splats of their own build, others lack the nodes for.
+    tag = f"{name} {VERSION}{' native' if compat.splat_cloud_type() else ''}"
     for block in datablocks:
-        if block.get(_TAG) == f"{name} {VERSION}" and block.library is None:
+        if block.get(_TAG) == tag and block.library is None:
             return block
     block = make(name)
-    block[_TAG] = f"{name} {VERSION}"
+    block[_TAG] = tag
     return block
 
 

@@ -7,7 +7,7 @@ import bpy
 from .. import stored_paths
 from ..live import handler
 from ..splats import edit, even_scale, live
-from ..splats.objects import is_splats, meant
+from ..splats.objects import is_native, is_splats, meant
 from .histogram_icons import ICONS, OPACITY, SIZE
 from .widgets import TabPanel, job, limit, rows, sentence
 
@@ -34,6 +34,9 @@ class ResultPanel(TabPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, ob = self.layout, shown(context)
+        if is_native(context.object):
+            draw_native(layout, context)
+            return
         if ob is None:
             sentence(layout, context, "No splats yet: train some, or import a PLY.", icon="INFO")
             layout.operator("gscore.import_splats", icon="IMPORT")
@@ -72,6 +75,17 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         training = job(context)
         if stored_paths.RUN in ob and (training is None or training.state.ended):
             layout.operator("gscore.show_report", icon="URL")
+
+
+def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What can be done with splats that Blender imported."""
+    ob = context.object
+    layout.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
+    rows(layout, [("Splats", f"{len(ob.data.points):,}")])
+    text = "Splats of Blender's own. Gaussian Splats renders them; filters and tools take a copy."
+    sentence(layout, context, text, icon="INFO")
+    layout.operator("gscore.take_native_splats", icon="IMPORT")
+    layout.operator("gscore.export_splats", text="Export", icon="EXPORT")
 
 
 class FiltersPanel(TabPanel, bpy.types.Panel):
@@ -130,8 +144,6 @@ class MorePanel(TabPanel, bpy.types.Panel):
         layout = self.layout
         layout.operator("gscore.apply_splat_transform")
         layout.operator("gscore.reset_display")
-        if "NATIVE" in meant(context).gscore.bl_rna.properties["display"].enum_items:
-            layout.operator("gscore.make_native_splats")
 
 
 def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:

@@ -10,7 +10,7 @@ from mathutils import Vector
 from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..nodes import display
-from ..splats.objects import is_splats
+from ..splats.objects import is_native, is_splats
 from .apart import SPLAT_SCENE, main_scene
 from .held_meshes import is_held_by, may_hide, not_taken_over
 from .world import world_light
@@ -120,6 +120,7 @@ def _others(shown: Shown) -> str:
         ob.name
         for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
+        if not is_native(ob)
         if not (may_hide(ob) and is_held_by(shown.layer, ob))
     ]
     more = f" and {len(names) - 2} more" if len(names) > 2 else ""

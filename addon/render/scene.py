@@ -11,7 +11,7 @@ import numpy as np
 from .. import attributes
 from ..core import Splats, transform_splats
 from ..splats.filters import Filters, filters_of
-from ..splats.objects import ANTIALIAS, KIND
+from ..splats.objects import ANTIALIAS, is_native, is_splats
 from ..timeline.moment import Moment, moment_of
 from . import apart
 from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
@@ -356,7 +356,7 @@ def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Sp
 
 
 def _may_show(ob: bpy.types.Object) -> bool:
-    return ob.get("gs_kind") == KIND and ob.type in {"MESH", "POINTCLOUD"}
+    return is_splats(ob) or is_native(ob)
 
 
 def _check_similar(placed: Placed) -> None:

@@ -4,13 +4,14 @@ from typing import ClassVar
 
 import bpy
 
+from .. import compat
 from ..interface.operators import OnScene
 from ..splats.objects import is_splats
 
 ENOUGH = 256
 """Transparent bounces with which a capture is as bright as it gets. Mean of a picture of plush
 with 8, which Blender has, 32, 64, 128, 256 and 1024 of them: 30, 78, 107, 121, 124 and 124."""
-_SOFT = {"SOFT", "SPLATS"}
+_SOFT = {"SOFT"} if compat.splat_cloud_type() else {"SOFT", "SPLATS"}
 """Displays that render as soft splats."""
 
 

@@ -1,5 +1,7 @@
 """What operators share that bring files of splats: bit by bit in a window, at once for scripts."""
 
+from typing import Protocol
+
 import bpy
 
 from ..core import GsError, collected_warnings
@@ -10,12 +12,33 @@ from . import files
 from .arrival import Arrival
 
 
+class Coming(Protocol):
+    """Objects on their way."""
+
+    warnings: list[str]
+    """What the user should know besides."""
+
+    @property
+    def sentence(self) -> str:
+        """How far it is."""
+
+    def step(self) -> list[bpy.types.Object] | None:
+        """Do a small piece; the objects once all are there. ValueError: nothing of it is left."""
+
+    def cancel(self) -> None:
+        """Leave nothing."""
+
+
 class Arriving(OnScene):
     """They say which files, and what becomes of the objects."""
 
     def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
         """Which files; ValueError where there is nothing to bring."""
         raise NotImplementedError
+
+    def begin(self, context: bpy.types.Context) -> Coming:
+        """What comes bit by bit: the files, unless an operator says otherwise."""
+        return Arrival(context, self.wanted(context))
 
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
@@ -30,7 +53,7 @@ class Arriving(OnScene):
             return super().execute(context)
         try:
             writable.check(*self.changes(context))
-            self._arrival = Arrival(context, self.wanted(context))
+            self._arrival = self.begin(context)
         except (ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -42,7 +65,7 @@ class Arriving(OnScene):
         """Go on with it; whatever else is pressed is for others."""
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
-            self.report({"INFO"}, "The import is cancelled.")
+            self.report({"INFO"}, f"{self.bl_label} is cancelled.")
             return {"CANCELLED"}
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}

@@ -60,9 +60,7 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
         return len(ob.data.vertices)
     evaluated = ob.evaluated_get(depsgraph)
     modifier = display.modifier_of(ob)
-    told = (
-        modifier is not None and modifier.show_viewport and own.display not in {"NATIVE", "SPLATS"}
-    )
+    told = modifier is not None and modifier.show_viewport and own.display != "SPLATS"
     geometry = compat.evaluated_geometry(evaluated) if told else None
     if geometry is None:
         return None

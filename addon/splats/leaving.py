@@ -17,8 +17,8 @@ _MARK = "gs_leaving"
 class Leaving:
     """The splats of an object as they are when this is made, whatever is done to it meanwhile.
 
-    They are read from a copy of its mesh, which shares the memory of all that is not changed. The
-    copy is looked up anew at each step: undo, or another file, may take it.
+    They are read from a copy of its mesh, or point cloud, which shares the memory of all that is
+    not changed. The copy is looked up anew at each step: undo, or another file, may take it.
     """
 
     def __init__(self, ob: bpy.types.Object) -> None:
@@ -31,6 +31,7 @@ class Leaving:
         self._wanted = attributes.names(ob.data)
         self._columns: dict[str, np.ndarray] = {}
         self._mark = uuid.uuid4().hex
+        self._is_cloud = ob.type == "POINTCLOUD"
         copy = ob.data.copy()
         copy[_MARK] = self._mark
         self._name, self._of = copy.name, ob.name
@@ -58,8 +59,12 @@ class Leaving:
         """Remove the copy."""
         mesh = self._mesh()
         if mesh is not None:
-            bpy.data.meshes.remove(mesh)
+            self._all.remove(mesh)
 
-    def _mesh(self) -> bpy.types.Mesh | None:
-        mesh = bpy.data.meshes.get(self._name)
+    @property
+    def _all(self) -> bpy.types.bpy_prop_collection:
+        return bpy.data.pointclouds if self._is_cloud else bpy.data.meshes
+
+    def _mesh(self) -> bpy.types.Mesh | bpy.types.PointCloud | None:
+        mesh = self._all.get(self._name)
         return mesh if mesh is not None and mesh.get(_MARK) == self._mark else None

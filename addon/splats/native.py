@@ -1,46 +1,96 @@
-"""A copy of a splat object as Blender's own Gaussian splats, where Blender has them (5.3)."""
+"""Blender's own Gaussian splats (5.3): point clouds that become splat objects of this add-on."""
+
+from dataclasses import dataclass
 
 import bpy
-from mathutils import Matrix
+import numpy as np
 
-from .. import attributes, compat
-from ..core import Splats
+from .. import attributes
 from ..interface import writable
 from . import objects
-
-KIND = "native"
-
-
-def make_native(ob: bpy.types.Object) -> bpy.types.Object:
-    """Make (again) the native copy of what a splat object shows, and let it be displayed instead.
-
-    The copy is a child of the object and moves with it.
-
-    Raises:
-        ValueError: this Blender has no native splats, or attributes are missing.
-    """
-    kind = compat.native_splat_type()
-    if kind is None:
-        raise ValueError(
-            f"Blender {bpy.app.version_string} has no Gaussian splats of its own; they came with "
-            f"5.3. Use the displays Points, Ellipsoids or Soft Splats."
-        )
-    cloud = point_cloud(objects.read(ob, filtered=True), f"{ob.name} Native")
-    setattr(cloud, *kind)
-    for old in [child for child in ob.children if child.get("gs_kind") == KIND]:
-        bpy.data.pointclouds.remove(old.data)
-    native = bpy.data.objects.new(cloud.name, cloud)
-    native["gs_kind"] = KIND
-    native.parent, native.matrix_parent_inverse = ob, Matrix.Identity(4)
-    writable.link_beside(native, ob)
-    ob.gscore.display = "NATIVE"
-    return native
+from .filling import Filling
+from .leaving import Leaving
 
 
-def point_cloud(splats: Splats, name: str) -> bpy.types.PointCloud:
-    """A point cloud with the attributes Blender's splats have; needs Blender 5.1."""
-    cloud = bpy.data.pointclouds.new(name)
-    cloud.resize(len(splats))
-    attributes.write(cloud, splats, base_type="FLOAT4")
-    cloud.update_tag()
-    return cloud
+@dataclass(frozen=True, kw_only=True)
+class _Read:
+    """Splats as a mesh takes them."""
+
+    count: int
+    columns: tuple[tuple[str, str, np.ndarray], ...]
+
+
+class Taking:
+    """A splat object that is made of a point cloud bit by bit, where the cloud stands. The cloud
+    stays, hidden. It is looked up when all is there: undo, or the user, may have taken it."""
+
+    def __init__(self, cloud: bpy.types.Object) -> None:
+        """Begin.
+
+        Raises:
+            ValueError: attributes are missing.
+        """
+        self.warnings: list[str] = []
+        self._name, self._uid = cloud.name, cloud.session_uid
+        self._leaving = Leaving(cloud)
+        self._filling: Filling[_Read] | None = None
+        self._size = 0.0
+
+    @property
+    def sentence(self) -> str:
+        """How far it is."""
+        share = 0.0 if self._filling is None else self._filling.share
+        return f"Making a splat object of {self._name}: {share:.0%}"
+
+    def step(self) -> list[bpy.types.Object] | None:
+        """Do a small piece; the one object once it is there.
+
+        Raises:
+            ValueError: the cloud is gone, or its numbers are not finite; nothing of it is left.
+        """
+        try:
+            return self._step()
+        except ValueError:
+            self.cancel()
+            raise
+
+    def _step(self) -> list[bpy.types.Object] | None:
+        if self._filling is None:
+            found = self._leaving.step()
+            if found is not None:
+                sizes = found[attributes.SCALE].max(axis=1, initial=0.0)
+                self._size = float(np.median(sizes)) if len(sizes) else 0.0
+                self._filling = Filling(_read(found))
+            return None
+        if not self._filling.fill():
+            return None
+        cloud = next((ob for ob in bpy.data.objects if ob.session_uid == self._uid), None)
+        if cloud is None:
+            raise ValueError(f"{self._name} is gone; its splats were not taken over.")
+        return [self._stand(self._filling.take(), cloud)]
+
+    def cancel(self) -> None:
+        """Leave nothing."""
+        self._leaving.drop()
+        if self._filling is not None:
+            self._filling.drop()
+
+    def _stand(self, mesh: bpy.types.Mesh, cloud: bpy.types.Object) -> bpy.types.Object:
+        mesh.name = f"{cloud.name} splats"
+        collection = writable.taking(cloud.users_collection)[0]
+        made = objects.around(mesh, self._size, collection=collection, parent=cloud.parent)
+        made.matrix_parent_inverse = cloud.matrix_parent_inverse
+        made.matrix_basis = cloud.matrix_basis
+        cloud.hide_render = True
+        for layer in (layer for scene in bpy.data.scenes for layer in scene.view_layers):
+            if layer.objects.get(cloud.name) == cloud:
+                cloud.hide_set(True, view_layer=layer)
+        return made
+
+
+def _read(found: dict[str, np.ndarray]) -> _Read:
+    kinds = {attributes.BASE: "FLOAT_COLOR", attributes.ROTATION: "QUATERNION"}
+    columns = tuple(
+        (name, kinds.get(name, "FLOAT_VECTOR"), values.ravel()) for name, values in found.items()
+    )
+    return _Read(count=len(found[attributes.BASE]), columns=columns)

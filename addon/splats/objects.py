@@ -168,13 +168,13 @@ def meant(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def can_export(ob: bpy.types.Object | None) -> bool:
-    """Whether an object holds splats of its own: ours, or a point cloud with Blender's attributes.
+    """Whether an object holds splats of its own: ours, or Blender's."""
+    return is_splats(ob) or is_native(ob)
 
-    Native copies of our objects are left out: they are the same splats again.
-    """
-    if ob is None or ob.type != "POINTCLOUD" or "gs_kind" in ob:
-        return is_splats(ob)
-    return attributes.BASE in ob.data.attributes
+
+def is_native(ob: bpy.types.Object | None) -> bool:
+    """Whether an object is a point cloud with the attributes of Blender's own splats (5.3)."""
+    return ob is not None and ob.type == "POINTCLOUD" and attributes.BASE in ob.data.attributes
 
 
 @contextmanager

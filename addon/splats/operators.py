@@ -1,4 +1,4 @@
-"""Operators on splats: import, export, filters, selection, crop, transform, native copy."""
+"""Operators on splats: import, export, filters, selection, crop, transform, take over."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,12 +15,11 @@ from bpy.props import (
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..cameras.objects import root_of
-from ..compat import native_splat_type
 from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.operators import Acting, make_active
 from . import edit, even_scale, files, native, settings
 from .arriving import Arriving
-from .objects import can_export, is_splats, meant
+from .objects import can_export, is_native, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
 _ENDINGS = [
@@ -351,24 +350,44 @@ class ResetDisplay(OnSplats, bpy.types.Operator):
         return ""
 
 
-class MakeNativeSplats(OnSplats, bpy.types.Operator):
-    """Make Blender's own Gaussian splats of what is shown, as a child that moves along"""
+class TakeNativeSplats(Arriving, bpy.types.Operator):
+    """Make a splat object of Blender's own Gaussian splats, which filters, tools and training know.
+    Those stay, hidden"""
 
-    bl_idname = "gscore.make_native_splats"
-    bl_label = "Make Native Splats"
+    bl_idname = "gscore.take_native_splats"
+    bl_label = "Make Splat Object"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether Blender has splats of its own and a splat object is active."""
-        if native_splat_type() is None:
-            cls.poll_message_set("Needs a Blender with Gaussian splats of its own, 5.3 or later")
-            return False
-        return super().poll(context)
+        """Whether the active object is a cloud of such splats."""
+        if is_native(context.object):
+            return True
+        cls.poll_message_set("Select Gaussian splats that Blender imported (5.3 or later)")
+        return False
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The scene, and the cloud, which is hidden."""
+        return (context.scene, context.object)
+
+    def begin(self, context: bpy.types.Context) -> native.Taking:
+        """The cloud's splats."""
+        return native.Taking(context.object)
 
     def act(self, context: bpy.types.Context) -> str:
-        """Make."""
-        native.make_native(meant(context))
-        return ""
+        """Make it at once."""
+        taking = self.begin(context)
+        while (made := taking.step()) is None:
+            pass
+        return self.show(context, made, taking.warnings)
+
+    def show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Make the object the active one."""
+        if context.mode == "OBJECT" and made[0].name in context.view_layer.objects:
+            make_active(context, made[0])
+        return f"{made[0].name} has {len(made[0].data.vertices):,} splats."
 
 
 class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
@@ -396,7 +415,7 @@ CLASSES = (
     ApplySplatTransform,
     MakeScaleEven,
     ResetDisplay,
-    MakeNativeSplats,
+    TakeNativeSplats,
     GSCORE_FH_splats,
 )
 

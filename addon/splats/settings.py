@@ -8,12 +8,13 @@ from ..nodes.colors import MODES as COLOR_MODES
 from . import live
 from .filters import BOX, SPHERE
 
+_RENDERED_AS = "Native Splats" if compat.splat_cloud_type() else "Soft Splats"
 _DISPLAYS = [
     (
         "SPLATS",
         "Splats",
         "Blended in full color by the graphics card in every viewport; EEVEE and Cycles render "
-        "them as Soft Splats",
+        f"them as {_RENDERED_AS}",
         4,
     ),
     (
@@ -31,7 +32,12 @@ _DISPLAYS = [
         2,
     ),
 ]
-_NATIVE = ("NATIVE", "Native Splats", "Shown by the copy that Make Native Splats made", 3)
+_NATIVE = (
+    "NATIVE",
+    "Native Splats",
+    "Blender's own Gaussian splats, in full color, in EEVEE and Cycles",
+    3,
+)
 """Numbers are those of `display.MODES`, and files keep them."""
 _COLORS = [
     ("COLOR", "Color", "The splat's color without its view-dependent part"),
@@ -77,7 +83,7 @@ class SplatSettings(bpy.types.PropertyGroup):
     display: bpy.props.EnumProperty(
         name="Display",
         description="How splats are drawn in the viewport and by EEVEE and Cycles",
-        items=[*_DISPLAYS, _NATIVE] if compat.native_splat_type() else _DISPLAYS,
+        items=[*_DISPLAYS, _NATIVE] if compat.splat_cloud_type() else _DISPLAYS,
         default="POINTS",
         update=_update,
         override=_KEPT,
@@ -152,9 +158,10 @@ def apply(ob: bpy.types.Object) -> None:
     if modifier is None:
         return
     settings, mode = ob.gscore, ob.gscore.display
-    if mode == "SPLATS":
-        mode = "POINTS" if live.SESSION.problem else mode
+    if mode in {"SPLATS", "NATIVE"}:
         modifier.node_group = display.group()  # files may hold one that does not know this display
+    if mode == "SPLATS" and live.SESSION.problem:
+        mode = "POINTS"
     values = {
         "Display": display.MODES.index(mode),
         "Color By": COLOR_MODES.index(settings.colour_by),

@@ -37,7 +37,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "apply_splat_transform": {},
     "make_scale_even": {},
     "reset_display": {},
-    "make_native_splats": {},
+    "take_native_splats": {},
     "import_splats": {"filepath": "a.ply"},
     "import_result": {},
     "import_sequence": {"directory": "frames"},

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from addon.compat import native_splat_type
 from addon.core import (
     MIP_COMMENT,
     Splats,
@@ -21,7 +20,6 @@ from addon.core import (
 )
 from addon.panels import result
 from addon.splats import edit, even_scale, files, objects
-from addon.splats import native as native_splats
 from addon.splats.filters import visible_mask
 from gscore.formats.registry import FORMATS, format_to_write
 from tests.addon.drawn import drawn, labels
@@ -551,7 +549,7 @@ def test_only_on_splats(scene: bpy.types.Scene) -> None:
         "add_crop_box",
         "apply_splat_transform",
         "reset_display",
-        "make_native_splats",
+        "take_native_splats",
     ):
         assert not getattr(bpy.ops.gscore, name).poll(), name
 
@@ -564,52 +562,6 @@ def test_edit_mode_is_refused(ob: bpy.types.Object) -> None:
             getattr(bpy.ops.gscore, name)()
     bpy.ops.object.mode_set(mode="OBJECT")
     assert len(ob.data.vertices) == COUNT
-
-
-def test_native(ob: bpy.types.Object, make_splats: Make) -> None:
-    """Oracle: Blender's own splats where it has them, else a refusal that says so."""
-    if native_splat_type() is None:
-        with pytest.raises(ValueError, match=r"5\.3"):
-            native_splats.make_native(ob)
-        assert "NATIVE" not in ob.gscore.bl_rna.properties["display"].enum_items
-        assert not ob.children
-        return
-    for _ in range(2):
-        native = native_splats.make_native(ob)
-        assert list(ob.children) == [native]
-        close(objects.read(native), make_splats(COUNT))
-
-
-needs_resize = pytest.mark.skipif(
-    "resize" not in bpy.types.PointCloud.bl_rna.functions,
-    reason="this Blender cannot size point clouds",
-)
-
-
-@needs_resize
-def test_native_attributes(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the splats given, and the type of Blender's own `radiance:base`."""
-    cloud = native_splats.point_cloud(make_splats(COUNT), "Native")
-    assert cloud.attributes["radiance:base"].data_type == "FLOAT4"
-    ob = bpy.data.objects.new("Native", cloud)
-    close(objects.read(ob), make_splats(COUNT))
-
-
-@needs_resize
-def test_blenders_splats_are_exported(
-    scene: bpy.types.Scene, make_splats: Make, tmp_path: Path
-) -> None:
-    """Oracle: transform_splats by hand; our own native copies are not exported twice."""
-    cloud = native_splats.point_cloud(make_splats(COUNT), "Theirs")
-    ob = bpy.data.objects.new("Theirs", cloud)
-    scene.collection.objects.link(ob)
-    ob.rotation_euler, ob.location = (0.5, 1, 2), (1, 2, 3)
-    bpy.context.view_layer.objects.active = ob
-    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.ply"))
-    matrix = np.array([tuple(r) for r in ob.matrix_basis], np.float64)
-    close(read_splats(tmp_path / "out.ply"), transform_splats(make_splats(COUNT), matrix))
-    ob["gs_kind"] = native_splats.KIND
-    assert not bpy.ops.gscore.export_splats.poll()
 
 
 def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
