@@ -13,11 +13,18 @@ FILE = "FILE"
 
 SECTIONS: list[Callable[[bpy.types.UILayout, "Preferences"], None]] = []
 """What else draws here, above the rest."""
+PYTHON_CHOSEN: list[Callable[["Preferences"], None]] = []
+"""Called when another Python is chosen."""
 
 
 def _file_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
     if prefs.depth_model.strip():
         prefs.depth_network = FILE
+
+
+def _python_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
+    for told in PYTHON_CHOSEN:
+        told(prefs)
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -30,6 +37,7 @@ class Preferences(bpy.types.AddonPreferences):
         description="Python that has gscore and torch, or the folder of its environment; empty: "
         "the add-on's own environment, or one that is found",
         subtype="FILE_PATH",
+        update=_python_chosen,
     )
     found_python: StringProperty(
         name="Found",

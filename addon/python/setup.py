@@ -80,19 +80,30 @@ class Setup:
         self._checking: Task | None = None
         self._making: Task | None = None
         self.verdict: Verdict | None = None
-        """What the last check found."""
+        """What a check found of the Python that is chosen now; None: it was not checked."""
+        self._chosen = ""
+        """Which Python is checked."""
         self.make_problem = ""
         """Why the last environment was not made."""
 
     def start_check(self, prefs: Any) -> Task:
         """Look for a Python that can train, or check the chosen one; does not wait."""
-        if self._checking is None or not self._checking.running:
-            chosen = bpy.path.abspath(prefs.python_path) if prefs.python_path.strip() else ""
-            private = private_folder()
-            self._checking = Task(
-                lambda task: environment.find(task, chosen=chosen, private=private)
-            )
+        chosen = bpy.path.abspath(prefs.python_path) if prefs.python_path.strip() else ""
+        if self._checking is not None and self._checking.running:
+            if chosen == self._chosen:
+                return self._checking
+            self._checking.cancel()
+        private, self._chosen = private_folder(), chosen
+        self._checking = Task(lambda task: environment.find(task, chosen=chosen, private=private))
         return self._checking
+
+    def chosen(self, prefs: Any) -> None:
+        """Forget what was found of another Python. A user is told of the one that is chosen now; a
+        script calls `check` where it wants to know."""
+        self.verdict = None
+        if prefs.python_path.strip() and not bpy.app.background:
+            self.start_check(prefs)
+            beat.ensure()
 
     def check(self, prefs: Any) -> Verdict:
         """As `start_check`, and wait; for scripts.
@@ -198,9 +209,11 @@ _FOLLOWER = beat.Follower(lambda: CURRENT.collect(preferences.get()), CURRENT.bu
 def on_register() -> None:
     """Take in what checks find."""
     beat.FOLLOWERS.append(_FOLLOWER)
+    preferences.PYTHON_CHOSEN.append(CURRENT.chosen)
 
 
 def on_unregister() -> None:
     """End what is under way."""
     beat.FOLLOWERS.remove(_FOLLOWER)
+    preferences.PYTHON_CHOSEN.remove(CURRENT.chosen)
     CURRENT.shut_down()

@@ -1,16 +1,18 @@
-"""How near the colours of soft splats in Cycles come to those of the engine.
+"""How near the colours of soft or native splats in Cycles come to those of the engine.
 
     python tools/measure/soft_colors.py CAPTURE SPLATS [SPLATS ...]    (a Python with bpy)
 
 Renders one view of the capture's first camera with the engine Gaussian Splats and with the display
-Soft Splats, over one grey, with the view transform Standard. Prints the mean difference of the two
-pictures, 8 bit, per channel: over the pixels that the splats cover by half and more, and that of
-each such pixel, without its sign. `--keep FOLDER` leaves the pictures.
+Soft Splats (`--display NATIVE`: Blender's own, 5.3), over one grey, with the view transform
+Standard. Prints the mean difference of the two pictures, 8 bit, per channel: over the pixels that
+the splats cover by half and more, and that of each such pixel, without its sign; and the seconds of
+the second one. `--keep FOLDER` leaves the pictures.
 """
 
 import argparse
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import bpy
@@ -27,6 +29,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("splats", type=Path, nargs="+", help="what was trained on it")
     parser.add_argument("--camera", default="", help="name of a photo; default: the first")
     parser.add_argument("--engine", default=CYCLES, help="CYCLES, or EEVEE's name in this Blender")
+    parser.add_argument("--display", default="SOFT", choices=("SOFT", "NATIVE"))
     parser.add_argument("--samples", type=int, default=32)
     parser.add_argument("--width", type=int, default=400)
     parser.add_argument("--grey", type=float, default=0.2, help="of the background, scene-linear")
@@ -69,7 +72,7 @@ def picture(scene: bpy.types.Scene, engine: str, path: Path, mode: str = "RGB") 
     return pixels[..., : len(mode)].astype(np.float64) * 255
 
 
-def compare(scene: bpy.types.Scene, path: Path, engine: str, folder: Path) -> None:
+def compare(scene: bpy.types.Scene, path: Path, options: argparse.Namespace, folder: Path) -> None:
     """Print a row."""
     bpy.context.view_layer.objects.active = scene.camera  # whose capture's place they take
     bpy.ops.gscore.import_splats(filepath=str(path.absolute()))
@@ -77,16 +80,18 @@ def compare(scene: bpy.types.Scene, path: Path, engine: str, folder: Path) -> No
     name = f"{path.parent.name}_{path.stem}"
     exact = picture(scene, SPLATS, folder / f"{name}_exact.png")
     covered = picture(scene, SPLATS, folder / f"{name}_alpha.png", "RGBA")[..., 3] >= 127.5
-    ob.gscore.display = "SOFT"
-    scene.render.engine = engine
+    ob.gscore.display = options.display
+    scene.render.engine = options.engine
     if bpy.ops.gscore.see_through_splats.poll():
         bpy.ops.gscore.see_through_splats()
-    soft = picture(scene, engine, folder / f"{name}_soft.png")
-    apart = (soft - exact)[covered]
+    started = time.perf_counter()
+    shown = picture(scene, options.engine, folder / f"{name}_{options.display.lower()}.png")
+    seconds = time.perf_counter() - started
+    apart = (shown - exact)[covered]
     print(
         f"{path}: {covered.mean():.0%} covered; R, G, B apart by "
         f"{', '.join(f'{v:+.2f}' for v in apart.mean(axis=0))} of 255 in the mean, "
-        f"{', '.join(f'{v:.2f}' for v in np.abs(apart).mean(axis=0))} a pixel",
+        f"{', '.join(f'{v:.2f}' for v in np.abs(apart).mean(axis=0))} a pixel; {seconds:.1f} s",
         flush=True,
     )
     bpy.data.objects.remove(ob)
@@ -106,7 +111,7 @@ def main() -> None:
             folder = options.keep or Path(name)
             folder.mkdir(parents=True, exist_ok=True)
             for path in options.splats:
-                compare(scene, path, options.engine, folder.absolute())
+                compare(scene, path, options, folder.absolute())
     finally:
         addon.unregister()
         sys.stdout.flush()

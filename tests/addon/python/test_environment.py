@@ -191,7 +191,20 @@ def test_finding_fills_the_preferences(
     assert setup.trainer_python(prefs) == python
     assert setup.CURRENT.verdict is not None and setup.CURRENT.verdict.good
     prefs.python_path = str(program(tmp_path / "mine", answer()))
+    assert setup.CURRENT.verdict is None  # it was of another
     assert setup.trainer_python(prefs) == tmp_path / "mine"
+
+
+def test_a_check_of_another_python_makes_way(
+    prefs: preferences.Preferences, tmp_path: Path
+) -> None:
+    """Oracle: which Python the verdict is of, though the check of the first takes a minute."""
+    prefs.python_path = str(program(tmp_path / "slow", "exec sleep 60"))
+    slow = setup.CURRENT.start_check(prefs)
+    good = prefs.python_path = str(program(tmp_path / "good", answer()))
+    assert setup.CURRENT.check(prefs).python == good
+    assert slow.wait(5) and slow.cancelled
+    assert setup.CURRENT.verdict is not None and setup.CURRENT.verdict.python == good
 
 
 def test_a_bad_check_is_an_error_report(prefs: preferences.Preferences, tmp_path: Path) -> None:
