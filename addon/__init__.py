@@ -27,6 +27,7 @@ MODULES: tuple[str, ...] = (
     "job.follow",
     "job.operators",
     "job.bring",
+    "job.captures",
     "job.guide_operators",
     "search.follow",
     "search.operators",

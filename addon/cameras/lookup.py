@@ -36,8 +36,8 @@ def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
 def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
     """The empty of the capture that is chosen in the panel, if it was imported.
 
-    One that was imported from elsewhere, but from a folder of the same name, counts where there is
-    no better one: the capture may have moved.
+    One that was imported from a folder of the same name that is not there any more counts where
+    there is no better one: the capture has moved.
     """
     roots, settings = roots_of(scene), getattr(scene, "gscore", None)
     if settings is None or not settings.capture_path.strip():
@@ -49,8 +49,11 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
     exact = root_from(scene, chosen)
     if exact is not None:
         return exact
-    names = ((root, Path(stored_paths.read(root, stored_paths.SOURCE)).name) for root in roots)
-    return next((root for root, name in names if name and name in chosen.parts[-3:]), None)
+    sources = ((root, Path(stored_paths.read(root, stored_paths.SOURCE))) for root in roots)
+    alike = (
+        (r, source) for r, source in sources if source.name and source.name in chosen.parts[-3:]
+    )
+    return next((root for root, source in alike if not source.exists()), None)
 
 
 def root_from(scene: bpy.types.Scene, chosen: Path) -> bpy.types.Object | None:

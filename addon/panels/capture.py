@@ -4,11 +4,25 @@ import bpy
 
 from ..capture.inspection import ShownFacts
 from ..interface.flags import panel_words
-from ..job import facts
+from ..job import captures, facts
 from ..search import work
 from ..sequence import work as sequence
 from .manual import draw_help
 from .widgets import TabPanel, has_python, rows, sentence
+
+
+class CapturesMenu(bpy.types.Menu):
+    """The captures of this scene, to choose one"""
+
+    bl_idname = "GSCORE_MT_captures"
+    bl_label = "Captures"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the menu."""
+        there = captures.known(context.scene)
+        for path in there:
+            choose = self.layout.operator("gscore.choose_capture", text=captures.label(path, there))
+            choose.path = str(path)
 
 
 class CapturePanel(TabPanel, bpy.types.Panel):
@@ -27,6 +41,8 @@ class CapturePanel(TabPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.gscore
         row = layout.row(align=True)
         row.prop(settings, "capture_path", text="")
+        if len(captures.known(context.scene)) > 1:
+            row.menu(CapturesMenu.bl_idname, text="", icon="DOWNARROW_HLT")
         row.operator("gscore.choose_video", text="", icon="FILE_MOVIE")
         if not settings.capture_path.strip():
             text = "Choose a folder of photos, or a video; or drop a video on the 3D view."
@@ -72,4 +88,4 @@ def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: S
     big.operator("gscore.find_cameras", icon="VIEW_CAMERA")
 
 
-CLASSES = (CapturePanel,)
+CLASSES = (CapturesMenu, CapturePanel)

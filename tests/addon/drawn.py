@@ -47,6 +47,12 @@ class Layout:
         assert value in owner.bl_rna.properties[name].enum_items, value
         self.notes.append(f"({text})")
 
+    def menu(self, name: str, *, text: str, icon: str) -> None:
+        """Note a menu with what it offers."""
+        offered = Layout()
+        getattr(bpy.types, name).draw(SimpleNamespace(layout=offered), bpy.context)
+        self.notes.append(f"[menu: {' '.join(offered.notes)}]")
+
     def operator(self, name: str, *, text: str | None = None, **_: Any) -> SimpleNamespace:
         """Note a button."""
         room, verb = name.split(".")

@@ -14,25 +14,28 @@ import pytest
 from addon import preferences, stored_paths
 from addon.cameras.lookup import find_root, panel_root
 from addon.core import PRESETS, Splats, write_splats
-from addon.job import facts, operators, registry, training
+from addon.job import captures, facts, operators, registry, training
 from addon.job.job import Job
+from addon.panels.capture import CapturePanel
 from addon.paths import output_folder
 from addon.process import beat
 from gscore.config_file import config_json
 from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import STARTED, fake_python, finish, step
+from tests.addon.splat_scenes import error_of
 from tests.addon.trainings import positions, splats, until
 
 
 @pytest.fixture
 def two(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[SimpleNamespace]:
     """A scene and two captures, plush and studio; no training is left when the test ends."""
-    captures = [tmp_path / name for name in ("plush", "studio")]
-    for capture in captures:
+    folders = [tmp_path / name for name in ("plush", "studio")]
+    for capture in folders:
         shutil.copytree(STUDIO, capture)
     prefs = preferences.get()
     before = prefs.python_path
-    yield SimpleNamespace(scene=scene, plush=captures[0], studio=captures[1], tmp=tmp_path)
+    yield SimpleNamespace(scene=scene, plush=folders[0], studio=folders[1], tmp=tmp_path)
     for job in registry.jobs():
         job.kill()
         job.wait(10)
@@ -292,3 +295,32 @@ def test_resume_goes_on_in_the_same_object(two: SimpleNamespace) -> None:
     arguments = json.loads((two.tmp / "p" / "script.args").read_text())
     assert arguments[4] == str(moved)
     assert settings.result == plush and len(plush.data.vertices) == 30
+
+
+def test_captures_are_listed_and_chosen(two: SimpleNamespace) -> None:
+    """Oracle: the folders; a menu is there from the second capture on, and brings its splats."""
+    scene = two.scene
+    assert captures.known(scene) == [] and "[menu" not in drawn(CapturePanel)
+    trained(two, two.plush, splats(20))
+    first = scene.gscore.result
+    assert captures.known(scene) == [two.plush] and "[menu" not in drawn(CapturePanel)
+    scene.gscore.capture_path = str(two.studio / "sparse" / "0")
+    bpy.ops.gscore.import_cameras(directory=str(two.studio), photos=False)
+    assert captures.known(scene) == [two.plush, two.studio]
+    assert "[menu: (plush) (studio)]" in drawn(CapturePanel)
+    assert bpy.ops.gscore.choose_capture(path=str(two.plush)) == {"FINISHED"}
+    assert scene.gscore.result == first and panel_root(scene) is None
+    assert "is named" in error_of(bpy.ops.gscore.choose_capture)
+
+
+def test_captures_of_one_name_are_told_apart(two: SimpleNamespace) -> None:
+    """Oracle: cameras are those of the chosen folder alone, until the other is gone: it moved."""
+    other = two.tmp / "elsewhere" / "plush"
+    shutil.copytree(STUDIO, other)
+    bpy.ops.gscore.import_cameras(directory=str(two.plush), photos=False)
+    root = panel_root(two.scene)
+    two.scene.gscore.capture_path = str(other)
+    assert root is not None and panel_root(two.scene) is None
+    assert captures.label(other, captures.known(two.scene)) == f"plush ({other.parent})"
+    shutil.rmtree(two.plush)
+    assert panel_root(two.scene) == root

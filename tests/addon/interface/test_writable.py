@@ -49,6 +49,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "use_camera": {"index": 2},
     "step_camera": {},
     "choose_camera": {},
+    "choose_capture": {"path": "capture"},
     "relink_capture": {"directory": "capture"},
     "align_capture": {"up": "X"},
     "flip_up": {},
