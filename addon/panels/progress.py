@@ -6,7 +6,7 @@ from typing import ClassVar
 import bpy
 
 from ..core import judged_psnr
-from ..job import registry, session, verb_job
+from ..job import session, verb_job
 from ..job.job import Job
 from ..search import work as search_work
 from ..search.job import SearchJob
@@ -16,31 +16,6 @@ from .widgets import TabPanel, job, rows, sentence
 
 _WARNINGS_SHOWN = 3
 _CURVE_SCALE = 6.0
-
-
-class NowPanel(TabPanel, bpy.types.Panel):
-    """The bars of what is under way, above all panels, so that nobody has to look for them"""
-
-    bl_idname = "GSCORE_PT_now"
-    bl_label = "Now"
-    bl_order = -1
-    bl_options: ClassVar = {"HIDE_HEADER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """A training is under way, of whichever file."""
-        return any(not job.state.ended for job in registry.jobs())
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the panel."""
-        own = job(context)
-        if own is not None and not own.state.ended:
-            draw_bar(self.layout, own, "Training")
-        for other in registry.jobs():
-            if other is not own and not other.state.ended:
-                row = draw_bar(self.layout, other, other.source.name)
-                show = row.operator("gscore.follow_training", text="", icon="RESTRICT_SELECT_OFF")
-                show.job_id = other.id
 
 
 class ProgressPanel(TabPanel, bpy.types.Panel):
@@ -96,14 +71,6 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         for text in job(context).state.decisions:
             sentence(self.layout, context, text, icon="DOT")
-
-
-def draw_bar(layout: bpy.types.UILayout, current: Job, name: str) -> bpy.types.UILayout:
-    """A training's bar and the button that ends it; the row that they are in."""
-    row = layout.row(align=True)
-    row.progress(factor=current.state.share, text=f"{name}: {bar_text(current.state)}")
-    row.operator("gscore.stop_training", text="", icon="SNAP_FACE").job_id = current.id
-    return row
 
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: SearchJob) -> None:
@@ -213,4 +180,4 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
-CLASSES = (NowPanel, ProgressPanel, DecisionsPanel)
+CLASSES = (ProgressPanel, DecisionsPanel)

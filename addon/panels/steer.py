@@ -52,11 +52,7 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Region
     """How far a training is, or how it ended."""
     if not job.ended:
         row = layout.row(align=True)
-        told = job.progress
-        text = "Starting" if told is None or not told.splats else f"Step {told.step:,}"
-        if job.start is not None:
-            text = "Writing the splats"
-        row.progress(factor=job.share, text=text)
+        row.progress(factor=job.share, text=bar_text(job))
         row.operator("gscore.stop_region", text="", icon="SNAP_FACE")
         if job.started is not None and job.started.region:
             sentence(layout, context, job.started.region)
@@ -67,6 +63,14 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Region
         sentence(layout, context, job.sentence, icon=icon)
     for text in job.warnings[-_WARNINGS_SHOWN:]:
         sentence(layout, context, text, icon="ERROR")
+
+
+def bar_text(job: RegionJob) -> str:
+    """What stands in the bar."""
+    if job.start is not None:
+        return "Writing the splats"
+    told = job.progress
+    return "Starting" if told is None or not told.splats else f"Step {told.step:,}"
 
 
 CLASSES = (RegionPanel,)

@@ -26,8 +26,8 @@ _DETAILS = (
     "seed",
 )
 """The options at the end of the fold."""
-_estimates: dict[str, Estimate] = {}
-"""The last estimate of each scene, by its name."""
+_estimates: dict[int, tuple[str, Estimate]] = {}
+"""The last estimate of each scene, by its session number, and the capture that it is of."""
 
 
 class TrainPanel(TabPanel, bpy.types.Panel):
@@ -126,11 +126,12 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     if problem:
         sentence(layout, context, problem, icon="ERROR")
         return
+    capture = scene.gscore.capture_path
     if known is not None:
-        _estimates[scene.name] = known
+        _estimates[scene.session_uid] = capture, known
     # The answer to the setting before stands until the next one is there.
-    current = _estimates.get(scene.name)
-    if current is None or (known is None and found(context) is None):
+    of, current = _estimates.get(scene.session_uid, ("", None))
+    if current is None or of != capture or (known is None and found(context) is None):
         return
     text = forecast.warning(current)
     if not text:

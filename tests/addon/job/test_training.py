@@ -20,7 +20,8 @@ from addon.cameras.captures import import_capture
 from addon.core import write_splats
 from addon.job import display, registry, session, training
 from addon.job.job import Job
-from addon.panels.progress import NowPanel, bar_text
+from addon.panels.now import NowPanel
+from addon.panels.progress import bar_text
 from addon.paths import output_folder
 from addon.process import beat
 from addon.splats import filling

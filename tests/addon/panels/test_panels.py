@@ -14,7 +14,7 @@ from addon.core import PRESETS, Progress, RunInfo, Started
 from addon.job import registry
 from addon.job.curve import LossCurve
 from addon.job.session import FINISHED, PAUSED, RunState
-from addon.panels import progress, result, train
+from addon.panels import now, progress, result, train
 from addon.splats import objects
 from tests.addon.drawn import drawn
 
@@ -189,11 +189,11 @@ def test_the_bar_is_on_top_while_a_training_runs(
     state = running()
     job = SimpleNamespace(state=state, id="a", source=Path("plush"))
     monkeypatch.setattr(registry, "jobs", lambda: [job])
-    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(progress.NowPanel)
-    monkeypatch.setattr(progress, "job", lambda _: job)
-    assert drawn(progress.NowPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
+    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(now.NowPanel)
+    monkeypatch.setattr(now, "job", lambda _: job)
+    assert drawn(now.NowPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
     state.status = FINISHED
-    assert drawn(progress.NowPanel) == ""
+    assert drawn(now.NowPanel) == ""
 
 
 def test_decisions_are_told_in_words_of_panels(
@@ -217,3 +217,15 @@ def test_a_training_that_starts_says_so(
     job = SimpleNamespace(state=RunState(), silence="", id="a")
     monkeypatch.setattr(progress, "job", lambda _: job)
     assert drawn(progress.ProgressPanel).startswith("Starting the trainer... ")
+
+
+def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the words of each kind of work, as in its own panel; none once it has ended."""
+    region = SimpleNamespace(ended=False, share=0.5, start=None, progress=None)
+    frames = SimpleNamespace(ended=False, share=0.1, status="running", frame=None, progress=None)
+    monkeypatch.setattr(now.steer, "job_of", lambda _: region)
+    monkeypatch.setattr(now.sequence, "job_of", lambda _: frames)
+    told = drawn(now.NowPanel)
+    assert told == "[50%] Region: Starting () [10%] Sequence: Starting ()"
+    region.ended = frames.ended = True
+    assert drawn(now.NowPanel) == ""
