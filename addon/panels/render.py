@@ -5,7 +5,7 @@ import bpy
 from ..cameras.objects import is_camera
 from ..render import see_through
 from ..render.apart import SPLAT_SCENE
-from ..render.compositor import combine_node
+from ..render.composite_nodes import combine_node
 from ..render.engine import NAME
 from ..render.held_meshes import not_taken_over
 from ..render.ignored import NOT_TAKEN_OVER
@@ -56,14 +56,12 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     scene = context.scene
     there = combine_node(scene) is not None
     if there and scene.render.engine == NAME:
-        text = "Compositing with meshes rests: this engine draws the splats already. Cycles or "
-        sentence(layout, context, f"{text}EEVEE brings it back.", icon="INFO")
+        text = "Compositing with meshes rests: this engine draws the splats already. The button "
+        sentence(layout, context, f"{text}brings it back with the engine of before.", icon="INFO")
     elif names := not_taken_over(scene, scene.get(SPLAT_SCENE)):
         sentence(layout, context, NOT_TAKEN_OVER.format(names), icon="INFO")
     row = layout.row(align=True)
-    part = row.row(align=True)
-    part.enabled = scene.render.engine != NAME
-    part.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
+    row.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
     if there:
         row.operator("gscore.remove_compositing", text="", icon="X")
 

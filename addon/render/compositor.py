@@ -1,4 +1,4 @@
-"""Splats among meshes: a second scene that renders the splats, and nodes that combine by depth."""
+"""Splats among meshes: scenes that render the splats and the world, and nodes that combine them."""
 
 import bpy
 
@@ -6,14 +6,21 @@ from .. import compat
 from ..interface import writable
 from ..splats.objects import is_splats
 from .apart import MAIN_SCENE, SPLAT_SCENE
-from .engine import NAME
+from .composite_nodes import combine_node, insert, remove
+from .engine import ENGINE_BEFORE, NAME
 from .held_meshes import held_by
 
 _FILM = "gs_film_transparent"
 """Custom property of a scene: whether its film was transparent before."""
-LAYER_NODE, COMBINE_NODE = "GS Splats", "GS Combine by Depth"
-"""Names of the nodes in the scene's tree."""
-GROUP = "Combine by Depth"
+_MADE, _ENGINE = "gs_film_made_transparent", "gs_engine_changed"
+"""Custom properties of a scene: whether compositing has made its film transparent, and has taken
+another engine than that of the splats."""
+WORLD_SCENE = "gs_world_scene"
+"""Custom property of a scene: the scene that renders its world, where the film hides it."""
+_WORLD_SAMPLES = 4
+"""Of a world, which is smooth from pixel to pixel or nearly so."""
+_EEVEE = "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"
+"""Its names in Blender's versions."""
 _SHARED = (
     "resolution_x",
     "resolution_y",
@@ -38,42 +45,53 @@ _SHARED = (
 def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Scene:
     """Make renders of a scene show its splat objects among its meshes, by depth.
 
-    Makes a scene for the splats, or brings that of before up to date, and puts two nodes between
-    the render and whatever the compositor does with it. Everything else in the tree stays. The
-    splats' own display is taken out of the meshes' render.
+    Makes a scene for the splats, or brings that of before up to date, and puts nodes between the
+    render and whatever the compositor does with it. Everything else in the tree stays. The splats'
+    own display is taken out of the meshes' render. A scene that the splats' engine renders gets the
+    engine that it had before.
 
     Args:
-        scene: Rendered by an engine for meshes.
-        transparent: Make the meshes' film transparent, so that their edges blend.
+        scene: With splats and a camera.
+        transparent: Make the meshes' film transparent, so that their edges blend. A world that was
+            seen is rendered by a scene of its own, behind everything.
 
     Returns:
         The scene that renders the splats.
 
     Raises:
-        ValueError: nothing to composite, or the scene is rendered by the splats' engine.
+        ValueError: nothing to composite, or no camera.
     """
     splats = [ob for ob in scene.objects if is_splats(ob)]
     if not splats:
         raise ValueError(f"Scene {scene.name} has no splat objects: import a splat PLY first.")
-    if scene.render.engine == NAME:
-        raise ValueError(
-            f"Scene {scene.name} is rendered by Gaussian Splats, which draws no meshes: set its "
-            f"render engine to Cycles or EEVEE first."
-        )
     if scene.camera is None:
         raise ValueError(f"Scene {scene.name} has no camera: add one first.")
     writable.check(*_changed(scene))
     if SPLAT_SCENE not in scene:
         scene[_FILM] = scene.render.film_transparent
-    other = _splat_scene(scene)
+    if scene.render.engine == NAME:
+        scene[_ENGINE] = True
+        _take_other_engine(scene)
+    other = _apart(scene, SPLAT_SCENE, "Splats")
     _synchronise(scene, other, splats)
     for view_layer in scene.view_layers:
         view_layer.use_pass_z = True
-    if transparent:
-        scene.render.film_transparent = True
+    scene[_MADE] = transparent
+    world = _world_scene(scene) if transparent and not scene[_FILM] and scene.world else None
     scene.render.use_compositing = True
-    _insert(compat.make_compositor_tree(scene), scene, other)
+    insert(compat.make_compositor_tree(scene), scene, other, world)
+    rest(scene)
     return other
+
+
+def _take_other_engine(scene: bpy.types.Scene) -> None:
+    """The engine that a scene had before that of the splats, else EEVEE."""
+    for name in (scene.get(ENGINE_BEFORE, ""), *_EEVEE):
+        try:
+            scene.render.engine = name
+        except TypeError:  # its add-on is gone, or a version calls it otherwise
+            continue
+        return
 
 
 def _changed(scene: bpy.types.Scene) -> list[bpy.types.ID]:
@@ -82,13 +100,36 @@ def _changed(scene: bpy.types.Scene) -> list[bpy.types.ID]:
     return [scene, *filter(None, (tree,)), *filter(is_splats, scene.objects)]
 
 
-def _splat_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
-    other = scene.get(SPLAT_SCENE)
+def _apart(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scene:
+    """A scene that renders something for another one."""
+    other = scene.get(key)
     if not isinstance(other, bpy.types.Scene):
-        other = bpy.data.scenes.new(f"{scene.name} Splats")
-        scene[SPLAT_SCENE] = other
+        other = bpy.data.scenes.new(f"{scene.name} {name}")
+        scene[key] = other
         other[MAIN_SCENE] = scene
     return other
+
+
+def _world_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """A scene without objects: the world as the scene's camera sees it."""
+    other = _apart(scene, WORLD_SCENE, "World")
+    other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
+    other.render.film_transparent = False
+    if hasattr(other, "cycles"):
+        other.cycles.samples, other.cycles.use_denoising = _WORLD_SAMPLES, False
+    if hasattr(other, "eevee"):
+        other.eevee.taa_render_samples = _WORLD_SAMPLES
+    _follow_world(scene, other)
+    return other
+
+
+def _follow_world(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
+    """Give the world's scene world, engine and view; writes only what differs."""
+    _follow(scene, other)
+    if other.world != scene.world:
+        other.world = scene.world
+    if scene.render.engine not in (NAME, other.render.engine):
+        other.render.engine = scene.render.engine
 
 
 def _synchronise(
@@ -142,25 +183,27 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Once set up, a new camera or size of the meshes' scene is the splats' at once."""
+    """Once set up, a new camera or size of the meshes' scene is the others' at once."""
     other = scene.get(SPLAT_SCENE)
     if isinstance(other, bpy.types.Scene):
         _follow(scene, other)
         rest(scene)
-
-
-def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The node that puts a scene's splats among its meshes, where that was set up."""
-    tree = compat.compositor_tree(scene)
-    return None if tree is None else tree.nodes.get(COMBINE_NODE)
+    if isinstance(world := scene.get(WORLD_SCENE), bpy.types.Scene):
+        _follow_world(scene, world)
 
 
 def rest(scene: bpy.types.Scene) -> None:
     """Pass the render on as it is while the scene's own engine draws the splats, which would lie
-    over themselves."""
-    node, wanted = combine_node(scene), scene.render.engine == NAME
-    if node is not None and node.mute != wanted and writable.keeps(node.id_data):
-        node.mute = wanted
+    over themselves; its film is what it was then."""
+    node, rests = combine_node(scene), scene.render.engine == NAME
+    if node is None or not writable.keeps(node.id_data) or not writable.keeps(scene):
+        return
+    if node.mute != rests:
+        node.mute = rests
+    if scene.get(_MADE) and scene.render.film_transparent != (
+        film := not rests or bool(scene.get(_FILM))
+    ):
+        scene.render.film_transparent = film
 
 
 def take_down(scene: bpy.types.Scene) -> None:
@@ -170,27 +213,23 @@ def take_down(scene: bpy.types.Scene) -> None:
     Raises:
         ValueError: nothing was set up, or the nodes are linked.
     """
-    node, other = combine_node(scene), scene.get(SPLAT_SCENE)
-    if node is None and not isinstance(other, bpy.types.Scene):
+    others = [scene.get(key) for key in (SPLAT_SCENE, WORLD_SCENE)]
+    others = [other for other in others if isinstance(other, bpy.types.Scene)]
+    if combine_node(scene) is None and not others:
         raise ValueError(f"Scene {scene.name} has no compositing of splats to be removed.")
     writable.check(*_changed(scene))
-    tree = compat.compositor_tree(scene)
-    if node is not None:
-        sources = [link.from_socket for link in node.inputs[0].links]
-        for target in [link.to_socket for link in node.outputs[0].links]:
-            for source in sources:
-                tree.links.new(source, target)
-        tree.nodes.remove(node)
-    if tree is not None and (layers := tree.nodes.get(LAYER_NODE)) is not None:
-        tree.nodes.remove(layers)
+    if (tree := compat.compositor_tree(scene)) is not None:
+        remove(tree)
     for ob in filter(is_splats, scene.objects):
         for modifier in ob.modifiers:
             if modifier.type == "NODES":
                 modifier.show_render = True
     scene.render.film_transparent = bool(scene.get(_FILM, scene.render.film_transparent))
-    for name in (SPLAT_SCENE, _FILM):
+    if scene.get(_ENGINE):
+        scene.render.engine = NAME
+    for name in (SPLAT_SCENE, WORLD_SCENE, _FILM, _MADE, _ENGINE):
         scene.pop(name, None)
-    if isinstance(other, bpy.types.Scene):
+    for other in others:
         bpy.data.scenes.remove(other)
 
 
@@ -204,104 +243,3 @@ def on_unregister() -> None:
     """Stop following."""
     bpy.app.handlers.render_init.remove(_after_update)
     bpy.app.handlers.depsgraph_update_post.remove(_after_update)
-
-
-def _insert(tree: bpy.types.NodeTree, scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Put the nodes behind the scene's render layers, unless they are there."""
-    layers = tree.nodes.get(LAYER_NODE)
-    if layers is not None and tree.nodes.get(COMBINE_NODE) is not None:
-        layers.scene = other
-        return
-    meshes = _render_layers(tree, scene)
-    layers = layers or tree.nodes.new("CompositorNodeRLayers")
-    layers.name = layers.label = LAYER_NODE
-    layers.scene, layers.location = other, (meshes.location.x, meshes.location.y - 420)
-    combine = tree.nodes.new("CompositorNodeGroup")
-    combine.name = combine.label = COMBINE_NODE
-    combine.node_tree = _group()
-    combine.location = (meshes.location.x + 300, meshes.location.y)
-    followers = [link.to_socket for link in meshes.outputs["Image"].links]
-    for socket in followers:
-        tree.links.new(combine.outputs[0], socket)
-    for i, output in enumerate((meshes, layers)):
-        tree.links.new(output.outputs["Image"], combine.inputs[2 * i])
-        tree.links.new(output.outputs["Depth"], combine.inputs[2 * i + 1])
-    if not followers:
-        tree.links.new(combine.outputs[0], compat.compositor_result(tree))
-
-
-def _render_layers(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.Node:
-    """The node that brings the scene's own render into the tree."""
-    for node in tree.nodes:
-        if node.type == "R_LAYERS" and node.scene == scene and node.name != LAYER_NODE:
-            return node
-    node = tree.nodes.new("CompositorNodeRLayers")
-    node.scene = scene
-    return node
-
-
-def _group() -> bpy.types.NodeTree:
-    """Two premultiplied pictures with depths to one: at each pixel the nearer one over the other.
-
-    Blender's own Z Combine multiplies colours by alpha once more, so it is not used. Depths know no
-    part of a pixel: where meshes and splats meet, the edge is smoothed.
-    """
-    tree = bpy.data.node_groups.get(GROUP)
-    if tree is not None and tree.bl_idname == "CompositorNodeTree":
-        return tree
-    tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
-    for name in ("Meshes", "Splats"):
-        tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
-        tree.interface.new_socket(f"{name} Depth", in_out="INPUT", socket_type="NodeSocketFloat")
-    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    given, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
-    given.location, result.location = (-1000, 0), (400, 0)
-    meshes, mesh_depth, splats, splat_depth = given.outputs[:4]
-    nearer = _compare(tree, "LESS_THAN", splat_depth, mesh_depth, (-800, -200))
-    smooth = tree.nodes.new("CompositorNodeAntiAliasing")
-    smooth.location = (-600, -200)
-    tree.links.new(nearer, smooth.inputs[0])
-    before = smooth.outputs[0]
-    behind = _compare(tree, "SUBTRACT", None, before, (-400, -200))
-    far = _over(tree, None, splats, behind, (-200, 0))
-    middle = _over(tree, far, meshes, None, (0, 0))
-    near = _over(tree, middle, splats, before, (200, 0))
-    tree.links.new(near, result.inputs[0])
-    return tree
-
-
-def _compare(
-    tree: bpy.types.NodeTree,
-    operation: str,
-    first: bpy.types.NodeSocket | None,
-    second: bpy.types.NodeSocket,
-    location: tuple[int, int],
-) -> bpy.types.NodeSocket:
-    """A math node; without `first`, that is 1."""
-    node = compat.new_math_node(tree)
-    node.operation, node.location = operation, location
-    if first is None:
-        node.inputs[0].default_value = 1.0
-    else:
-        tree.links.new(first, node.inputs[0])
-    tree.links.new(second, node.inputs[1])
-    return node.outputs[0]
-
-
-def _over(
-    tree: bpy.types.NodeTree,
-    below: bpy.types.NodeSocket | None,
-    above: bpy.types.NodeSocket,
-    factor: bpy.types.NodeSocket | None,
-    location: tuple[int, int],
-) -> bpy.types.NodeSocket:
-    """`above` times `factor` over `below`; without them, 1 and nothing."""
-    node = tree.nodes.new("CompositorNodeAlphaOver")
-    node.location = location
-    sockets = compat.alpha_over_sockets(node)
-    sockets["below"].default_value = (0, 0, 0, 0)
-    sockets["factor"].default_value = 1.0
-    for name, socket in (("below", below), ("above", above), ("factor", factor)):
-        if socket is not None:
-            tree.links.new(socket, sockets[name])
-    return node.outputs[0]

@@ -12,12 +12,14 @@ from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
 from . import compare as comparing
 from . import compositor
-from .engine import NAME
+from .engine import ENGINE_BEFORE, NAME
 from .worst import worst_of
 
 
 def use_engine(scene: bpy.types.Scene) -> None:
     """Render a scene with the Gaussian Splats engine, in the colours of the photos."""
+    if scene.render.engine != NAME:
+        scene[ENGINE_BEFORE] = scene.render.engine
     scene.render.engine = NAME
     use_photo_colors(scene)
 

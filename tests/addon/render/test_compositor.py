@@ -6,7 +6,7 @@ import pytest
 
 from addon import compat
 from addon.panels.render import RenderPanel
-from addon.render import compositor, ignored
+from addon.render import composite_nodes, compositor, ignored
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -43,6 +43,7 @@ def mixed(scene):
     lab.prepare(scene, SIZE)
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 4, False
+    scene.render.film_transparent = True
     lab.add(scene, lab.wall(1.0, RED, half=0.8))
     plane(scene, 2.0, (0, 1, 0), -0.9, -0.1, "before")
     plane(scene, 0.0, (0, 0, 1), 0.1, 2.0, "behind")
@@ -118,7 +119,7 @@ def test_own_nodes_stay_and_come_after(mixed, tmp_path):
     before = {n.name for n in tree.nodes}
     compositor.set_up(mixed, transparent=False)
     added = {n.name for n in tree.nodes} - before
-    assert added == {compositor.LAYER_NODE, compositor.COMBINE_NODE}
+    assert added == {composite_nodes.LAYER_NODE, composite_nodes.COMBINE_NODE}
     got = lab.render_exr(tmp_path)
     assert got[24, 22, :3] == pytest.approx((1, 0, 1), abs=1e-2)
     assert got[24, 38, 1] > 0.95  # red's small green, inverted
@@ -217,13 +218,12 @@ def test_nothing_happens_by_itself(scene):
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     bpy.ops.render.render()
-    assert len(bpy.data.scenes) == 1 and not bpy.data.node_groups.get(compositor.GROUP)
+    assert len(bpy.data.scenes) == 1 and not bpy.data.node_groups.get(composite_nodes.GROUP)
 
 
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda s: setattr(s.render, "engine", "GSCORE_SPLATS"), "Cycles or EEVEE"),
         (lambda s: setattr(s, "camera", None), "no camera"),
         (lambda s: bpy.data.objects.remove(bpy.data.objects["splats"]), "no splat objects"),
     ],
@@ -306,3 +306,70 @@ def test_stereo_is_refused_by_name(mixed, capfd):
     mixed.render.use_multiview = True
     bpy.ops.render.render()
     assert "Splats are not rendered in stereo: turn off" in capfd.readouterr().out
+
+
+def paint_world(scene: bpy.types.Scene, *color: float) -> None:
+    """A world of one color, seen behind the meshes."""
+    if scene.world is None:
+        scene.world = bpy.data.worlds.new("World")
+    if compat.world_nodes(scene.world) is None:
+        scene.world.use_nodes = True
+    node = next(n for n in scene.world.node_tree.nodes if n.type == "BACKGROUND")
+    node.inputs[0].default_value = (*color, 1)
+    scene.render.film_transparent = False
+
+
+def test_the_world_stays_behind_everything(mixed, tmp_path):
+    """Oracle: the meshes' own picture where no splats are, before and after; it follows the world;
+    the splats are where they are without one."""
+    paint_world(mixed, 0.1, 0.2, 0.8)
+    before = lab.render_exr(tmp_path, "before")
+    assert before[2, 62] == pytest.approx((0.1, 0.2, 0.8, 1), abs=0.01)
+    compositor.set_up(mixed)
+    got = lab.render_exr(tmp_path, "both")
+    np.testing.assert_allclose(got[2, 62], before[2, 62], atol=0.01)
+    np.testing.assert_allclose(got[24, 62], before[24, 62], atol=0.02)
+    assert lab.srgb(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
+    film = mixed.render.film_transparent
+    paint_world(mixed, 0.7, 0.2, 0.1)
+    mixed.render.film_transparent = film
+    assert lab.render_exr(tmp_path, "red")[2, 62, 0] == pytest.approx(0.7, abs=0.01)
+    compositor.take_down(mixed)
+    assert len(bpy.data.scenes) == 1 and not mixed.render.film_transparent
+    np.testing.assert_allclose(
+        lab.render_exr(tmp_path, "after")[2, 62], (0.7, 0.2, 0.1, 1), atol=0.01
+    )
+
+
+def test_a_film_that_was_transparent_stays_so(mixed, tmp_path):
+    """Oracle: no scene for a world, and alpha 0 where nothing is."""
+    mixed.world = bpy.data.worlds.new("unseen")
+    compositor.set_up(mixed)
+    assert len(bpy.data.scenes) == 2
+    assert lab.render_exr(tmp_path)[2, 62, 3] == 0
+
+
+def test_it_is_set_up_from_the_engine_of_splats(mixed, tmp_path):
+    """Oracle: the engine of before, which removing gives back; while ours renders, film and picture
+    are those without compositing."""
+    paint_world(mixed, 0.1, 0.2, 0.8)
+    assert bpy.ops.gscore.use_engine() == {"FINISHED"}
+    alone = lab.render_exr(tmp_path, "alone")
+    assert bpy.ops.gscore.set_up_compositing() == {"FINISHED"}
+    assert mixed.render.engine == "CYCLES" and mixed.render.film_transparent
+    mixed.render.engine = "GSCORE_SPLATS"
+    bpy.context.view_layer.update()
+    assert not mixed.render.film_transparent
+    assert "Compositing with meshes rests" in drawn(RenderPanel)
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "rests"), alone)
+    assert bpy.ops.gscore.set_up_compositing() == {"FINISHED"}
+    assert mixed.render.engine == "CYCLES" and mixed.render.film_transparent
+    assert bpy.ops.gscore.remove_compositing() == {"FINISHED"}
+    assert mixed.render.engine == "GSCORE_SPLATS" and not mixed.render.film_transparent
+
+
+def test_an_engine_that_is_gone_is_replaced(mixed):
+    """Oracle: Blender's own names of EEVEE."""
+    mixed.render.engine, mixed["gs_engine_before"] = "GSCORE_SPLATS", "NOT_THERE"
+    compositor.set_up(mixed)
+    assert mixed.render.engine in ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")

@@ -1,0 +1,171 @@
+"""Nodes of the compositor that put splats among meshes by depth, and both before a world."""
+
+import bpy
+
+from .. import compat
+
+LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
+"""Names of the nodes in the scene's tree."""
+GROUP = "Combine by Depth"
+
+
+def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
+    """The node that puts a scene's splats among its meshes, where that was set up."""
+    tree = compat.compositor_tree(scene)
+    return None if tree is None else tree.nodes.get(COMBINE_NODE)
+
+
+def insert(
+    tree: bpy.types.NodeTree,
+    scene: bpy.types.Scene,
+    splats: bpy.types.Scene,
+    world: bpy.types.Scene | None,
+) -> None:
+    """Put the nodes behind the scene's render layers, or bring them up to date.
+
+    Args:
+        tree: The scene's.
+        scene: Renders the meshes.
+        splats: Renders the splats.
+        world: Renders what is behind everything; None: nothing is.
+    """
+    layers, combine = tree.nodes.get(LAYER_NODE), tree.nodes.get(COMBINE_NODE)
+    if layers is not None and combine is not None:
+        layers.scene, combine.node_tree = splats, _group()
+    else:
+        combine = _combine(tree, scene, splats)
+    _show_world(tree, combine, world)
+
+
+def remove(tree: bpy.types.NodeTree) -> None:
+    """Take the nodes away; what they were put between is linked again."""
+    if (node := tree.nodes.get(COMBINE_NODE)) is not None:
+        sources = [link.from_socket for link in node.inputs[0].links]
+        for target in [link.to_socket for link in node.outputs[0].links]:
+            for source in sources:
+                tree.links.new(source, target)
+        tree.nodes.remove(node)
+    for name in (LAYER_NODE, WORLD_NODE):
+        if (node := tree.nodes.get(name)) is not None:
+            tree.nodes.remove(node)
+
+
+def _show_world(
+    tree: bpy.types.NodeTree, combine: bpy.types.Node, world: bpy.types.Scene | None
+) -> None:
+    node = tree.nodes.get(WORLD_NODE)
+    if world is None:
+        if node is not None:
+            tree.nodes.remove(node)
+        return
+    node = node or tree.nodes.new("CompositorNodeRLayers")
+    node.name = node.label = WORLD_NODE
+    node.scene, node.location = world, (combine.location.x - 300, combine.location.y - 840)
+    tree.links.new(node.outputs["Image"], combine.inputs["World"])
+
+
+def _combine(
+    tree: bpy.types.NodeTree, scene: bpy.types.Scene, other: bpy.types.Scene
+) -> bpy.types.Node:
+    layers = tree.nodes.get(LAYER_NODE)
+    meshes = _render_layers(tree, scene)
+    layers = layers or tree.nodes.new("CompositorNodeRLayers")
+    layers.name = layers.label = LAYER_NODE
+    layers.scene, layers.location = other, (meshes.location.x, meshes.location.y - 420)
+    combine = tree.nodes.new("CompositorNodeGroup")
+    combine.name = combine.label = COMBINE_NODE
+    combine.node_tree = _group()
+    combine.location = (meshes.location.x + 300, meshes.location.y)
+    followers = [link.to_socket for link in meshes.outputs["Image"].links]
+    for socket in followers:
+        tree.links.new(combine.outputs[0], socket)
+    for i, output in enumerate((meshes, layers)):
+        tree.links.new(output.outputs["Image"], combine.inputs[2 * i])
+        tree.links.new(output.outputs["Depth"], combine.inputs[2 * i + 1])
+    if not followers:
+        tree.links.new(combine.outputs[0], compat.compositor_result(tree))
+    return combine
+
+
+def _render_layers(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.Node:
+    """The node that brings the scene's own render into the tree."""
+    for node in tree.nodes:
+        if node.type == "R_LAYERS" and node.scene == scene and node.name != LAYER_NODE:
+            return node
+    node = tree.nodes.new("CompositorNodeRLayers")
+    node.scene = scene
+    return node
+
+
+def _group() -> bpy.types.NodeTree:
+    """Two premultiplied pictures with depths to one: at each pixel the nearer one over the other,
+    and both over a world.
+
+    Blender's own Z Combine multiplies colours by alpha once more, so it is not used. Depths know no
+    part of a pixel: where meshes and splats meet, the edge is smoothed.
+    """
+    tree = bpy.data.node_groups.get(GROUP)
+    if tree is not None and tree.bl_idname == "CompositorNodeTree" and _has_world(tree):
+        return tree
+    tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
+    for name in ("Meshes", "Splats"):
+        tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
+        tree.interface.new_socket(f"{name} Depth", in_out="INPUT", socket_type="NodeSocketFloat")
+    backdrop = tree.interface.new_socket("World", in_out="INPUT", socket_type="NodeSocketColor")
+    backdrop.default_value = (0, 0, 0, 0)
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    given, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    given.location, result.location = (-1000, 0), (600, 0)
+    meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
+    nearer = _compare(tree, "LESS_THAN", splat_depth, mesh_depth, (-800, -200))
+    smooth = tree.nodes.new("CompositorNodeAntiAliasing")
+    smooth.location = (-600, -200)
+    tree.links.new(nearer, smooth.inputs[0])
+    before = smooth.outputs[0]
+    behind = _compare(tree, "SUBTRACT", None, before, (-400, -200))
+    far = _over(tree, None, splats, behind, (-200, 0))
+    middle = _over(tree, far, meshes, None, (0, 0))
+    near = _over(tree, middle, splats, before, (200, 0))
+    tree.links.new(_over(tree, world, near, None, (400, 0)), result.inputs[0])
+    return tree
+
+
+def _has_world(tree: bpy.types.NodeTree) -> bool:
+    return "World" in (item.name for item in tree.interface.items_tree)
+
+
+def _compare(
+    tree: bpy.types.NodeTree,
+    operation: str,
+    first: bpy.types.NodeSocket | None,
+    second: bpy.types.NodeSocket,
+    location: tuple[int, int],
+) -> bpy.types.NodeSocket:
+    """A math node; without `first`, that is 1."""
+    node = compat.new_math_node(tree)
+    node.operation, node.location = operation, location
+    if first is None:
+        node.inputs[0].default_value = 1.0
+    else:
+        tree.links.new(first, node.inputs[0])
+    tree.links.new(second, node.inputs[1])
+    return node.outputs[0]
+
+
+def _over(
+    tree: bpy.types.NodeTree,
+    below: bpy.types.NodeSocket | None,
+    above: bpy.types.NodeSocket,
+    factor: bpy.types.NodeSocket | None,
+    location: tuple[int, int],
+) -> bpy.types.NodeSocket:
+    """`above` times `factor` over `below`; without them, 1 and nothing."""
+    node = tree.nodes.new("CompositorNodeAlphaOver")
+    node.location = location
+    sockets = compat.alpha_over_sockets(node)
+    sockets["below"].default_value = (0, 0, 0, 0)
+    sockets["factor"].default_value = 1.0
+    for name, socket in (("below", below), ("above", above), ("factor", factor)):
+        if socket is not None:
+            tree.links.new(socket, sockets[name])
+    return node.outputs[0]
