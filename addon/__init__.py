@@ -44,6 +44,7 @@ MODULES: tuple[str, ...] = (
     "render.engine",
     "render.compositor",
     "live.handler",
+    "live.edited",
     "render.operators",
     "render.show",
     "render.see_through",

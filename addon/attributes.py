@@ -52,6 +52,7 @@ _COPIED = {
 _BLOCK = 1 << 12
 """Splats rearranged at once."""
 _SELECTION = ".select_vert"
+_POINT_SELECTION = ".selection"
 _DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
@@ -267,11 +268,13 @@ def keep(mesh: Any, mask: np.ndarray) -> None:
     Attributes of numbers and vectors follow to the bit; selection, hiding and vertex groups go.
     """
     rows = np.flatnonzero(mask)  # whose numbers are found once, and not for each attribute
-    kept = table(mesh, rows)
+    kept, tells = table(mesh, rows), _POINT_SELECTION in mesh.attributes
     # Blender has no other way to take vertices away without a copy of everything in its editor.
     mesh.clear_geometry()
     add_points(mesh, len(rows))
     put(mesh, kept)
+    if tells:
+        leave_points_unselected(mesh)
 
 
 def add_points(mesh: Any, count: int) -> None:
@@ -285,6 +288,18 @@ def add_points(mesh: Any, count: int) -> None:
         select(mesh, chosen)
     elif (selection := mesh.attributes.get(_SELECTION)) is not None:
         mesh.attributes.remove(selection)
+
+
+def leave_points_unselected(mesh: Any) -> None:
+    """Have the points that nodes make of a mesh show as not selected in Edit Mode.
+
+    Blender 5 draws those of what is edited over its vertices, and without such an attribute as
+    selected. Nodes may not store one of that name, but keep what the mesh has.
+
+    Args:
+        mesh: A mesh that may be written and is not in Edit Mode.
+    """
+    declare(mesh, _POINT_SELECTION, "BOOLEAN")
 
 
 def selected(mesh: Any) -> np.ndarray:

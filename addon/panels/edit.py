@@ -4,8 +4,14 @@ from typing import ClassVar
 
 import bpy
 
+from ..render.copies import EDITED_AT_ONCE
 from ..splats.objects import is_splats, meant
 from .widgets import TabPanel
+
+
+def _is_large(ob: bpy.types.Object) -> bool:
+    """Whether the display Splats shows moved and deleted splats after Edit Mode alone."""
+    return len(ob.data.vertices) > EDITED_AT_ONCE
 
 
 class EditPanel(TabPanel, bpy.types.Panel):
@@ -24,8 +30,8 @@ class EditPanel(TabPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, ob = self.layout, meant(context)
-        if ob.mode == "EDIT" and ob.gscore.display == "SPLATS":  # which cover their vertices
-            layout.prop_enum(ob.gscore, "display", "POINTS", text="Show What Is Selected")
+        if ob.mode == "EDIT" and ob.gscore.display == "SPLATS" and _is_large(ob):
+            layout.prop_enum(ob.gscore, "display", "POINTS", text="Show Edits at Once")
         layout.label(text="Select", icon="RESTRICT_SELECT_OFF")
         row = layout.row(align=True)
         row.operator("gscore.select_by_color", text="Color")

@@ -11,7 +11,8 @@ from .scene import Placed, Source, place
 COPY_BUDGET = 0.003
 """Seconds that one redraw may spend on copying splats out of Blender."""
 EDITED_AT_ONCE = 200_000
-"""Splats in Edit Mode that are copied anew after each step of editing; others after its end."""
+"""Splats in Edit Mode that are copied anew after each step of editing; of others only what is
+selected and hidden follows, and the rest after its end."""
 
 
 class Copies:
@@ -67,6 +68,11 @@ class Copies:
         for kept in (self._frozen, self._stale):
             if uid in kept and (marks is None or len(kept[uid].vertices) == len(marks)):
                 kept[uid] = kept[uid].remarked(marks)
+
+    def too_many(self, uid: int) -> bool:
+        """Whether a mesh is known, and has too many splats to be copied while it is edited."""
+        known = self._frozen.get(uid, self._stale.get(uid))
+        return known is not None and len(known.vertices) > EDITED_AT_ONCE
 
     def keep_only(self, found: list[Source]) -> None:
         """Let go of what is not among these."""

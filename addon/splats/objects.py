@@ -196,6 +196,7 @@ def _fill(mesh: bpy.types.Mesh, splats: Splats) -> None:
     if missing:
         attributes.add_points(mesh, missing)
     attributes.write(mesh, splats)
+    attributes.leave_points_unselected(mesh)
     mesh.update()
 
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from .. import compat
+from .. import attributes, compat
 from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
 from . import live
@@ -162,6 +162,7 @@ def apply(ob: bpy.types.Object) -> None:
         modifier.node_group = display.group()  # files may hold one that does not know this display
     if mode == "SPLATS" and live.SESSION.problem:
         mode = "POINTS"
+    _leave_points_unselected(ob.data)
     values = {
         "Display": display.MODES.index(mode),
         "Color By": COLOR_MODES.index(settings.colour_by),
@@ -177,6 +178,12 @@ def apply(ob: bpy.types.Object) -> None:
     }
     for name, value in values.items():
         compat.set_modifier_input(modifier, name, value)
+
+
+def _leave_points_unselected(data: bpy.types.ID) -> None:
+    """Of meshes in files that were made before this add-on saw to it, too."""
+    if isinstance(data, bpy.types.Mesh) and data.is_editable and not data.is_editmode:
+        attributes.leave_points_unselected(data)
 
 
 FILTERS = ("opacity_min", "size_min", "size_max", "crop_object", "crop_shape", "crop_invert")

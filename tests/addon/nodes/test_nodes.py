@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Quaternion
 
+from addon import attributes, compat
 from addon.core import Splats, sh0_to_rgb
 from addon.nodes import display, filters
 from addon.nodes.colors import _VIRIDIS
@@ -90,6 +91,24 @@ def test_filters_equal_their_twin(
     keep = visible_mask(ob)
     assert (5 < keep.sum() < COUNT - 5) or not chosen
     np.testing.assert_array_equal(shown(), make_splats(COUNT).means[keep])
+
+
+@pytest.mark.skipif(not compat.HAS_GEOMETRY_SETS, reason="this Blender does not show geometry")
+def test_points_are_not_selected_by_themselves(ob: bpy.types.Object) -> None:
+    """Oracle: in Edit Mode Blender 5 shows points without this attribute as selected."""
+    bpy.context.view_layer.objects.active = ob
+    ob.data.attributes.remove(ob.data.attributes[".selection"])  # as files from before have it
+    ob.gscore.display = "POINTS"
+    objects.refresh(ob, objects.read(ob).subset(np.arange(COUNT) % 2 == 0))
+    attributes.keep(ob.data, np.arange(COUNT // 2) % 2 == 0)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.context.view_layer.update()
+    evaluated = ob.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    geometry = compat.evaluated_geometry(evaluated)  # which keeps what is in it
+    told = geometry.pointcloud.attributes[".selection"].data
+    assert len(told) == COUNT // 4 and not any(point.value for point in told)
+    bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def test_moving_the_crop_counts(ob: bpy.types.Object, scene: bpy.types.Scene) -> None:

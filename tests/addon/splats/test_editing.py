@@ -11,6 +11,7 @@ import pytest
 from addon import attributes
 from addon.attributes import BASE, SCALE
 from addon.core import Splats, join_splats, render, sh0_to_rgb
+from addon.panels import edit as edit_panel
 from addon.panels.edit import EditPanel
 from addon.splats import filters, objects
 from tests.addon import splat_scenes as lab
@@ -272,12 +273,15 @@ def test_a_million_splats(scene: bpy.types.Scene, make_splats: Make) -> None:
     assert max(took.values()) < 5, took
 
 
-def test_the_panel_leads_to_what_is_selected(ob: bpy.types.Object) -> None:
-    """Oracle: live splats lie over vertices, other displays do not."""
+def test_the_panel_leads_to_a_display_that_follows(
+    ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: live splats follow edits of small objects; of large ones other displays do."""
     ob.gscore.display = "SPLATS"
-    assert "Show What" not in drawn(EditPanel)
     bpy.ops.gscore.select_by_opacity()
-    assert "(Show What Is Selected)" in drawn(EditPanel)
+    assert "Show Edits" not in drawn(EditPanel)
+    monkeypatch.setattr(edit_panel, "EDITED_AT_ONCE", len(ob.data.vertices) - 1)
+    assert "(Show Edits at Once)" in drawn(EditPanel)
     ob.gscore.display = "POINTS"
-    assert "Show What" not in drawn(EditPanel)
+    assert "Show Edits" not in drawn(EditPanel)
     bpy.ops.object.mode_set(mode="OBJECT")

@@ -1,0 +1,157 @@
+"""What is selected and hidden of large meshes in Edit Mode, read piece by piece.
+
+Blender tells it of one vertex at a time. With the first one asked for it makes room at all of them,
+which of a million takes 0.2 s, and clears that away when nobody holds the editor any more. So the
+editor is asked for as Edit Mode begins, which takes longer than that anyway, and held until its
+end.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+import bmesh
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..render import copies
+from ..render.frozen import HIDDEN, SELECTED
+from ..splats.live import SESSION
+
+REST = 0.2
+"""Seconds without a change after which reading begins."""
+INTERVAL = 0.01
+"""Seconds between two pieces."""
+PIECE = 20_000
+"""Vertices of a piece, which takes 4 to 8 ms."""
+
+
+@dataclass
+class _Reading:
+    """Of one mesh."""
+
+    editor: bmesh.types.BMesh
+    changed: float
+    """Time of the last change, monotonic seconds."""
+    marks: list[np.ndarray] = field(default_factory=list)
+    """Pieces, as `FrozenMesh.marks`."""
+    done: int = 0
+    """Vertices that have been read."""
+    complete: bool = False
+
+
+class Reader:
+    """Reads of all meshes that are too large to be copied in Edit Mode; on the main thread only."""
+
+    def __init__(self, known: copies.Copies) -> None:
+        """Nothing is read yet; `known` is told what was."""
+        self._known = known
+        self._readings: dict[int, _Reading] = {}
+
+    def clear(self) -> None:
+        """Let go of all editors."""
+        self._readings.clear()
+
+    @property
+    def waits(self) -> bool:
+        """Whether there is something to read."""
+        return any(not one.complete for one in self._readings.values())
+
+    def notice(self, depsgraph: bpy.types.Depsgraph, now: float) -> None:
+        """Read anew, once they rest, what a depsgraph update says was edited.
+
+        Args:
+            depsgraph: With the update.
+            now: Monotonic seconds.
+        """
+        for update in depsgraph.updates:
+            block = update.id.original
+            begins = isinstance(block, bpy.types.Object)  # which edits do not change
+            mesh = block.data if begins else block
+            if not isinstance(mesh, bpy.types.Mesh) or not mesh.is_editmode:
+                continue
+            uid = mesh.session_uid
+            if self._known.too_many(uid) and not (begins and uid in self._readings):
+                self._readings[uid] = _Reading(_editor(mesh), now)
+
+    def step(self, now: float) -> bool:
+        """Read a piece of a mesh that rests; whether views have something new to show.
+
+        Args:
+            now: Monotonic seconds.
+        """
+        edited = {mesh.session_uid: mesh for mesh in bpy.data.meshes if mesh.is_editmode}
+        for uid in self._readings.keys() - edited.keys():
+            del self._readings[uid]
+        for uid, reading in self._readings.items():
+            if reading.complete or now - reading.changed < REST:
+                continue
+            if not reading.editor.is_valid:  # undo makes another one
+                self._readings[uid] = _Reading(_editor(edited[uid]), now)
+                return False
+            if _read_piece(reading):
+                marks = np.concatenate(reading.marks or [np.zeros(0, np.uint8)])
+                reading.complete, reading.marks = True, []
+                self._known.remark(uid, marks if marks.any() else None)
+            return reading.complete
+        return False
+
+
+def _editor(mesh: bpy.types.Mesh) -> bmesh.types.BMesh:
+    """A mesh's editor, with room for what stands for its vertices."""
+    editor = bmesh.from_edit_mesh(mesh)
+    next(iter(editor.verts), None)
+    return editor
+
+
+def _read_piece(reading: _Reading) -> bool:
+    """Read on; whether that was the last piece."""
+    verts = reading.editor.verts
+    found = verts[reading.done : reading.done + PIECE]
+    selected = np.fromiter((vertex.select for vertex in found), bool, len(found))
+    hidden = np.fromiter((vertex.hide for vertex in found), bool, len(found))
+    reading.marks.append(np.uint8(SELECTED) * selected | np.uint8(HIDDEN) * hidden)
+    reading.done += len(found)
+    return reading.done >= len(verts)
+
+
+_READER = Reader(copies.SHARED)
+
+
+@persistent
+def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    _READER.notice(depsgraph, time.monotonic())
+    if _READER.waits and not bpy.app.timers.is_registered(_beat):
+        bpy.app.timers.register(_beat, first_interval=REST)
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    _READER.clear()
+
+
+def _beat() -> float | None:
+    if _READER.step(time.monotonic()):
+        for window in bpy.context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "VIEW_3D":
+                    area.tag_redraw()
+    return INTERVAL if _READER.waits else None
+
+
+def on_register() -> None:
+    """Follow edits, where splats are drawn live."""
+    if SESSION.there:
+        bpy.app.handlers.depsgraph_update_post.append(_changed)
+        bpy.app.handlers.load_post.append(_file_loaded)
+
+
+def on_unregister() -> None:
+    """Follow them no more."""
+    if _changed not in bpy.app.handlers.depsgraph_update_post:
+        return
+    bpy.app.handlers.depsgraph_update_post.remove(_changed)
+    bpy.app.handlers.load_post.remove(_file_loaded)
+    if bpy.app.timers.is_registered(_beat):
+        bpy.app.timers.unregister(_beat)
+    _READER.clear()

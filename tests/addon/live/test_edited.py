@@ -1,0 +1,127 @@
+"""What is selected of large meshes in Edit Mode, as the live display learns of it."""
+
+import bmesh
+import bpy
+import numpy as np
+import pytest
+
+from addon import attributes
+from addon.live import edited
+from addon.render import copies
+from addon.render.frozen import HIDDEN, SELECTED
+from addon.render.scene import sources
+from tests.addon import splat_scenes as lab
+
+COUNT = 500
+
+
+@pytest.fixture
+def ob(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Object:
+    """An object that counts as large, with a third of it selected, in Object Mode."""
+    monkeypatch.setattr(copies, "EDITED_AT_ONCE", COUNT - 1)
+    monkeypatch.setattr(edited, "PIECE", 200)
+    ob = lab.add(scene, lab.blob(COUNT))
+    attributes.select(ob.data, np.arange(COUNT) % 3 == 0)
+    bpy.context.view_layer.objects.active = ob
+    return ob
+
+
+@pytest.fixture
+def known(ob: bpy.types.Object) -> copies.Copies:
+    """Its copy."""
+    made = copies.Copies()
+    _marks(made)
+    return made
+
+
+@pytest.fixture
+def reader(known: copies.Copies) -> edited.Reader:
+    """What is tested, with Edit Mode begun at second 0."""
+    made = edited.Reader(known)
+
+    def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        known.forget_changed(depsgraph)
+        made.notice(depsgraph, 0.0)
+
+    bpy.app.handlers.depsgraph_update_post.append(changed)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.context.view_layer.update()
+    yield made
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.app.handlers.depsgraph_update_post.remove(changed)
+    made.clear()
+
+
+def _marks(known: copies.Copies) -> np.ndarray:
+    """[COUNT] uint8 of the one copied object."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    placed, complete = known.copied(sources(depsgraph))
+    while not placed and not complete:
+        placed, complete = known.copied(sources(depsgraph))
+    marks = placed[0].frozen.marks
+    return np.zeros(COUNT, np.uint8) if marks is None else marks
+
+
+def _read(reader: edited.Reader) -> int:
+    """Pieces read until there is something new to show."""
+    assert not reader.step(edited.REST / 2)  # not while it does not rest
+    for pieces in range(1, 20):
+        if reader.step(1.0):
+            return pieces
+    raise AssertionError("nothing came")
+
+
+def test_selections_and_hiding_follow_in_edit_mode(reader, known, ob) -> None:
+    """Oracle: what was selected and hidden through Blender's own operators."""
+    assert reader.waits
+    assert _read(reader) == 3 and not reader.waits
+    assert ((_marks(known) & SELECTED) != 0).sum() == (COUNT + 2) // 3
+    bpy.ops.mesh.select_all(action="INVERT")
+    bpy.context.view_layer.update()
+    assert _read(reader) == 3
+    np.testing.assert_array_equal(_marks(known), SELECTED * (np.arange(COUNT) % 3 != 0))
+    bpy.ops.mesh.hide()
+    bpy.context.view_layer.update()
+    _read(reader)
+    np.testing.assert_array_equal(_marks(known), HIDDEN * (np.arange(COUNT) % 3 != 0))
+    bpy.ops.mesh.reveal(select=False)
+    bpy.context.view_layer.update()
+    _read(reader)
+    assert not _marks(known).any()
+
+
+def test_a_selection_begins_again_what_was_being_read(reader, known, ob) -> None:
+    """Oracle: the later selection, alone; half of the earlier one had been read."""
+    reader.step(1.0)
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.context.view_layer.update()
+    assert _read(reader) == 3
+    assert (_marks(known) == SELECTED).all()
+
+
+def test_other_splats_are_left_alone(reader, known, ob) -> None:
+    """Oracle: the copy keeps its splats, of which others stand in the editor, until the end."""
+    editor = bmesh.from_edit_mesh(ob.data)
+    bmesh.ops.delete(editor, geom=editor.verts[:100], context="VERTS")
+    bmesh.update_edit_mesh(ob.data)
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.context.view_layer.update()
+    _read(reader)
+    assert len(_marks(known)) == COUNT and (_marks(known) == SELECTED).sum() == (COUNT + 2) // 3
+
+
+def test_nothing_is_held_after_edit_mode(reader, known, ob) -> None:
+    """Oracle: Blender's editor is gone, and so is what was to be read."""
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.view_layer.update()
+    assert not reader.step(1.0) and not reader.waits
+
+
+def test_small_objects_are_not_read(reader, known, ob, monkeypatch) -> None:
+    """Oracle: those are copied at once, by others."""
+    monkeypatch.setattr(copies, "EDITED_AT_ONCE", COUNT)
+    reader.clear()
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.context.view_layer.update()
+    assert not reader.waits

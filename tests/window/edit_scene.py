@@ -1,0 +1,109 @@
+"""Runs inside a Blender with a window: selects splats in Edit Mode, takes screenshots.
+
+`blender --factory-startup -P tests/window/edit_scene.py -- FOLDER PACKAGES...`; PACKAGES are
+folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bmesh  # noqa: E402
+import bpy  # noqa: E402
+from bpy_extras.view3d_utils import location_3d_to_region_2d  # noqa: E402
+from mathutils import Quaternion, Vector  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon.render import copies  # noqa: E402
+from tests.addon import splat_scenes as lab  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+
+COLOR = (0.1, 0.3, 0.9)
+POINT = 0.002
+"""Radius of the balls, which so are smaller than the vertices that Blender draws."""
+seen: dict = {"log": []}
+
+
+def screenshot(name: str) -> None:
+    """The screen as a file."""
+    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+
+
+def choose(ob: bpy.types.Object, *, upper: bool, lower: bool) -> None:
+    """Select the upper and the lower half, in Edit Mode as a user does."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.object.mode_set(mode="OBJECT")
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.mesh.select_all(action="DESELECT")
+        editor = bmesh.from_edit_mesh(ob.data)
+        for vertex in editor.verts:
+            vertex.select_set(upper if vertex.co.y > 0.01 else lower)
+        bmesh.update_edit_mesh(ob.data)
+
+
+def invert() -> None:
+    """Select the others, without leaving Edit Mode."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.mesh.select_all(action="INVERT")
+
+
+def part(sign: int) -> list[int]:
+    """Left, right, bottom and top of the inside of the upper or lower half, on the screen."""
+    view, shown = space().region_3d, region()
+    corners = [Vector((x, sign * y, 0)) for x, y in ((-0.8, 0.2), (0.8, 0.8))]
+    flat = [location_3d_to_region_2d(shown, view, corner) for corner in corners]
+    xs, ys = (sorted(int(p[k]) for p in flat) for k in (0, 1))
+    return [shown.x + xs[0], shown.x + xs[1], shown.y + ys[0], shown.y + ys[1]]
+
+
+def story() -> Iterator[object]:
+    """What happens; a yield hands over to Blender (`Teller`)."""
+    clear()
+    view = space().region_3d
+    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
+    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    wall = lab.add(bpy.context.scene, lab.wall(0.0, COLOR), "wall")
+    yield at_rest
+    bpy.context.view_layer.objects.active = wall
+    wall.select_set(True)
+    wall.gscore.point_size = POINT
+    wall.gscore.display = "POINTS"
+    yield 1.0
+    seen["upper"], seen["lower"] = part(1), part(-1)
+    choose(wall, upper=False, lower=False)
+    yield 1.5
+    seen["none"] = wall.data.count_selected_items()[0]
+    screenshot("points_none")
+    choose(wall, upper=True, lower=False)
+    yield 1.5
+    screenshot("points_upper")
+    wall.gscore.display = "SPLATS"
+    yield 3.0
+    screenshot("splats_upper")
+    copies.EDITED_AT_ONCE = 1000  # fewer than the wall has
+    choose(wall, upper=True, lower=False)
+    yield 1.5
+    invert()
+    yield 2.0
+    screenshot("splats_lower")
+
+
+def _end(problem: str) -> None:
+    if problem:
+        seen["log"].append(problem)
+    (FOLDER / "seen.json").write_text(json.dumps(seen))
+    addon_utils.disable("addon", default_set=True)
+    bpy.ops.wm.quit_blender()
+
+
+Teller(story(), _end)

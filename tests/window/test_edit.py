@@ -1,0 +1,57 @@
+"""What is selected in Edit Mode, in the window of a real Blender. Oracles: in the tests.
+
+Needs what `test_live.py` needs.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.window.scenes import SCREEN, pixels, told
+
+pytestmark = pytest.mark.window
+
+LONGEST = 200
+FEW, MANY = 0.002, 0.05
+"""Shares of the pixels of half a wall: no more than a speck, and no less than its vertices have."""
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    """What `edit_scene.py` saw, and the folder of its pictures."""
+    found, folder, output = told("edit", tmp_path_factory, longest=LONGEST)
+    assert "Traceback" not in output, output
+    return found, folder
+
+
+def orange(seen: tuple[dict, Path], name: str, half: str) -> float:
+    """The share of a half's pixels in which red leads green, and green blue, as Blender's color of
+    what is selected has it and neither the wall nor Solid's grey does."""
+    found, folder = seen
+    left, right, bottom, top = found[half]
+    red, green, blue = np.moveaxis(
+        pixels(folder, name)[SCREEN[1] - top : SCREEN[1] - bottom, left:right], -1, 0
+    )
+    return float(np.mean((red > green + 40) & (green > blue + 10)))
+
+
+def test_points_tell_what_is_selected(seen):
+    """Oracle: which half was selected, through Blender's own mesh."""
+    assert seen[0]["none"] == 0
+    assert orange(seen, "points_none", "upper") < FEW
+    assert orange(seen, "points_none", "lower") < FEW
+    assert orange(seen, "points_upper", "upper") > MANY
+    assert orange(seen, "points_upper", "lower") < FEW
+
+
+def test_splats_tell_what_is_selected(seen):
+    """Oracle: the same."""
+    assert orange(seen, "splats_upper", "upper") > 0.9
+    assert orange(seen, "splats_upper", "lower") < FEW
+
+
+def test_large_objects_follow_a_selection_in_edit_mode(seen):
+    """Oracle: the other half, after Blender's own operator and without leaving Edit Mode."""
+    assert orange(seen, "splats_lower", "upper") < FEW
+    assert orange(seen, "splats_lower", "lower") > 0.9
