@@ -8,6 +8,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 
 from ..cameras.captures import RenderCamera
+from ..compat import shaders_write_depth
 from . import program
 from .program import PLANES, QUADS
 from .uploads import Order, texture
@@ -87,8 +88,11 @@ class Card:
             Exception: the driver refuses a program.
         """
         self._splats, self._view, self._rows = program.splats(), program.view(), program.rows()
-        self._near_splats = program.splats(nearness=True)
-        self._near_view = program.view(nearness=True)
+        self.nears = shaders_write_depth()
+        """Whether it draws nearness, and shows it."""
+        if self.nears:
+            self._near_splats = program.splats(nearness=True)
+            self._near_view = program.view(nearness=True)
         corners, indices = [], []
         for k in range(QUADS):
             corners += [(x, y, float(k)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]

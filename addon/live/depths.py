@@ -3,6 +3,8 @@
 import gpu
 import numpy as np
 
+from .uploads import texture
+
 
 class Depths:
     """Of one view. As long as they stay the same, so does their texture: who has drawn with it need
@@ -18,8 +20,7 @@ class Depths:
         known = self._texture
         size = None if known is None else (known.width, known.height)
         if size != (width, height) or not np.array_equal(values, self._values):
-            flat = gpu.types.Buffer("FLOAT", width * height, values.view(np.float32))
-            self._texture = gpu.types.GPUTexture((width, height), format="R32F", data=flat)
+            self._texture = texture(values.view(np.float32).reshape(height, width, 1))
             self._values = values
         return self._texture
 
@@ -28,4 +29,4 @@ def _read(left: int, bottom: int, width: int, height: int) -> np.ndarray:
     """[width * height] uint32, the bits of float32: they are compared fast, and exactly."""
     found = gpu.state.active_framebuffer_get().read_depth(left, bottom, width, height)
     found.dimensions = width * height
-    return np.array(found, np.float32).view(np.uint32)
+    return np.asarray(found, np.float32).view(np.uint32)  # of the same memory

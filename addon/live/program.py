@@ -7,6 +7,7 @@ what depends on its colour in this view in the order; both come from the process
 
 import gpu
 
+from ..compat import declare_depth
 from .atlas import COLUMNS, TEXELS
 
 QUADS = 64
@@ -220,7 +221,7 @@ def view(*, nearness: bool = False) -> gpu.types.GPUShader:
     if nearness:
         info.define("NEARNESS")
         info.sampler(1, "FLOAT_2D", "nearness")
-        info.depth_write("ANY")
+        declare_depth(info)
     info.vertex_in(0, "VEC2", "corner")
     return _made(info, _SCREEN_VERTEX, _VIEW_FRAGMENT)
 

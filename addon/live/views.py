@@ -210,7 +210,7 @@ class View:
             window: As in `Shot`.
             antialias: What the scene wishes.
             meshes: Reads depths of what may hide splats (`Depths`), which waits for the card: not
-                while the view moves. None: nothing does.
+                while the view moves, if the card does without. None: nothing does.
             cuts: Where the view ends.
             tint: Whether what is selected is seen.
 
@@ -246,11 +246,11 @@ class View:
         # An order of many more splats than are wanted takes the time of those too.
         like = shown.wish.count <= _LIKE * detail.count
         took = self.level.took if self.level.measures and like else None
-        hides = meshes is not None
-        depths = meshes() if hides and not self.level.moving else None
+        nearness = meshes is not None and self.level.moving and card.nears
+        depths = None if meshes is None or nearness else meshes()
         canvas = self._picture.draw(
             *(card, shown.texels.texture, shown.order, shot, depths),
-            nearness=hides and self.level.moving,
+            nearness=nearness,
             took=took,
         )
         self.drawn = min(detail.count, shown.wish.count)

@@ -188,6 +188,7 @@ def story() -> Iterator[object]:
     view.view_rotation = Quaternion((0, 0, 1), 0.3)
     yield 0.3
     yield at_rest
+    yield 1.0  # in which Blender smooths its own picture
     screenshot("both")
     with counted_pictures() as pictures:
         area().tag_redraw()
@@ -199,6 +200,7 @@ def story() -> Iterator[object]:
         view.view_rotation = Quaternion((0, 0, 1), 0.3)
         yield 0.3
         yield at_rest
+    yield 1.0
     screenshot("both_again")
     scene.render.engine = "GSCORE_SPLATS"
     scene.view_settings.view_transform = "Standard"
