@@ -122,10 +122,12 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     matrix, window = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
     left, bottom, width, height = gpu.state.viewport_get()
     camera = viewport.view_camera(matrix, window, width, height, perspective=rv3d.is_perspective)
-    read = partial(view.depths.read, left, bottom, width, height)
+    front = _has_lines_in_front(context, depsgraph)
+    read = partial(view.depths.read, left, bottom, width, height, front=front)
     meshes = read if _hidden_by(context, depsgraph) else None
     picture = view.draw(
         *(_state.card, placed, camera, window, context.scene.gscore_render.antialias, meshes),
+        front=front,
         cuts=_cuts(context),
         tint=context.space_data.overlay.show_overlays and not _is_own(context),
     )
@@ -147,6 +149,13 @@ def _hidden_by(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bo
     if context.space_data.overlay.show_overlays:
         return True  # lines: wires, bones, boxes of splats, the grid
     return any(ob.type in _HIDES and _has_surface(ob) for ob in depsgraph.objects)
+
+
+def _has_lines_in_front(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether lines are drawn over everything; those of surfaces have depths like others."""
+    if _is_own(context) or not context.space_data.overlay.show_overlays:
+        return False
+    return any(ob.show_in_front for ob in depsgraph.objects)
 
 
 def _has_surface(ob: bpy.types.Object) -> bool:

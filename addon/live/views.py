@@ -198,6 +198,7 @@ class View:
         antialias: str,
         meshes: Callable[[], gpu.types.GPUTexture] | None,
         *,
+        front: bool,
         cuts: Cuts,
         tint: bool = False,
     ) -> Canvas | None:
@@ -211,6 +212,7 @@ class View:
             antialias: What the scene wishes.
             meshes: Reads depths of what may hide splats (`Depths`), which waits for the card: not
                 while the view moves, if the card does without. None: nothing does.
+            front: Whether some of it has no depth: then `meshes` is called in a moving view too.
             cuts: Where the view ends.
             tint: Whether what is selected is seen.
 
@@ -246,7 +248,7 @@ class View:
         # An order of many more splats than are wanted takes the time of those too.
         like = shown.wish.count <= _LIKE * detail.count
         took = self.level.took if self.level.measures and like else None
-        nearness = meshes is not None and self.level.moving and card.nears
+        nearness = meshes is not None and self.level.moving and card.nears and not front
         depths = None if meshes is None or nearness else meshes()
         canvas = self._picture.draw(
             *(card, shown.texels.texture, shown.order, shot, depths),

@@ -89,6 +89,11 @@ def lines(scene: bpy.types.Scene, view: bpy.types.RegionView3D) -> Iterator[obje
         yield at_rest
         screenshot(name)
         yield from moving(view, f"{name}_moving")
+    edge.show_in_front = True
+    yield 0.5
+    yield at_rest
+    screenshot("line_in_front")
+    yield from moving(view, "line_in_front_moving")
     bpy.data.objects.remove(edge)
     yield 0.5
 

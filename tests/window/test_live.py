@@ -62,13 +62,16 @@ def test_meshes_before_and_behind_splats_on_the_move(seen):
 
 @pytest.mark.parametrize("moving", ["", "_moving"])
 def test_lines_before_and_behind_splats(seen, moving):
-    """Oracle: the wall's colour where the edge is behind it; a theme's black where it is before."""
+    """Oracle: the wall's colour where the edge is behind it; a theme's black where it is before, or
+    behind and *In Front*."""
     found, folder = seen
     x, y = found["middle"]
-    part = np.s_[SCREEN[1] - y - 5 : SCREEN[1] - y + 5, x + 10 : x + 30]
-    before, behind = (pixels(folder, f"line_{n}{moving}")[part] for n in ("before", "behind"))
+    part = np.s_[SCREEN[1] - y - 5 : SCREEN[1] - y + 5, x + 5 : x + 20]
+    names = (f"line_{n}{moving}" for n in ("before", "behind", "in_front"))
+    before, behind, in_front = (pixels(folder, name)[part] for name in names)
     assert np.abs(behind - COLOR).max() <= 2
-    assert (before.max(axis=2) < 100).any(axis=0).all()
+    for line in (before, in_front):
+        assert (line.max(axis=2) < 100).any(axis=0).all()
 
 
 def test_clipped_splats_are_gone(seen):

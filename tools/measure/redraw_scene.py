@@ -62,7 +62,7 @@ class Meter:
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
         draw, texture, wait = handler.draw, uploads.texture, view_picture._wait
-        read = depths._read
+        read = depths._read_depths
         init, reserve = card.Card.__init__, uploads.Texels.__init__
 
         def timed(context: bpy.types.Context) -> None:
@@ -85,7 +85,9 @@ class Meter:
         # The room for an atlas, which the processor empties where it stands in for a card.
         uploads.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
         view_picture._wait = lambda target: self.time(wait, target)
-        depths._read = lambda *given: self.time(read, *given)  # waits for all that Blender draws
+        depths._read_depths = lambda *given: self.time(
+            read, *given
+        )  # waits for all that Blender draws
 
     def time(self, act: Callable, *given: Any, **named: Any) -> Any:
         """Do something whose time is the card's."""
