@@ -3,7 +3,7 @@
 import numpy as np
 
 _SEEN = 128
-"""Of 255: opacity from which a pixel is a line's, and not its soft edge."""
+"""Of 255: opacity from which a pixel is hidden by its overlay."""
 _AROUND = 2
 """Pixels to each side that a line's own depth differs from."""
 _NEARER = 1.05
@@ -28,15 +28,18 @@ def in_front(depths: np.ndarray, alphas: np.ndarray) -> np.ndarray:
         return seen
     behind = depths
     for axis in (0, 1):
-        behind = _highest(behind, axis)
-    return seen & ((1 - depths) <= _NEARER * (1 - behind))
+        behind = _highest(behind, axis, _AROUND)
+    placed = (alphas > 0) & ((1 - depths) > _NEARER * (1 - behind))
+    for axis in (0, 1):
+        placed = _highest(placed, axis, 1)  # soft edges, which have no depth
+    return seen & ~placed
 
 
-def _highest(values: np.ndarray, axis: int) -> np.ndarray:
+def _highest(values: np.ndarray, axis: int, around: int) -> np.ndarray:
     """The largest of those around each along an axis."""
     lines = np.moveaxis(values, axis, 0)
     out = lines.copy()
-    for k in range(1, _AROUND + 1):
+    for k in range(1, around + 1):
         np.maximum(out[k:], lines[:-k], out=out[k:])
         np.maximum(out[:-k], lines[k:], out=out[:-k])
     return np.moveaxis(out, 0, axis)
