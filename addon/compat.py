@@ -3,6 +3,7 @@
 from typing import Any
 
 import bpy
+import gpu
 import mathutils
 import numpy as np
 
@@ -131,3 +132,17 @@ def alpha_over_sockets(node: bpy.types.Node) -> dict[str, bpy.types.NodeSocket]:
         names = {"factor": "Factor", "below": "Background", "above": "Foreground"}
         return {name: node.inputs[theirs] for name, theirs in names.items()}
     return dict(zip(("factor", "below", "above"), node.inputs[:3], strict=True))
+
+
+_DECLARES_DEPTH = hasattr(gpu.types.GPUShaderCreateInfo, "depth_write")
+
+
+def shaders_write_depth() -> bool:
+    """Whether shaders may; where it cannot be declared OpenGL does without. Asked while drawing."""
+    return _DECLARES_DEPTH or gpu.platform.backend_type_get() == "OPENGL"
+
+
+def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
+    """Have a shader's `gl_FragDepth` count."""
+    if _DECLARES_DEPTH:
+        info.depth_write("ANY")

@@ -1,15 +1,32 @@
 """What lies in the graphics card's memory, and how it is drawn; used where Blender draws."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
 from ..cameras.captures import RenderCamera
+from ..compat import shaders_write_depth
 from . import program
-from .program import QUADS
+from .program import PLANES, QUADS
 from .uploads import Order, texture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cuts:
+    """Where a view ends: splats whose centers lie beyond are left out."""
+
+    far: bool = False
+    """Whether at the far end of the projection."""
+    planes: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    """[P, 4] float64, P at most `PLANES`: normals, which point to what stays, and offsets, in
+    Blender's world."""
+
+    def same(self, other: "Cuts") -> bool:
+        """Whether the other cuts the same."""
+        return self.far == other.far and np.array_equal(self.planes, other.planes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +42,7 @@ class Shot:
     antialias: bool
     limit: int
     """Rows of the atlas that are drawn."""
+    cuts: Cuts = field(default_factory=Cuts)
 
     def same(self, other: "Shot") -> bool:
         """Whether the other gives the same picture of the same objects."""
@@ -32,8 +50,32 @@ class Shot:
             self.camera.same(other.camera)
             and (self.antialias, self.limit) == (other.antialias, other.limit)
             and np.array_equal(self.window, other.window)
+            and self.cuts.same(other.cuts)
             and all(map(np.array_equal, self.viewmats, other.viewmats))
         )
+
+
+class Canvas:
+    """What splats are blended on: premultiplied sRGB values, the bottom row first."""
+
+    def __init__(self, width: int, height: int, *, nearness: bool) -> None:
+        """Reserve it.
+
+        Args:
+            width: Pixels.
+            height: Pixels.
+            nearness: Whether it has that as well.
+        """
+        self.width, self.height = width, height
+        self.picture = gpu.types.GPUTexture((width, height), format="RGBA16F")
+        self.nearness = gpu.types.GPUTexture((width, height), format="R32F") if nearness else None
+        """1 less the depths of splats, blended like their colours; None: not drawn."""
+        slots = [t for t in (self.picture, self.nearness) if t is not None]
+        self._buffer = gpu.types.GPUFrameBuffer(color_slots=slots)
+
+    def bind(self) -> Any:
+        """Draw to it, in a `with`."""
+        return self._buffer.bind()
 
 
 class Card:
@@ -46,6 +88,11 @@ class Card:
             Exception: the driver refuses a program.
         """
         self._splats, self._view, self._rows = program.splats(), program.view(), program.rows()
+        self.nears = shaders_write_depth()
+        """Whether it draws nearness, and shows it."""
+        if self.nears:
+            self._near_splats = program.splats(nearness=True)
+            self._near_view = program.view(nearness=True)
         corners, indices = [], []
         for k in range(QUADS):
             corners += [(x, y, float(k)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -60,24 +107,25 @@ class Card:
 
     def draw(
         self,
-        target: gpu.types.GPUOffScreen,
+        target: Canvas,
         atlas: gpu.types.GPUTexture,
         order: Order,
         shot: Shot,
         meshes: gpu.types.GPUTexture | None,
     ) -> None:
-        """Blend splats on a target of the camera's size, premultiplied sRGB values.
+        """Blend splats on a target of the camera's size.
 
         Args:
-            target: Receives them, the bottom row first.
+            target: Receives them.
             atlas: Of `Texels`.
             order: Its entries name rows of the atlas.
             shot: From where.
             meshes: Depths of what hides splats, of the camera's size or of one proportional to it.
         """
-        camera, shader = shot.camera, self._splats
-        rows = np.concatenate([m[:3] for m in shot.viewmats]).astype(np.float32)
-        places = texture(rows[None])  # kept by this name until all is drawn
+        camera = shot.camera
+        shader = self._splats if target.nearness is None else self._near_splats
+        rows = np.concatenate([*(m[:3] for m in shot.viewmats), _planes(shot)])
+        places = texture(rows[None].astype(np.float32))  # kept by this name until all is drawn
         with target.bind():
             gpu.state.active_framebuffer_get().clear(color=(0, 0, 0, 0))
             gpu.state.blend_set("ALPHA_PREMULT")
@@ -94,9 +142,10 @@ class Card:
             shader.uniform_sampler("places", places)
             shader.uniform_sampler("meshes", self._nothing if meshes is None else meshes)
             hides = float(meshes is not None)
+            cuts = float(shot.cuts.far) + 2 * float(len(shot.cuts.planes) > 0)
             for entries, count in order.chunks:
                 shader.uniform_sampler("sorted", entries)
-                shader.uniform_float("count", (count, shot.limit, hides, 0))
+                shader.uniform_float("count", (count, shot.limit, hides, cuts))
                 self._quads.draw_instanced(shader, instance_count=-(-count // QUADS))
             gpu.state.blend_set("NONE")
 
@@ -113,18 +162,32 @@ class Card:
             self._rows.uniform_sampler("piece", piece)
             self._piece.draw(self._rows)
 
-    def show(
-        self, picture: gpu.types.GPUTexture, left: int, bottom: int, width: int, height: int
-    ) -> None:
-        """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it."""
+    def show(self, canvas: Canvas, left: int, bottom: int, width: int, height: int) -> None:
+        """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it.
+
+        One with nearness is laid behind what stands before the splats of a pixel, on the whole.
+        """
+        near = canvas.nearness is not None
+        shader = self._near_view if near else self._view
         gpu.state.blend_set("ALPHA_PREMULT")
+        gpu.state.depth_test_set("LESS_EQUAL" if near else "NONE")
+        gpu.state.depth_mask_set(False)
+        shader.bind()
+        smaller = canvas.width / width, canvas.height / height
+        shader.uniform_float("place", (left, bottom, *smaller))
+        shader.uniform_sampler("picture", canvas.picture)
+        if near:
+            shader.uniform_sampler("nearness", canvas.nearness)
+        self._screen.draw(shader)
         gpu.state.depth_test_set("NONE")
-        self._view.bind()
-        smaller = picture.width / width, picture.height / height
-        self._view.uniform_float("place", (left, bottom, *smaller))
-        self._view.uniform_sampler("picture", picture)
-        self._screen.draw(self._view)
         gpu.state.blend_set("NONE")
+
+
+def _planes(shot: Shot) -> np.ndarray:
+    """[PLANES, 4] float64: what cuts, in the camera's space; zeros, which cut nothing, beyond."""
+    out = np.zeros((PLANES, 4))
+    out[: len(shot.cuts.planes)] = shot.cuts.planes @ np.linalg.inv(shot.camera.viewmat)
+    return out
 
 
 def _projection(shot: Shot) -> tuple[float, float, float, float]:

@@ -3,9 +3,11 @@
 import logging
 import time
 from dataclasses import dataclass, field
+from functools import partial
 
 import bpy
 import gpu
+import numpy as np
 from bpy.app.handlers import persistent
 
 from ..compat import matrix_to_numpy
@@ -16,7 +18,7 @@ from ..render.scene import Source, sources
 from ..splats import settings as splat_settings
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
-from .card import Card
+from .card import Card, Cuts
 from .views import View
 
 POLL = 0.02
@@ -120,9 +122,13 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     matrix, window = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
     left, bottom, width, height = gpu.state.viewport_get()
     camera = viewport.view_camera(matrix, window, width, height, perspective=rv3d.is_perspective)
-    meshes = _depths(left, bottom, width, height) if _hidden_by(context, depsgraph) else None
+    front = _has_lines_in_front(context, depsgraph)
+    read = partial(view.depths.read, left, bottom, width, height, front=front)
+    meshes = read if _hidden_by(context, depsgraph) else None
     picture = view.draw(
         *(_state.card, placed, camera, window, context.scene.gscore_render.antialias, meshes),
+        front=front,
+        cuts=_cuts(context),
         tint=context.space_data.overlay.show_overlays and not _is_own(context),
     )
     if picture is not None:
@@ -139,8 +145,17 @@ def _is_own(context: bpy.types.Context) -> bool:
 def _hidden_by(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
     """Whether anything may stand before splats; looking at depths costs a wait for the card."""
     if _is_own(context):
-        return False  # which draws no meshes
+        return False  # which draws no meshes, though Blender adds their depths for its lines
+    if context.space_data.overlay.show_overlays:
+        return True  # lines: wires, bones, boxes of splats, the grid
     return any(ob.type in _HIDES and _has_surface(ob) for ob in depsgraph.objects)
+
+
+def _has_lines_in_front(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether lines are drawn over everything; those of surfaces have depths like others."""
+    if _is_own(context) or not context.space_data.overlay.show_overlays:
+        return False
+    return any(ob.show_in_front for ob in depsgraph.objects)
 
 
 def _has_surface(ob: bpy.types.Object) -> bool:
@@ -149,10 +164,13 @@ def _has_surface(ob: bpy.types.Object) -> bool:
     return ob.display_type in {"SOLID", "TEXTURED"}
 
 
-def _depths(left: int, bottom: int, width: int, height: int) -> gpu.types.GPUTexture:
-    """What is drawn already, as depths in [0, 1]."""
-    found = gpu.state.active_framebuffer_get().read_depth(left, bottom, width, height)
-    return gpu.types.GPUTexture((width, height), format="R32F", data=found)
+def _cuts(context: bpy.types.Context) -> Cuts:
+    """Where the view ends, as for meshes; the engine knows no far end."""
+    space, region = context.space_data, context.region_data
+    if not region.use_clip_planes or space.shading.type != "SOLID":
+        return Cuts(far=not _is_own(context))
+    planes = np.array(region.clip_planes, np.float64)[: 4 if region.use_box_clip else 6]
+    return Cuts(far=True, planes=planes)
 
 
 def _refuse(problem: str) -> None:

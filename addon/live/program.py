@@ -7,12 +7,15 @@ what depends on its colour in this view in the order; both come from the process
 
 import gpu
 
+from ..compat import declare_depth
 from .atlas import COLUMNS, TEXELS
 
 QUADS = 64
 """Splats of one instance."""
 ORDER_COLUMNS = 1024
 """Splats in a row of the texture that says their order."""
+PLANES = 6
+"""That may cut a view."""
 
 _SPLAT_VERTEX = """
 void main()
@@ -42,6 +45,20 @@ void main()
   vec3 p = vec3(dot(r0, mean), dot(r1, mean), dot(r2, mean));
   if (p.z < frame.z) {
     return;
+  }
+  float clip = projection.y - projection.x * p.z;
+  float depth = 0.5 + 0.5 * (projection.z > 0.5 ? clip / p.z : clip);
+  int cuts = int(count.w + 0.5);
+  if (cuts % 2 == 1 && depth > 1.0) {
+    return;
+  }
+  if (cuts >= 2) {
+    int first = textureSize(places, 0).x - PLANES;
+    for (int k = 0; k < PLANES; k++) {
+      if (dot(texelFetch(places, ivec2(first + k, 0), 0), vec4(p, 1.0)) < 0.0) {
+        return;
+      }
+    }
   }
   vec2 f = lens.xy, middle = lens.zw, size = frame.xy;
   vec3 m0, m1;
@@ -85,8 +102,7 @@ void main()
   vec2 to = spread * radii;
   at_pixel += axis * to.x + vec2(-axis.y, axis.x) * to.y;
   shade = vec4(entry.yzw, opacity);
-  float clip = projection.y - projection.x * p.z;
-  place = 0.5 + 0.5 * (projection.z > 0.5 ? clip / p.z : clip);
+  place = depth;
   gl_Position = vec4(2.0 * at_pixel.x / size.x - 1.0, 1.0 - 2.0 * at_pixel.y / size.y, 0.0, 1.0);
 }
 """
@@ -104,6 +120,10 @@ void main()
     }
   }
   result = vec4(shade.rgb * alpha, alpha);
+#ifdef NEARNESS
+  // From the far end: near 0, where a view's depths crowd, numbers tell more apart.
+  nearness = vec4((1.0 - place) * alpha, 0.0, 0.0, alpha);
+#endif
 }
 """
 _SCREEN_VERTEX = """
@@ -113,25 +133,31 @@ void main()
 }
 """
 _VIEW_FRAGMENT = """
+vec4 between(sampler2D from, ivec2 p0, ivec2 p1, vec2 part)
+{
+  vec4 below = mix(texelFetch(from, p0, 0), texelFetch(from, ivec2(p1.x, p0.y), 0), part.x);
+  vec4 above = mix(texelFetch(from, ivec2(p0.x, p1.y), 0), texelFetch(from, p1, 0), part.x);
+  return mix(below, above, part.y);
+}
+
 void main()
 {
-  vec2 at = (gl_FragCoord.xy - place.xy) * place.zw;
-  vec4 found;
-  if (place.z == 1.0) {
-    found = texelFetch(picture, ivec2(at), 0);
-  }
-  else {  // a smaller picture, between its pixels
+  vec2 at = (gl_FragCoord.xy - place.xy) * place.zw, part = vec2(0.0);
+  ivec2 p0 = ivec2(at), p1 = p0;
+  if (place.z != 1.0) {  // a smaller picture, between its pixels
     at -= 0.5;
     ivec2 low = ivec2(floor(at)), most = textureSize(picture, 0) - 1;
-    vec2 part = at - vec2(low);
-    ivec2 p0 = clamp(low, ivec2(0), most), p1 = clamp(low + 1, ivec2(0), most);
-    vec4 below = mix(texelFetch(picture, p0, 0), texelFetch(picture, ivec2(p1.x, p0.y), 0), part.x);
-    vec4 above = mix(texelFetch(picture, ivec2(p0.x, p1.y), 0), texelFetch(picture, p1, 0), part.x);
-    found = mix(below, above, part.y);
+    part = at - vec2(low);
+    p0 = clamp(low, ivec2(0), most);
+    p1 = clamp(low + 1, ivec2(0), most);
   }
+  vec4 found = between(picture, p0, p1, part);
   if (found.a <= 0.0) {
     discard;
   }
+#ifdef NEARNESS
+  gl_FragDepth = clamp(1.0 - between(nearness, p0, p1, part).r / found.a, 0.0, 1.0);
+#endif
   // The view holds what lies over its picture as light, and encodes it with this exponent.
   vec3 light = pow(clamp(found.rgb / found.a, 0.0, 1.0), vec3(2.2));
   result = vec4(light * found.a, found.a);
@@ -145,8 +171,11 @@ void main()
 """
 
 
-def splats() -> gpu.types.GPUShader:
+def splats(*, nearness: bool = False) -> gpu.types.GPUShader:
     """Draws splats as quads, farthest first.
+
+    Args:
+        nearness: Into a second picture, 1 less their depths, blended like colours.
 
     Raises:
         Exception: the driver refuses it.
@@ -156,11 +185,13 @@ def splats() -> gpu.types.GPUShader:
     info.define("ORDER_COLUMNS", str(ORDER_COLUMNS))
     info.define("COLUMNS", str(COLUMNS))
     info.define("TEXELS", str(TEXELS))
+    info.define("PLANES", str(PLANES))
     info.define("WIDENING", "0.3")
     info.push_constant("VEC4", "lens")  # fx, fy, cx, cy, pixels
     info.push_constant("VEC4", "frame")  # width, height, near, whether rays are parallel
     info.push_constant("VEC4", "projection")  # depth's factor, offset, by z?, antialias?
-    info.push_constant("VEC4", "count")  # entries of the order, rows that are drawn, meshes?
+    # Entries of the order, rows that are drawn, meshes?, cuts: 1 the far end, 2 planes, 3 both.
+    info.push_constant("VEC4", "count")
     for slot, name in enumerate(("atlas", "sorted", "places", "meshes")):
         info.sampler(slot, "FLOAT_2D", name)
     info.vertex_in(0, "VEC3", "corner")
@@ -169,11 +200,17 @@ def splats() -> gpu.types.GPUShader:
     between.flat("VEC4", "shade")
     between.flat("FLOAT", "place")
     info.vertex_out(between)
+    if nearness:
+        info.define("NEARNESS")
+        info.fragment_out(1, "VEC4", "nearness")
     return _made(info, _SPLAT_VERTEX, _SPLAT_FRAGMENT)
 
 
-def view() -> gpu.types.GPUShader:
+def view(*, nearness: bool = False) -> gpu.types.GPUShader:
     """Lays the picture over the view.
+
+    Args:
+        nearness: Each pixel at its depth, from the second picture of `splats`.
 
     Raises:
         Exception: the driver refuses it.
@@ -181,6 +218,10 @@ def view() -> gpu.types.GPUShader:
     info = gpu.types.GPUShaderCreateInfo()
     info.push_constant("VEC4", "place")  # left, bottom, picture's pixels for one of the view
     info.sampler(0, "FLOAT_2D", "picture")
+    if nearness:
+        info.define("NEARNESS")
+        info.sampler(1, "FLOAT_2D", "nearness")
+        declare_depth(info)
     info.vertex_in(0, "VEC2", "corner")
     return _made(info, _SCREEN_VERTEX, _VIEW_FRAGMENT)
 

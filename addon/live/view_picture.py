@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import gpu
 
-from .card import Card, Shot
+from .card import Canvas, Card, Shot
 from .uploads import Order
 
 
@@ -14,9 +14,9 @@ class ViewPicture:
     at each step of the mouse over a panel."""
 
     def __init__(self) -> None:
-        self._target: gpu.types.GPUOffScreen | None = None
-        self._holds: tuple[Order, Shot] | None = None
-        """What the target shows; None where meshes, which may have moved, hide some of it."""
+        self._canvas: Canvas | None = None
+        self._holds: tuple[Order, Shot, gpu.types.GPUTexture | None] | None = None
+        """What the canvas shows."""
 
     def draw(
         self,
@@ -25,39 +25,50 @@ class ViewPicture:
         order: Order,
         shot: Shot,
         meshes: gpu.types.GPUTexture | None,
+        *,
+        nearness: bool = False,
         took: Callable[[float], None] | None = None,
-    ) -> gpu.types.GPUTexture:
-        """The picture, premultiplied sRGB values, the bottom row first.
+    ) -> Canvas:
+        """The picture.
 
         Args:
             card: What draws it.
             atlas: As `Card.draw`.
             order: Its entries name rows of the atlas.
             shot: From where.
-            meshes: As `Card.draw`.
+            meshes: As `Card.draw`; another where depths differ (`Depths`).
+            nearness: Whether the picture gets it.
             took: Called with the seconds that the card needed, if it has to draw; waits for it.
         """
-        if self._target is not None and meshes is None and self._holds is not None:
-            order_, shot_ = self._holds
-            if order_ is order and shot.same(shot_):
-                return self._target.texture_color
         size = shot.camera.width, shot.camera.height
-        if self._target is None or (self._target.width, self._target.height) != size:
-            self._target = gpu.types.GPUOffScreen(*size, format="RGBA16F")
+        canvas = self._fitting(*size, nearness)
+        if canvas is not None and self._holds is not None:
+            order_, shot_, meshes_ = self._holds
+            if order_ is order and meshes_ is meshes and shot.same(shot_):
+                return canvas
         self._holds = None  # until it is drawn
+        if canvas is None:
+            canvas = self._canvas = Canvas(*size, nearness=nearness)
         if took is None:
-            card.draw(self._target, atlas, order, shot, meshes)
+            card.draw(canvas, atlas, order, shot, meshes)
         else:
-            _wait(self._target)
+            _wait(canvas)
             began = time.perf_counter()
-            card.draw(self._target, atlas, order, shot, meshes)
-            _wait(self._target)
+            card.draw(canvas, atlas, order, shot, meshes)
+            _wait(canvas)
             took(time.perf_counter() - began)
-        self._holds = (order, shot) if meshes is None else None
-        return self._target.texture_color
+        self._holds = order, shot, meshes
+        return canvas
+
+    def _fitting(self, width: int, height: int, nearness: bool) -> Canvas | None:
+        """The canvas, if it is one of that kind."""
+        canvas = self._canvas
+        if canvas is None or (canvas.width, canvas.height) != (width, height):
+            return None
+        return canvas if (canvas.nearness is not None) == nearness else None
 
 
-def _wait(target: gpu.types.GPUOffScreen) -> None:
+def _wait(canvas: Canvas) -> None:
     """Until all is drawn that was asked for: a pixel is read."""
-    with target.bind():
+    with canvas.bind():
         gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, "FLOAT")

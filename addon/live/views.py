@@ -1,6 +1,7 @@
 """The 3D views that show splats live: what each has drawn, and what it waits for."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,8 @@ from ..render import picture
 from ..render.scene import Placed, SplatCache, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
-from .card import Card, Shot
+from .card import Canvas, Card, Cuts, Shot
+from .depths import Depths
 from .level import Level
 from .marks import reselected
 from .uploads import Order, Texels
@@ -170,6 +172,7 @@ class View:
         self._coming: _Upload | None = None
         self._shown: _Upload | None = None
         self._picture = ViewPicture()
+        self.depths = Depths()
 
     @property
     def waits(self) -> bool:
@@ -193,14 +196,28 @@ class View:
         camera: RenderCamera,
         window: np.ndarray,
         antialias: str,
-        meshes: gpu.types.GPUTexture | None,
+        meshes: Callable[[], gpu.types.GPUTexture] | None,
         *,
+        front: bool,
+        cuts: Cuts,
         tint: bool = False,
-    ) -> gpu.types.GPUTexture | None:
+    ) -> Canvas | None:
         """Draw what is there, and ask for what is missing; `tint` what is selected.
 
+        Args:
+            card: What draws.
+            placed: The objects.
+            camera: Of the view.
+            window: As in `Shot`.
+            antialias: What the scene wishes.
+            meshes: Reads depths of what may hide splats (`Depths`), which waits for the card: not
+                while the view moves, if the card does without. None: nothing does.
+            front: Whether some of it has no depth: then `meshes` is called in a moving view too.
+            cuts: Where the view ends.
+            tint: Whether what is selected is seen.
+
         Returns:
-            The picture, premultiplied sRGB values, the bottom row first; None where there is none.
+            The picture; None where there is none.
 
         Raises:
             ValueError: the objects want to be drawn in different ways.
@@ -226,14 +243,21 @@ class View:
             window=window,
             antialias=_antialias(placed, antialias),
             limit=detail.count,
+            cuts=cuts,
         )
         # An order of many more splats than are wanted takes the time of those too.
         like = shown.wish.count <= _LIKE * detail.count
         took = self.level.took if self.level.measures and like else None
-        picture_ = self._picture.draw(card, shown.texels.texture, shown.order, shot, meshes, took)
+        nearness = meshes is not None and self.level.moving and card.nears and not front
+        depths = None if meshes is None or nearness else meshes()
+        canvas = self._picture.draw(
+            *(card, shown.texels.texture, shown.order, shot, depths),
+            nearness=nearness,
+            took=took,
+        )
         self.drawn = min(detail.count, shown.wish.count)
         self.seconds = time.perf_counter() - began
-        return picture_
+        return canvas
 
     def _take_in(self, card: Card) -> None:
         """Upload answers that have come, bit by bit."""

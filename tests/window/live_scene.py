@@ -22,7 +22,7 @@ from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.live import handler  # noqa: E402
+from addon.live import handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
@@ -64,6 +64,60 @@ def counted_pictures() -> Iterator[list[Shot]]:
     Card.draw = draw
 
 
+def moving(view: bpy.types.RegionView3D, name: str) -> Iterator[object]:
+    """A picture of a view that does not come to rest."""
+    still, level.STILL = level.STILL, 1e9
+    view.view_rotation = Quaternion((0, 0, 1), 0.01)
+    yield 1.0
+    seen.setdefault("moving", []).append(handler.view_of(region()).level.moving)
+    screenshot(name)
+    level.STILL = still
+    view.view_rotation = Quaternion((1, 0, 0, 0))
+    yield 0.5
+    yield at_rest
+
+
+def lines(scene: bpy.types.Scene, view: bpy.types.RegionView3D) -> Iterator[object]:
+    """An edge before the wall and behind it."""
+    mesh = bpy.data.meshes.new("edge")
+    mesh.from_pydata([(-0.2, 0, 0), (0.2, 0, 0)], [(0, 1)], [])
+    edge = bpy.data.objects.new("edge", mesh)
+    scene.collection.objects.link(edge)
+    for name, z in (("line_before", 0.5), ("line_behind", -0.5)):
+        edge.location.z = z
+        yield 0.5
+        yield at_rest
+        screenshot(name)
+        yield from moving(view, f"{name}_moving")
+    edge.show_in_front = True
+    yield 0.5
+    yield at_rest
+    screenshot("line_in_front")
+    yield from moving(view, "line_in_front_moving")
+    bpy.data.objects.remove(edge)
+    yield 0.5
+
+
+def clipped(view: bpy.types.RegionView3D) -> Iterator[object]:
+    """A view that ends around its middle, then before the wall, then not."""
+    x, y = region().width // 2, region().height // 2
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.view3d.clip_border(xmin=x - 50, xmax=x + 50, ymin=y - 50, ymax=y + 50)
+    yield 0.5
+    yield at_rest
+    screenshot("clipped")
+    view.use_clip_planes = False
+    yield 0.5
+    screenshot("unclipped")
+    space().clip_end = 3.0  # the wall is 4 away
+    yield 0.5
+    yield at_rest
+    screenshot("beyond_the_end")
+    space().clip_end = 1000.0
+    yield 0.5
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     scene = bpy.context.scene
@@ -94,9 +148,26 @@ def story() -> Iterator[object]:
     scene.collection.objects.link(plate)
     yield 1.0
     screenshot("plate_before")
+    yield at_rest
+    with counted_pictures() as pictures:
+        for _ in range(5):
+            area().tag_redraw()
+            yield 0.2
+        seen["with_mesh"] = {"again": len(pictures)}
+        plate.location.z = 0.2
+        yield 0.5
+        seen["with_mesh"]["moved"] = len(pictures)
     plate.location.z = -1.0
     yield 1.0
     screenshot("plate_behind")
+    plate.location.z = 0.0
+    yield from moving(view, "plate_before_moving")
+    plate.location.z = -1.0
+    yield from moving(view, "plate_behind_moving")
+    plate.hide_set(True)
+    yield from lines(scene, view)
+    yield from clipped(view)
+    plate.hide_set(False)
     other = lab.add(scene, lab.blob(), "blob")
     yield at_rest
     seen["both"] = look()
@@ -122,6 +193,7 @@ def story() -> Iterator[object]:
     view.view_rotation = Quaternion((0, 0, 1), 0.3)
     yield 0.3
     yield at_rest
+    yield 1.0  # in which Blender smooths its own picture
     screenshot("both")
     with counted_pictures() as pictures:
         area().tag_redraw()
@@ -133,6 +205,7 @@ def story() -> Iterator[object]:
         view.view_rotation = Quaternion((0, 0, 1), 0.3)
         yield 0.3
         yield at_rest
+    yield 1.0
     screenshot("both_again")
     scene.render.engine = "GSCORE_SPLATS"
     scene.view_settings.view_transform = "Standard"

@@ -52,6 +52,45 @@ def test_meshes_before_and_behind_splats(seen):
     assert np.abs(middle(seen, "plate_behind") - COLOR).max() <= 2
 
 
+def test_meshes_before_and_behind_splats_on_the_move(seen):
+    """Oracle: as at rest, though no depths are read then."""
+    assert all(seen[0]["moving"])
+    assert np.ptp(middle(seen, "plate_before_moving")) < 10
+    assert np.abs(middle(seen, "plate_before_moving", aside=80) - COLOR).max() <= 2
+    assert np.abs(middle(seen, "plate_behind_moving") - COLOR).max() <= 2
+
+
+@pytest.mark.parametrize("moving", ["", "_moving"])
+def test_lines_before_and_behind_splats(seen, moving):
+    """Oracle: the wall's colour where the edge is behind it; a theme's black where it is before, or
+    behind and *In Front*."""
+    found, folder = seen
+    x, y = found["middle"]
+    part = np.s_[SCREEN[1] - y - 5 : SCREEN[1] - y + 5, x + 5 : x + 20]
+    names = (f"line_{n}{moving}" for n in ("before", "behind", "in_front"))
+    before, behind, in_front = (pixels(folder, name)[part] for name in names)
+    assert np.abs(behind - COLOR).max() <= 2
+    for line in (before, in_front):
+        assert (line.max(axis=2) < 100).any(axis=0).all()
+
+
+def test_clipped_splats_are_gone(seen):
+    """Oracle: the wall's colour within the clipping border, the background outside and beyond the
+    end; the wall again where nothing clips."""
+    nothing = middle(seen, "wall", aside=250)
+    assert np.ptp(nothing) < 10
+    assert np.abs(middle(seen, "clipped") - COLOR).max() <= 2
+    assert np.array_equal(middle(seen, "clipped", aside=80), nothing)
+    assert np.abs(middle(seen, "unclipped", aside=80) - COLOR).max() <= 2
+    assert np.array_equal(middle(seen, "beyond_the_end"), nothing)
+
+
+def test_a_picture_is_kept_beside_a_mesh(seen):
+    """Oracle: how often the card was asked for one; again where the mesh has moved."""
+    found = seen[0]["with_mesh"]
+    assert found["again"] == 0 < found["moved"]
+
+
 def test_which_objects_are_shown(seen):
     """Oracle: what a user has hidden, shown otherwise, or left out of the local view."""
     found = seen[0]

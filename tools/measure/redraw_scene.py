@@ -24,7 +24,7 @@ from mathutils import Quaternion  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.core import read_splats  # noqa: E402
-from addon.live import card, handler, uploads, view_picture  # noqa: E402
+from addon.live import card, depths, handler, uploads, view_picture  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tools.window import desk  # noqa: E402
@@ -62,6 +62,7 @@ class Meter:
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
         draw, texture, wait = handler.draw, uploads.texture, view_picture._wait
+        read = depths._read_depths
         init, reserve = card.Card.__init__, uploads.Texels.__init__
 
         def timed(context: bpy.types.Context) -> None:
@@ -84,12 +85,16 @@ class Meter:
         # The room for an atlas, which the processor empties where it stands in for a card.
         uploads.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
         view_picture._wait = lambda target: self.time(wait, target)
+        depths._read_depths = lambda *given: self.time(
+            read, *given
+        )  # waits for all that Blender draws
 
-    def time(self, act: Callable, *given: Any, **named: Any) -> None:
-        """Count what an act takes as the card's."""
+    def time(self, act: Callable, *given: Any, **named: Any) -> Any:
+        """Do something whose time is the card's."""
         began = time.perf_counter()
-        act(*given, **named)
+        found = act(*given, **named)
         self.redraws[-1].card_ms += (time.perf_counter() - began) * 1000
+        return found
 
 
 class _Batch:
@@ -119,13 +124,17 @@ def alone() -> None:
 
 
 def add_splats() -> None:
-    """Those of the file, and a view that turns around most of them."""
+    """Those of the file, a cube among them if one is asked for, and a view that turns around most
+    of them."""
     splats = read_splats(FOLDER / "splats.ply")
     objects.create(splats, "splats", collection=bpy.context.scene.collection)
     middle = np.median(splats.means, axis=0)
     view = desk.space().region_3d
     view.view_perspective, view.view_location, view.view_rotation = "PERSP", middle, FIRST
-    view.view_distance = 3.0 * float(np.median(np.linalg.norm(splats.means - middle, axis=1)))
+    away = float(np.median(np.linalg.norm(splats.means - middle, axis=1)))
+    view.view_distance = 3.0 * away
+    if ASKED["mesh"]:
+        bpy.ops.mesh.primitive_cube_add(size=0.3 * away, location=middle)
 
 
 def turn(steps: int) -> Iterator[object]:

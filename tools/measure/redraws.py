@@ -1,6 +1,6 @@
 """How often Blender draws a view of splats again, and what that takes.
 
-    GSCORE_BLENDER=PROGRAM python tools/measure/redraws.py [--splats N | --ply FILE]
+    GSCORE_BLENDER=PROGRAM python tools/measure/redraws.py [--splats N | --ply FILE] [--mesh]
 
 Starts a Blender of 4.2 or later in a window on a screen that is not there, where the processor
 stands in for a graphics card, turns the view around the splats and lets it rest. Prints a table, as
@@ -45,6 +45,7 @@ def parse() -> argparse.Namespace:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--splats", type=int, default=300_000, help="of a synthetic cloud")
     what.add_argument("--ply", type=Path, help="a model instead")
+    parser.add_argument("--mesh", action="store_true", help="a cube among the splats")
     parser.add_argument("--steps", type=int, default=60, help="redraws of the turn")
     parser.add_argument("--size", type=int, nargs=2, default=(960, 540), metavar=("W", "H"))
     return parser.parse_args()
@@ -61,7 +62,8 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
             shutil.copy(options.ply, folder / "splats.ply")
         else:
             gscore.write_splats(folder / "splats.ply", synthetic_scene(options.splats)[0])
-        (folder / "asked.json").write_text(json.dumps({"steps": options.steps}))
+        asked = {"steps": options.steps, "mesh": options.mesh}
+        (folder / "asked.json").write_text(json.dumps(asked))
         script = Path(__file__).with_name("redraw_scene.py")
         with programs.screen(*size) as display:
             try:

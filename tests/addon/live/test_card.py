@@ -49,9 +49,14 @@ WINDOW = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1.002, -0.2002], [0, 0,
 """Blender's projection with the near plane at 0.1 and the far one at 100."""
 
 
-def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=None, **options):
+def drawn(card, parts: list[Splats], matrices, camera, **options):
     """[H, W, 4] premultiplied sRGB values, the top row first."""
-    from addon.live.card import Shot
+    return painted(card, parts, matrices, camera, **options)[0]
+
+
+def painted(card, parts, matrices, camera, *, meshes=None, limit=None, nearness=False, **options):
+    """The same, and [H, W] nearness or None."""
+    from addon.live.card import Canvas, Cuts, Shot
     from addon.live.uploads import Order, Texels, texture
 
     viewmats = tuple(camera.viewmat @ m for m in matrices)
@@ -63,19 +68,26 @@ def drawn(card, parts: list[Splats], matrices, camera, *, meshes=None, limit=Non
     texels = Texels(made.texels)
     while not texels.complete:
         texels.step(card.copy)
-    target = gpu.types.GPUOffScreen(*SIZE, format="RGBA16F")
+    target = Canvas(*SIZE, nearness=nearness)
     shot = Shot(
         camera=camera,
         viewmats=viewmats,
-        window=WINDOW,
+        window=options.get("window", WINDOW),
         antialias=options.get("antialias", False),
         limit=len(made) if limit is None else limit,
+        cuts=options.get("cuts", Cuts()),
     )
     depths = None if meshes is None else texture(meshes[::-1, :, None])
     card.draw(target, texels.texture, entries, shot, depths)
-    found = target.texture_color.read()
-    found.dimensions = SIZE[0] * SIZE[1] * 4
-    return np.array(found, np.float32).reshape(SIZE[1], SIZE[0], 4)[::-1]
+    near = None if target.nearness is None else values(target.nearness, 1)[..., 0]
+    return values(target.picture, 4), near
+
+
+def values(texture, channels: int) -> np.ndarray:
+    """[H, W, C] float32 of a texture of the picture's size, the top row first."""
+    found = texture.read()
+    found.dimensions = SIZE[0] * SIZE[1] * channels
+    return np.array(found, np.float32).reshape(SIZE[1], SIZE[0], channels)[::-1]
 
 
 def truth(splats: Splats, camera: RenderCamera, **options) -> Rendered:
@@ -134,6 +146,53 @@ def test_meshes_hide_what_is_behind_them(card):
     assert np.abs(got[:, :70, :3] - front.rgb[:, :70]).max() < LIMIT
     assert np.abs(got[:, 70:, :3] - everything.rgb[:, 70:]).max() < LIMIT
     assert np.abs(front.rgb - everything.rgb)[:, :70].max() > 0.2
+
+
+def test_depths_are_blended_like_colours(card):
+    """Oracle: gscore.render of splats whose colour is 1 less their depth."""
+    splats, camera = lab.blob(2000), view()
+    z = splats.means[:, 2].astype(np.float64) + 2
+    place = 0.5 + 0.5 * (-WINDOW[2, 2] * z + WINDOW[2, 3]) / z
+    gray = np.repeat(((1 - place) - 0.5)[:, None, None] / 0.28209479177387814, 3, axis=2)
+    names = ("means", "quats", "scales", "opacities")
+    given = {n: getattr(splats, n) for n in names}
+    shaded = Splats(**given, sh0=gray.astype(np.float32), shN=np.zeros_like(splats.shN))
+    picture, near = painted(card, [splats], [np.eye(4)], camera, nearness=True)
+    want = truth(shaded, camera).rgb[..., 0]
+    assert np.abs(near - want).max() < 2e-3 * want.max()
+    assert np.array_equal(picture, drawn(card, [splats], [np.eye(4)], camera))
+    assert np.ptp((1 - place)[np.abs(place) < 1]) > 0.02
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_what_lies_beyond_planes_is_left_out(card, orthographic):
+    """Oracle: gscore.render of the splats on the planes' inner sides; an object that is moved."""
+    from addon.live.card import Cuts
+
+    splats, camera, matrix = lab.blob(2000), view(orthographic), np.diag([0.8, 0.8, 0.8, 1.0])
+    matrix[:3, 3] = 0.1, -0.05, 0.1
+    moved = transform_splats(splats, matrix)
+    planes = np.array([[1.0, 0, 0, 0.02], [0, -0.6, 0.8, 0.05], [0, 0, 0, 0]])
+    cut = (moved.means @ planes[:, :3].T + planes[:, 3] >= 0).all(axis=1)
+    assert 300 < cut.sum() < 1700
+    got = drawn(card, [splats], [matrix], camera, cuts=Cuts(planes=planes))
+    want = truth(moved.subset(cut), camera)
+    assert np.abs(got[..., :3] - want.rgb).max() < LIMIT
+    assert np.abs(truth(moved, camera).rgb - want.rgb).max() > 0.2
+
+
+def test_what_lies_beyond_the_far_end_is_left_out(card):
+    """Oracle: gscore.render of the splats before it; of all, where the view has none."""
+    from addon.live.card import Cuts
+
+    splats, camera = lab.blob(2000), view()
+    window, far = WINDOW.copy(), 2.1
+    window[2, 2:] = -(far + 0.1) / (far - 0.1), -2 * far * 0.1 / (far - 0.1)
+    before = splats.subset(splats.means[:, 2] + 2 <= far)
+    for cuts, seen in ((Cuts(far=True), before), (Cuts(), splats)):
+        got = drawn(card, [splats], [np.eye(4)], camera, cuts=cuts, window=window)
+        assert np.abs(got[..., :3] - truth(seen, camera).rgb).max() < LIMIT
+    assert 300 < len(before) < 1700
 
 
 def test_fewer_splats(card):

@@ -6,6 +6,15 @@ import pytest
 
 from addon.live.view_picture import ViewPicture
 
+SHOT = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda other: True)
+
+
+def with_canvas() -> tuple[ViewPicture, SimpleNamespace]:
+    """One that has something to draw on, and that."""
+    picture = ViewPicture()
+    picture._canvas = SimpleNamespace(width=4, height=3, nearness=None)
+    return picture, picture._canvas
+
 
 def test_a_picture_that_failed_is_not_kept() -> None:
     """Drivers raise anything; what was not drawn must not be shown as if it were."""
@@ -16,11 +25,20 @@ def test_a_picture_that_failed_is_not_kept() -> None:
         if len(calls) == 1:
             raise SystemError("out of memory")
 
-    picture = ViewPicture()
-    picture._target = SimpleNamespace(width=4, height=3, texture_color="texture")
-    shot = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda other: True)
-    given = SimpleNamespace(draw=draw), object(), object(), shot, None
+    picture, canvas = with_canvas()
+    given = SimpleNamespace(draw=draw), object(), object(), SHOT, None
     with pytest.raises(SystemError):
         picture.draw(*given)
-    assert picture.draw(*given) == "texture" and len(calls) == 2
-    assert picture.draw(*given) == "texture" and len(calls) == 2
+    assert picture.draw(*given) is canvas and len(calls) == 2
+    assert picture.draw(*given) is canvas and len(calls) == 2
+
+
+def test_a_picture_is_kept_while_depths_are_the_same() -> None:
+    """Other depths, or none, are drawn with anew."""
+    calls: list[object] = []
+    card = SimpleNamespace(draw=lambda *given: calls.append(given[-1]))
+    picture, _ = with_canvas()
+    atlas, order, wall, plate = object(), object(), object(), object()
+    for meshes in (wall, wall, wall, plate, plate, None, None, wall):
+        picture.draw(card, atlas, order, SHOT, meshes)
+    assert calls == [wall, plate, None, wall]

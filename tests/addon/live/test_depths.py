@@ -1,0 +1,39 @@
+"""Depths that a view keeps; oracle: the depths that were drawn."""
+
+import gpu
+import numpy as np
+import pytest
+
+from addon.live.depths import Depths
+
+
+@pytest.fixture(scope="module")
+def drawn_to():
+    """[H, W] depths are put into a target, and read back by `Depths` given in."""
+    if not hasattr(gpu, "init"):
+        pytest.skip("this Blender has no graphics without a window")
+    try:
+        gpu.init()
+    except SystemError as error:
+        pytest.skip(f"no graphics: {error}")
+
+    def read(depths: Depths, value: float, size: tuple[int, int] = (6, 4)):
+        target = gpu.types.GPUOffScreen(*size)
+        with target.bind():
+            gpu.state.active_framebuffer_get().clear(depth=value)
+            return depths.read(0, 0, *size)
+
+    return read
+
+
+def test_the_texture_stays_while_depths_do(drawn_to):
+    """Oracle: what was drawn, and which texture it is."""
+    depths = Depths()
+    first = drawn_to(depths, 0.25)
+    found = first.read()
+    found.dimensions = 24
+    assert np.abs(np.array(found, np.float32) - 0.25).max() < 1e-6
+    assert drawn_to(depths, 0.25) is first
+    second = drawn_to(depths, 0.250001)
+    assert second is not first and drawn_to(depths, 0.250001) is second
+    assert drawn_to(depths, 0.250001, (4, 6)) is not second
