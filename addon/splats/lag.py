@@ -93,17 +93,22 @@ def forget(mesh: Any) -> None:
         mesh.attributes.remove(attribute)
 
 
-def follow(mesh: Any) -> None:
-    """Find out what became of a mesh since the last look, and note it.
+def is_miscounted(mesh: Any) -> bool:
+    """Whether a mesh was never looked at, or has another number of splats than then."""
+    found = mesh.get(KEY)
+    return found is None or found["count"] != len(mesh.vertices)
 
-    Where nothing did, a tenth of a millisecond passes; only where splats were added it is searched
-    what they are.
+
+def follow(mesh: Any) -> bool:
+    """Find out what became of a mesh since the last look, and note it; whether that was news.
+
+    Only where splats were added it is searched what they are.
     """
     if not spread.has_splats(mesh):
-        return
+        return False
     now, before = spread.look(mesh), _noted(mesh)
     if not np.isfinite(now.places).all():
-        return
+        return False
     if before is None:
         _write(mesh, Note(now, np.eye(3)[None]))
     elif now.count != before.look.count:
@@ -112,12 +117,12 @@ def follow(mesh: Any) -> None:
         _write(mesh, Note(now, np.eye(3)[None]))
     else:
         turn = turn_between(before.look.places, now.places)
-        if turn is None:  # points were moved one by one
-            _write(mesh, Note(now, before.lags))
-        elif not _is_none(turn):
-            _write(mesh, Note(now, turn @ before.lags))
-        else:
+        if turn is not None and _is_none(turn):
             _remember(before)
+            return False
+        # Where points were moved one by one, what lagged does so still.
+        _write(mesh, Note(now, before.lags if turn is None else turn @ before.lags))
+    return True
 
 
 def _recount(mesh: Any, now: spread.Spread, before: Note) -> None:

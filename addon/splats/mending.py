@@ -1,16 +1,14 @@
 """Shapes and colors of splats brought after their places, and stretching taken back: see `lag`."""
 
-from dataclasses import replace
-
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from .. import attributes
-from ..core import Splats, join_splats, transform_splats
 from ..interface import writable
 from . import lag, objects, parts
 from .fitted import is_similarity
+from .turning import turn_along
 
 APPLIED = (
     "The places of the splats of {} were turned or scaled alone, as Apply of Blender does: their "
@@ -65,7 +63,7 @@ def mend(ob: bpy.types.Object) -> list[bpy.types.Object]:
             writable.check(user)
             _with_lag(user, lags[k])
     if len(odd) < len(there):
-        _turn_along(ob, lags, numbers)
+        turn_along(ob.data, lags, np.where(np.isin(numbers, odd), -1, numbers))
     own = odd[:1] if len(odd) == len(there) else []  # one part stays where it is
     taken = [ob] * len(own) + [_apart(ob, k) for k in odd[len(own) :]]
     for one, k in zip(taken, odd, strict=True):
@@ -74,37 +72,6 @@ def mend(ob: bpy.types.Object) -> list[bpy.types.Object]:
         lag.forget(one.data)
         lag.follow(one.data)
     return taken
-
-
-def _turn_along(ob: bpy.types.Object, lags: np.ndarray, numbers: np.ndarray) -> None:
-    """Give each splat the shape and colors that belong to its part's lag, where they can follow."""
-    splats = objects.read(ob)
-    if len(lags) == 1:
-        turned = _turned(splats, lags[0])
-    else:
-        order = np.argsort(numbers, kind="stable")
-        pieces = [_turned(splats.subset(numbers == k), one) for k, one in enumerate(lags)]
-        back = np.empty(len(order), np.int64)
-        back[order] = np.arange(len(order))
-        turned = join_splats(pieces).subset(back)
-    _write(ob.data, replace(turned, means=splats.means))
-
-
-def _turned(splats: Splats, turn: np.ndarray) -> Splats:
-    """The same splats where nothing lags, or they cannot follow."""
-    if not is_similarity(turn) or np.array_equal(turn, np.eye(3)):
-        return splats
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn
-    return transform_splats(splats, matrix)
-
-
-def _write(mesh: bpy.types.Mesh, splats: Splats) -> None:
-    """Only what turns: places, opacities and base colors stay to the bit."""
-    for name, kind, values in attributes.columns(splats):
-        if name not in (attributes.POSITION, attributes.BASE):
-            attributes.fill(mesh, name, kind, values)
-    mesh.update()
 
 
 def _apart(ob: bpy.types.Object, part: int) -> bpy.types.Object:

@@ -1,4 +1,12 @@
-"""Has meshes of splats looked at when they have changed: see `lag`."""
+"""Has meshes of splats looked at where Blender may have moved their places: see `lag`.
+
+Reading even one place has Blender copy all of them, since the display shares them: 10 ms of a
+million splats. So a mesh is looked at only when it has changed together with the turn or scale of
+its object, which is what Apply does, or right after Apply; when it has got another number of
+splats, as by Join; and when Edit Mode is left.
+"""
+
+from dataclasses import dataclass, field
 
 import bpy
 from bpy.app.handlers import persistent
@@ -7,52 +15,102 @@ from ..interface import writable
 from . import lag
 from .objects import is_splats
 
+Turn = tuple[float, ...]
 
-class _Watch:
-    """Of the session."""
 
-    all_seen = False
+@dataclass
+class _Session:
+    """What is remembered: it decides when to look, never what is found."""
+
+    all_seen: bool = False
     """Whether every mesh of the file was looked at."""
+    turns: dict[int, Turn] = field(default_factory=dict)
+    """Rotation and scale of the matrix of each splat object, by its session number."""
+    edited: set[int] = field(default_factory=set)
+    """Objects that were in Edit Mode."""
+    noted: set[int] = field(default_factory=set)
+    """Meshes of which something was noted, which is after the undo step that it belongs to."""
+
+
+_state = _Session()
 
 
 def look_at_all() -> None:
     """Look at the splats of all objects of the file."""
-    for mesh in {ob.data for ob in bpy.data.objects if is_splats(ob)}:
-        _look(mesh)
-    _Watch.all_seen = True
+    _state.turns.clear()
+    _state.edited.clear()
+    for ob in bpy.data.objects:
+        if is_splats(ob):
+            _remember(ob)
+            _look(ob.data)
+    _state.all_seen = True
 
 
 def _look(mesh: bpy.types.Mesh) -> None:
-    if writable.keeps(mesh):
-        lag.follow(mesh)
+    if writable.keeps(mesh) and lag.follow(mesh):
+        _state.noted.add(mesh.session_uid)
+
+
+def _remember(ob: bpy.types.Object) -> bool:
+    """Take in how an object is turned and whether it is edited; whether its mesh is to be looked at
+    if it has changed."""
+    uid = ob.session_uid
+    turn = tuple(value for row in ob.matrix_basis.to_3x3() for value in row)
+    turned = _state.turns.get(uid, turn) != turn  # a new one was looked at when it was made
+    _state.turns[uid] = turn
+    if ob.mode == "EDIT":
+        _state.edited.add(uid)
+        return False
+    left = uid in _state.edited
+    _state.edited.discard(uid)
+    return turned or left or lag.is_miscounted(ob.data)
 
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if not _Watch.all_seen:  # an add-on sees no file while it is registered
+    if not _state.all_seen:  # an add-on sees no file while it is registered
         look_at_all()
         return
     for update in depsgraph.updates:
-        if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
-            _look(update.id.original)
+        if not isinstance(update.id, bpy.types.Object):
+            continue
+        ob = update.id.original
+        if is_splats(ob) and (_remember(ob) or _applied()) and update.is_updated_geometry:
+            _look(ob.data)
+
+
+def _applied() -> bool:
+    """Whether Apply was the last operator: its settings may be changed then, which does it anew."""
+    done = bpy.context.window_manager.operators
+    return len(done) > 0 and done[-1].bl_idname == "OBJECT_OT_transform_apply"
 
 
 @persistent
-def _other_state(*_: object) -> None:
+def _undone(*_: object) -> None:
+    for ob in bpy.data.objects:
+        if is_splats(ob):
+            _remember(ob)
+            if ob.data.session_uid in _state.noted or lag.is_miscounted(ob.data):
+                _look(ob.data)
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    _state.noted.clear()
     look_at_all()
 
 
 _HANDLERS = {
     "depsgraph_update_post": _changed,
-    "undo_post": _other_state,
-    "redo_post": _other_state,
-    "load_post": _other_state,
+    "undo_post": _undone,
+    "redo_post": _undone,
+    "load_post": _file_loaded,
 }
 
 
 def on_register() -> None:
     """Follow changes."""
-    _Watch.all_seen = False
+    _state.all_seen = False
     for name, function in _HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
 

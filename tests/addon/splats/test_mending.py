@@ -5,6 +5,7 @@ Oracle of most: the engine's picture before Apply or Join.
 
 from pathlib import Path
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -168,11 +169,14 @@ def test_what_is_right_is_not_said(ob: bpy.types.Object) -> None:
 
 
 def test_points_turned_in_edit_mode(ob: bpy.types.Object) -> None:
-    """Oracle: their own turn."""
+    """Oracle: their own turn, found when Edit Mode is left."""
     turn = Matrix.Rotation(0.8, 4, "X")
-    ob.data.transform(turn)
-    ob.data.update()
+    bpy.ops.object.mode_set(mode="EDIT")
     bpy.context.view_layer.update()
+    edited = bmesh.from_edit_mesh(ob.data)
+    bmesh.ops.transform(edited, matrix=turn, verts=edited.verts)
+    bmesh.update_edit_mesh(ob.data)
+    bpy.ops.object.mode_set(mode="OBJECT")
     assert is_said()
     np.testing.assert_allclose(lag.of(ob.data)[0], np.array(turn)[:3, :3], atol=1e-6)
 
@@ -220,6 +224,39 @@ def test_a_file_keeps_the_mark(ob: bpy.types.Object, tmp_path: Path) -> None:
         np.array(Euler((0.4, 1.1, -2.0)).to_matrix()).sum(),
         atol=1e-5,
     )
+
+
+def test_linked_splats_are_not_mended(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the sentence of all operators on linked data, and the places and shapes there."""
+    apply()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "a.blend"), link=True) as (_, wanted):
+        wanted.objects = ["splats"]
+    linked = wanted.objects[0]
+    bpy.context.scene.collection.objects.link(linked)
+    activate(linked)
+    before = attributes.column(linked.data, attributes.ROTATION)
+    assert "is linked from a.blend" in lab.error_of(bpy.ops.gscore.mend_splats)
+    np.testing.assert_array_equal(attributes.column(linked.data, attributes.ROTATION), before)
+
+
+def test_the_last_apply_is_done_anew(ob: bpy.types.Object) -> None:
+    """Oracle: the turn that each Apply made, with undo between them, as where its settings are
+    changed: what was noted of the first says nothing of the second."""
+    name = ob.name
+    step("start")
+    for turn in ((0.4, 1.1, -2.0), (0.1, 0, 0.5)):
+        bpy.data.objects[name].rotation_euler = turn
+        activate(bpy.data.objects[name])
+        step("turned")
+        apply()
+        step("applied")
+        found = lag.of(bpy.data.objects[name].data)[0] / 1.5
+        np.testing.assert_allclose(found, np.array(Euler(turn).to_matrix()), atol=1e-5)
+        bpy.ops.ed.undo()
+        bpy.context.view_layer.update()
+        assert not lag.is_behind(bpy.data.objects[name].data)
 
 
 def three(scene: bpy.types.Scene) -> list[bpy.types.Object]:
