@@ -28,6 +28,9 @@ class _Session:
     """Rotation and scale of the matrix of each splat object, by its session number."""
     edited: set[int] = field(default_factory=set)
     """Objects that were in Edit Mode."""
+    unseen: set[int] = field(default_factory=set)
+    """Meshes that have changed since they were looked at: they are looked at once more when their
+    object is turned, so that what Apply does then is seen alone."""
     noted: set[int] = field(default_factory=set)
     """Meshes of which something was noted, which is after the undo step that it belongs to."""
 
@@ -47,6 +50,7 @@ def look_at_all() -> None:
 
 
 def _look(mesh: bpy.types.Mesh) -> None:
+    _state.unseen.discard(mesh.session_uid)
     if writable.keeps(mesh) and lag.follow(mesh):
         _state.noted.add(mesh.session_uid)
 
@@ -71,11 +75,18 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     if not _state.all_seen:  # an add-on sees no file while it is registered
         look_at_all()
         return
+    obs, changed = [], set()
     for update in depsgraph.updates:
-        if not isinstance(update.id, bpy.types.Object):
-            continue
-        ob = update.id.original
-        if is_splats(ob) and (_remember(ob) or _applied()) and update.is_updated_geometry:
+        if isinstance(update.id, bpy.types.Object):
+            obs.append(update.id.original)
+        elif update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
+            changed.add(update.id.original)
+    # An object's own geometry is of no use here: with the display's nodes it follows every turn.
+    for ob in filter(is_splats, obs):
+        wanted, uid = _remember(ob) or _applied(), ob.data.session_uid
+        if ob.data in changed and not wanted:
+            _state.unseen.add(uid)
+        elif ob.data in changed or (wanted and uid in _state.unseen):
             _look(ob.data)
 
 

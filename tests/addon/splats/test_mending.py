@@ -259,6 +259,31 @@ def test_the_last_apply_is_done_anew(ob: bpy.types.Object) -> None:
         assert not lag.is_behind(bpy.data.objects[name].data)
 
 
+def test_a_look_is_rare(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: how often a mesh is looked at, for which Blender copies its splats: not where objects
+    are turned, or meshes change, but once where an object is turned after its mesh has changed."""
+    ob.rotation_euler.x = 0.1  # the last look at what is new
+    bpy.context.view_layer.update()
+    looks = []
+    monkeypatch.setattr(lag, "follow", lambda mesh: looks.append(mesh.name))
+    for turn in (0.5, 1.0):
+        ob.rotation_euler.x = turn
+        bpy.context.view_layer.update()
+    bpy.ops.gscore.grade_splats(saturation=0.5)
+    for _ in range(3):
+        ob.data.update()
+        bpy.context.view_layer.update()
+    assert not looks
+    for turn in (0.5, 1.5):
+        ob.rotation_euler.x = turn
+        bpy.context.view_layer.update()
+    assert len(looks) == 1
+    ob.data.vertices.add(1)
+    ob.data.update()
+    bpy.context.view_layer.update()
+    assert len(looks) == 2
+
+
 def three(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Of different degrees, each with a turn of its own but the third."""
     lab.prepare(scene)
