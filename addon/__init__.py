@@ -23,6 +23,8 @@ MODULES: tuple[str, ...] = (
     "splats.settings",
     "splats.operators",
     "splats.edit_operators",
+    "splats.mend_operators",
+    "splats.watch",
     "job.properties",
     "job.follow",
     "job.operators",

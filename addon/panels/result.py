@@ -6,7 +6,7 @@ import bpy
 
 from .. import stored_paths
 from ..live import handler
-from ..splats import edit, even_scale, live
+from ..splats import edit, even_scale, live, mending
 from ..splats.objects import is_native, is_splats, meant
 from .histogram_icons import ICONS, OPACITY, SIZE
 from .widgets import TabPanel, job, limit, rows, sentence
@@ -47,6 +47,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         if ob != meant(context):
             row.operator("gscore.select_result", text="Select")
         draw_counts(layout, context, ob)
+        draw_behind(layout, context)
         if not even_scale.is_even(ob):
             text = "Its scale differs between axes, or is zero; splats cannot be stretched."
             sentence(layout, context, text, icon="ERROR")
@@ -86,6 +87,19 @@ def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     sentence(layout, context, text, icon="INFO")
     layout.operator("gscore.take_native_splats", icon="IMPORT")
     layout.operator("gscore.export_splats", text="Export", icon="EXPORT")
+
+
+def draw_behind(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What Apply or Join of Blender has left behind in the selected splats, and what mends it."""
+    found = mending.behind(context)
+    problems = {ob.name: mending.problem(ob) for ob in found}
+    for text in dict.fromkeys(problems.values()):
+        names = ", ".join(name for name, own in problems.items() if own == text)
+        sentence(layout, context, text.format(names), icon="ERROR")
+    if found:
+        stretched = mending.STRETCHED in problems.values()
+        text = "Take Stretching Back" if stretched else "Turn Shapes and Colors Along"
+        layout.operator("gscore.mend_splats", text=text, icon="MODIFIER")
 
 
 class FiltersPanel(TabPanel, bpy.types.Panel):

@@ -10,6 +10,7 @@ from mathutils import Vector
 from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..nodes import display
+from ..splats import mending
 from ..splats.objects import is_native, is_splats
 from .apart import SPLAT_SCENE, main_scene
 from .held_meshes import is_held_by, may_hide, not_taken_over
@@ -153,6 +154,15 @@ def _changes(ob: bpy.types.Object) -> bool:
     return others or getattr(ob.data, "shape_keys", None) is not None
 
 
+def _behind(sentence: str) -> Callable[[Shown], str]:
+    """A test for the splat objects of which a sentence of `mending` is true."""
+
+    def test(shown: Shown) -> str:
+        return ", ".join(ob.name for ob in shown.splats if mending.problem(ob.original) == sentence)
+
+    return test
+
+
 def _world(shown: Shown) -> str:
     return "" if shown.scene.render.film_transparent else world_light(shown.scene.world)[1]
 
@@ -190,6 +200,14 @@ CHECKS = (
         lambda s: not_taken_over(main_scene(s.scene), s.scene),
     ),
     Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
+    *(
+        Check(f"{text} {button} under Result mends it.", _behind(text))
+        for text, button in (
+            (mending.APPLIED, "Turn Shapes and Colors Along"),
+            (mending.JOINED, "Turn Shapes and Colors Along"),
+            (mending.STRETCHED, "Take Stretching Back"),
+        )
+    ),
     Check(
         "Shadow Catcher of {} has no effect: light throws no shadows on splats.",
         lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),

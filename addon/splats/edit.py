@@ -10,7 +10,7 @@ from .. import attributes, compat
 from ..cameras.objects import local_matrix
 from ..interface import writable
 from ..nodes import display
-from . import filters, objects
+from . import filters, lag, objects
 from . import settings as splat_settings
 
 _QUICK = 200_000
@@ -150,7 +150,11 @@ def apply_transform(ob: bpy.types.Object) -> None:
         ValueError: the scale is uneven, Edit Mode, or a mesh that cannot be written.
     """
     objects.check_writable(ob)
-    splats = objects.transformed(ob, local_matrix(ob))
-    objects.refresh(ob, splats)
+    matrix = local_matrix(ob)
+    lags, numbers = lag.of(ob.data), lag.parts(ob.data)
+    objects.refresh(ob, objects.transformed(ob, matrix))
+    if len(numbers):  # what lagged does so still, as seen from the new axes
+        turn = matrix[:3, :3]
+        lag.note(ob.data, turn @ lags @ np.linalg.inv(turn), numbers)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)

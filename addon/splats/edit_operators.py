@@ -287,6 +287,7 @@ class JoinSplats(Editing, bpy.types.Operator):
         """Join."""
         others = _others(context)
         context.view_layer.update()
+        parts.check_joinable(ob, others)  # before the selection changes
         make_active(context, ob)  # before: 4.2 crashes where selected objects have just gone
         parts.join(ob, others)
         return f"{ob.name} has {len(ob.data.vertices):,} splats."

@@ -9,7 +9,7 @@ import numpy as np
 from .. import attributes, compat
 from ..core import Splats, transform_splats
 from ..interface import writable
-from . import live, settings
+from . import lag, live, settings
 from .filters import visible_mask
 
 KIND = "splats"
@@ -67,6 +67,7 @@ def around(
         # Half the typical splat: points then neither merge nor vanish.
         ob.gscore.point_size = 0.5 * size
     settings.attach(ob)
+    lag.follow(mesh)
     if live.SESSION.works:
         ob.gscore.display = "SPLATS"
     return ob
@@ -82,6 +83,7 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     # Vertices can be added to a mesh, but not removed, so start over where the number differs.
     if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
         ob.data.clear_geometry()
+    lag.forget(ob.data)
     _fill(ob.data, splats)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from .. import attributes, compat
 from ..interface import writable
-from . import objects, settings
+from . import lag, objects, settings
 
 
 def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
@@ -33,16 +33,9 @@ def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
     return other
 
 
-def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
-    """Take the splats of other objects into one, where and as they are seen; the others go.
-
-    SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
-    that name, they are 0.
-
-    Raises:
-        ValueError: there are none, Edit Mode, a mesh that cannot be written, or a matrix that is no
-            similarity; nothing is changed then.
-    """
+def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
+    """Raise ValueError where some splats cannot be joined: there are no others, Edit Mode, a mesh
+    that cannot be written, anti-aliasing of some, or shapes that lag behind places."""
     if not others:
         raise ValueError("Select two or more splat objects; the active one receives the others.")
     parts = [ob, *others]
@@ -50,6 +43,24 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
         objects.check_writable(one)
     if len({bool(one.get(objects.ANTIALIAS)) for one in parts}) > 1:
         raise ValueError("Some were trained with anti-aliasing and some without: they stay apart.")
+    behind = ", ".join(one.name for one in parts if lag.is_behind(one.data))
+    if behind:
+        raise ValueError(
+            f"Shapes and colors of {behind} lag behind the places: press Turn Shapes and Colors "
+            "Along first, under Result."
+        )
+
+
+def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
+    """Take the splats of other objects into one, where and as they are seen; the others go.
+
+    SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
+    that name, they are 0.
+
+    Raises:
+        ValueError: as `check_joinable`, or a matrix is no similarity; nothing is changed then.
+    """
+    check_joinable(ob, others)
     world = compat.matrix_to_numpy(ob.matrix_world)
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
         raise ValueError(f"{ob.name} is scaled to nothing: set its scale to 1 first.")
@@ -58,6 +69,7 @@ def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
     attributes.check(ob.data)
     tables = [_moved(one, m) for one, m in zip(others, matrices, strict=True)]
     attributes.append(ob.data, tables)
+    lag.forget(ob.data)
     ob.data.update()
     for one in others:
         data = one.data

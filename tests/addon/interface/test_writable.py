@@ -36,6 +36,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "add_crop_box": {},
     "apply_splat_transform": {},
     "make_scale_even": {},
+    "mend_splats": {},
     "reset_display": {},
     "take_native_splats": {},
     "import_splats": {"filepath": "a.ply"},

@@ -91,8 +91,9 @@ WITHOUT_EFFECT = {
     "Threads": setting("render.threads_mode", "FIXED"),
     "pixel filter": setting("render.filter_size", 5.0),
 }
-ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes"}
-"""Tried in test_panorama.py with a panorama, below with meshes, and in test_compositor.py."""
+ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes", "Apply", "Join", "Stretching"}
+"""Tried in test_panorama.py with a panorama, below with meshes, in test_compositor.py, and in
+splats/test_mending.py."""
 REFUSED = {
     "mirrorball": mirror_ball,
     "stereo": setting("render.use_multiview", True),

@@ -1,0 +1,44 @@
+"""The operator that mends what Blender's Apply and Join leave."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import bpy
+
+from ..interface.operators import Acting
+from . import mending
+
+
+class MendSplats(Acting, bpy.types.Operator):
+    """Turn and scale shapes and colors of the splats along, where Apply or Join of Blender has
+    moved their places alone; what was stretched gets its places and its scale of before"""
+
+    bl_idname = "gscore.mend_splats"
+    bl_label = "Turn Shapes and Colors Along"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether something lags in the active splat object or a selected one."""
+        if mending.behind(context):
+            return True
+        cls.poll_message_set("Shapes and colors of the selected splats are where they belong")
+        return False
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """Their points, and where they stand."""
+        return [block for ob in mending.behind(context) for block in (ob.data, ob)]
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Mend each mesh once."""
+        stretched = []
+        found = {ob.data: ob for ob in reversed(mending.behind(context))}.values()
+        for ob in found:
+            stretched += mending.mend(ob)
+        if stretched:
+            names = ", ".join(ob.name for ob in stretched)
+            return f"Stretched as before: {names}. Make Scale Even gives one scale for all axes."
+        return f"Shapes and colors follow in {', '.join(ob.name for ob in found)}."
+
+
+CLASSES = (MendSplats,)

@@ -1,0 +1,536 @@
+"""What Blender's Apply and Join leave behind: found, said and mended.
+
+Oracle of most: the engine's picture before Apply or Join.
+"""
+
+from pathlib import Path
+
+import bmesh
+import bpy
+import numpy as np
+import pytest
+from mathutils import Euler, Matrix
+
+from addon import attributes
+from addon.core import Splats
+from addon.panels import result
+from addon.render import ignored
+from addon.splats import even_scale, fitted, lag, objects
+from tests.addon import splat_scenes as lab
+from tests.addon.drawn import Layout
+
+BUTTON, BACK = "(Turn Shapes and Colors Along)", "(Take Stretching Back)"
+
+
+@pytest.fixture
+def ob(scene: bpy.types.Scene) -> bpy.types.Object:
+    """Splats before a camera, active and turned."""
+    lab.prepare(scene)
+    made = lab.add(scene, lab.blob())
+    place(made, (0.3, -0.2, 0.4), (0.4, 1.1, -2.0), 1.5)
+    activate(made)
+    return made
+
+
+def place(
+    ob: bpy.types.Object,
+    location: tuple[float, ...],
+    turn: tuple[float, ...],
+    scale: float | tuple[float, ...],
+) -> None:
+    """Move an object."""
+    ob.location, ob.rotation_euler = location, turn
+    ob.scale = scale if isinstance(scale, tuple) else (scale,) * 3
+
+
+def activate(ob: bpy.types.Object, *more: bpy.types.Object) -> None:
+    """Select some objects; the first is active."""
+    bpy.context.view_layer.update()
+    for other in bpy.context.selected_objects:
+        other.select_set(False)
+    for other in (ob, *more):
+        other.select_set(True)
+    bpy.context.view_layer.objects.active = ob
+
+
+def apply(**which: bool) -> None:
+    """Blender's own."""
+    wanted = {"location": True, "rotation": True, "scale": True} | which
+    assert bpy.ops.object.transform_apply(**wanted) == {"FINISHED"}
+
+
+def reported() -> str:
+    """What a render says besides."""
+    context = bpy.context
+    shown = ignored.Shown(
+        scene=context.scene, layer=context.view_layer, camera=context.scene.camera
+    )
+    return " ".join(ignored.without_effect(shown))
+
+
+def is_said(button: str = BUTTON) -> bool:
+    """Whether panel and render tell it alike."""
+    layout = Layout()
+    result.draw_behind(layout, bpy.context)
+    panel = button in layout.text
+    assert panel == (button[1:-1] in reported())
+    return panel
+
+
+def step(name: str) -> None:
+    """An undo step."""
+    bpy.ops.ed.undo_push(message=name)
+
+
+@pytest.mark.parametrize(
+    "which",
+    [{}, {"location": False, "scale": False}, {"rotation": False}, {"location": False}],
+    ids=["all", "rotation", "scale", "both"],
+)
+@pytest.mark.parametrize("scale", [1.5, -0.7])
+def test_apply_is_mended(
+    ob: bpy.types.Object, tmp_path: Path, scale: float, which: dict[str, bool]
+) -> None:
+    """Oracle: the picture of before, where Apply had changed it; the places are those that Apply
+    made, to the bit. The object hangs from another one, which is turned too."""
+    root = bpy.data.objects.new("root", None)
+    bpy.context.scene.collection.objects.link(root)
+    place(root, (0.1, 0, 0), (0.3, 0, 0.5), 0.9)
+    ob.parent, ob.scale = root, (scale,) * 3
+    activate(ob)
+    before = lab.render_exr(tmp_path, "before")
+    assert not is_said()
+    apply(**which)
+    assert is_said()
+    places = attributes.column(ob.data, attributes.POSITION)
+    assert np.abs(lab.render_exr(tmp_path, "wrong") - before).max() > 0.1
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "mended"), before, atol=2e-3)
+    np.testing.assert_array_equal(attributes.column(ob.data, attributes.POSITION), places)
+    assert not is_said()
+    assert not bpy.ops.gscore.mend_splats.poll()
+
+
+def test_applied_twice(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the picture of before, after two turns that were applied and splats deleted between
+    and after; applied and turned back, nothing lags."""
+    ob.data.vertices.foreach_set("select", np.zeros(400, bool))
+    apply()
+    ob.rotation_euler = (0, 0.7, 0.1)
+    keep = np.arange(400) % 7 != 0
+    attributes.keep(ob.data, keep)
+    ob.data.update()
+    bpy.context.view_layer.update()
+    apply(location=False)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="DESELECT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    flags = np.arange(keep.sum()) % 5 == 0
+    ob.data.vertices.foreach_set("select", flags)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.delete(type="VERT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert is_said()
+    bpy.ops.gscore.mend_splats()
+    turn = Euler((0, 0.7, 0.1)).to_matrix().to_4x4()
+    first = Matrix.LocRotScale((0.3, -0.2, 0.4), Euler((0.4, 1.1, -2.0)), (1.5,) * 3)
+    want = lab.blob().subset(keep).subset(~flags)
+    want = objects.moved(want, np.array(turn @ first), "want")
+    got = lab.render_exr(tmp_path, "got")
+    bpy.data.objects.remove(ob)
+    lab.add(bpy.context.scene, want)
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "want"), got, atol=2e-3)
+
+
+def test_what_is_right_is_not_said(ob: bpy.types.Object) -> None:
+    """Oracle: pictures need no mending after moves, our own Apply, of an inversion too, edits of
+    single points, and a turn that was applied and taken back."""
+    apply(rotation=False, scale=False)
+    assert not is_said()
+    for scale in (1.5, -1.0):
+        place(ob, (0, 1, 0), (0, 0, 0) if scale < 0 else (0.5, 0.2, 0), scale)
+        bpy.context.view_layer.update()
+        bpy.ops.gscore.apply_splat_transform()
+        bpy.context.view_layer.update()
+        assert not is_said(), scale
+    places = attributes.column(ob.data, attributes.POSITION)
+    places[::3] += 0.5
+    attributes.fill(ob.data, attributes.POSITION, "FLOAT_VECTOR", places.ravel())
+    ob.data.update()
+    bpy.context.view_layer.update()
+    assert not is_said()
+    ob.rotation_euler = (0, 0, 1)
+    apply()
+    assert is_said()
+    ob.rotation_euler = (0, 0, -1)
+    apply()
+    assert not is_said()
+
+
+def test_points_turned_in_edit_mode(ob: bpy.types.Object) -> None:
+    """Oracle: their own turn, found when Edit Mode is left."""
+    turn = Matrix.Rotation(0.8, 4, "X")
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.context.view_layer.update()
+    edited = bmesh.from_edit_mesh(ob.data)
+    bmesh.ops.transform(edited, matrix=turn, verts=edited.verts)
+    bmesh.update_edit_mesh(ob.data)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert is_said()
+    np.testing.assert_allclose(lag.of(ob.data)[0], np.array(turn)[:3, :3], atol=1e-6)
+
+
+def test_undo_takes_the_mark_along(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the picture tells which states are wrong; each way through undo and redo has the same
+    marks, and what mends after them is right."""
+    name, before = ob.name, lab.render_exr(tmp_path, "before")
+    step("start")
+    apply()
+    step("applied")
+    bpy.context.scene.frame_end = 99
+    step("something else")
+    bpy.ops.gscore.mend_splats()
+    step("mended")
+    marks = [lag.is_behind(bpy.data.objects[name].data)]
+    for move in "uuururrruuurr":
+        (bpy.ops.ed.undo if move == "u" else bpy.ops.ed.redo)()
+        bpy.context.view_layer.update()
+        picture = lab.render_exr(tmp_path, "now")
+        wrong = np.abs(picture - before).max() > 0.1
+        marks.append(lag.is_behind(bpy.data.objects[name].data))
+        assert marks[-1] == wrong, f"{move} {marks}"
+    assert True in marks and False in marks
+    if not marks[-1]:
+        bpy.ops.ed.undo()
+    activate(bpy.data.objects[name])
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "mended"), before, atol=2e-3)
+
+
+def test_a_file_keeps_the_mark(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the file that was saved and opened; a copy of the mesh has it too."""
+    apply()
+    copy = ob.copy()
+    copy.data = ob.data.copy()
+    assert lag.is_behind(copy.data)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert is_said()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    np.testing.assert_allclose(
+        lag.of(bpy.context.object.data)[0] / 1.5 @ np.ones(3) @ np.ones(3),
+        np.array(Euler((0.4, 1.1, -2.0)).to_matrix()).sum(),
+        atol=1e-5,
+    )
+
+
+def test_linked_splats_are_not_mended(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the sentence of all operators on linked data, and the places and shapes there."""
+    apply()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "a.blend"), link=True) as (_, wanted):
+        wanted.objects = ["splats"]
+    linked = wanted.objects[0]
+    bpy.context.scene.collection.objects.link(linked)
+    activate(linked)
+    before = attributes.column(linked.data, attributes.ROTATION)
+    assert "is linked from a.blend" in lab.error_of(bpy.ops.gscore.mend_splats)
+    np.testing.assert_array_equal(attributes.column(linked.data, attributes.ROTATION), before)
+
+
+def test_the_last_apply_is_done_anew(ob: bpy.types.Object) -> None:
+    """Oracle: the turn that each Apply made, with undo between them, as where its settings are
+    changed: what was noted of the first says nothing of the second."""
+    name = ob.name
+    step("start")
+    for turn in ((0.4, 1.1, -2.0), (0.1, 0, 0.5)):
+        bpy.data.objects[name].rotation_euler = turn
+        activate(bpy.data.objects[name])
+        step("turned")
+        apply()
+        step("applied")
+        found = lag.of(bpy.data.objects[name].data)[0] / 1.5
+        np.testing.assert_allclose(found, np.array(Euler(turn).to_matrix()), atol=1e-5)
+        bpy.ops.ed.undo()
+        bpy.context.view_layer.update()
+        assert not lag.is_behind(bpy.data.objects[name].data)
+
+
+def test_a_look_is_rare(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: how often a mesh is looked at, for which Blender copies its splats: not where objects
+    are turned, or meshes change, but once where an object is turned after its mesh has changed."""
+    ob.rotation_euler.x = 0.1  # the last look at what is new
+    bpy.context.view_layer.update()
+    looks = []
+    monkeypatch.setattr(lag, "follow", lambda mesh: looks.append(mesh.name))
+    for turn in (0.5, 1.0):
+        ob.rotation_euler.x = turn
+        bpy.context.view_layer.update()
+    bpy.ops.gscore.grade_splats(saturation=0.5)
+    for _ in range(3):
+        ob.data.update()
+        bpy.context.view_layer.update()
+    assert not looks
+    for turn in (0.5, 1.5):
+        ob.rotation_euler.x = turn
+        bpy.context.view_layer.update()
+    assert len(looks) == 1
+    ob.data.vertices.add(1)
+    ob.data.update()
+    bpy.context.view_layer.update()
+    assert len(looks) == 2
+
+
+def three(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Of different degrees, each with a turn of its own but the third."""
+    lab.prepare(scene)
+    plain = lab.blob(150, seed=3)
+    splats = [lab.blob(200), lab.blob(300, seed=2), plain]
+    splats[1] = Splats(
+        **{n: getattr(splats[1], n) for n in ("means", "quats", "scales", "sh0")},
+        opacities=splats[1].opacities,
+        shN=splats[1].shN[:, :3],
+    )
+    obs = [lab.add(scene, s, name) for s, name in zip(splats, "abc", strict=True)]
+    place(obs[0], (0.3, 0, 0), (0.2, 0.1, 0.5), 1.2)
+    place(obs[1], (-0.3, 0.2, 0), (1.2, 0.4, 0), -0.8)
+    place(obs[2], (0, -0.3, 0), (0.2, 0.1, 0.5), 1.2)
+    return obs
+
+
+@pytest.mark.parametrize("active", [0, 1, 2])
+@pytest.mark.parametrize("fewer", [False, True])
+def test_join_is_mended(scene: bpy.types.Scene, tmp_path: Path, active: int, fewer: bool) -> None:
+    """Oracle: the picture of before, or of our own Join, where splats were deleted; all orders of
+    objects in which Blender may put them together."""
+    obs = three(scene)
+    activate(obs[active], *obs)
+    before = lab.render_exr(tmp_path, "before")
+    assert bpy.ops.object.join() == {"FINISHED"}
+    ob = bpy.context.object
+    assert is_said()
+    assert np.abs(lab.render_exr(tmp_path, "wrong") - before).max() > 0.05
+    if fewer:
+        wide = np.abs(attributes.column(ob.data, attributes.POSITION)[:, 0]) < 0.3
+        attributes.keep(ob.data, wide)
+        ob.data.update()
+        bpy.context.view_layer.update()
+        seen = lag.parts(ob.data)
+        want = [objects.read(ob).subset(seen == k) for k in range(3)]
+        assert all(len(one) for one in want) and is_said()
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    assert not is_said() and lag.PART not in ob.data.attributes
+    if not fewer:
+        np.testing.assert_allclose(lab.render_exr(tmp_path, "mended"), before, atol=2e-3)
+        return
+    lags = [np.array(m) for m in _lags(active)]
+    got = objects.read(ob)
+    for k, one in enumerate(want):
+        linear = np.eye(4)
+        linear[:3, :3] = lags[_order(one)]
+        turned = objects.moved(one, linear, "want")
+        np.testing.assert_allclose(
+            np.sort(got.subset(seen == k).scales.sum(1)), np.sort(turned.scales.sum(1)), atol=1e-4
+        )
+
+
+def _order(part: Splats) -> int:
+    """Which of `three` a part is from, by a splat of it."""
+    scales = [lab.blob(200), lab.blob(300, seed=2), lab.blob(150, seed=3)]
+    return next(
+        k
+        for k, one in enumerate(scales)
+        if np.isclose(one.scales, part.scales[:1], atol=1e-5).all(axis=1).any()
+    )
+
+
+def _lags(active: int) -> list[Matrix]:
+    """What each of `three` was turned by."""
+    turns = [((0.2, 0.1, 0.5), 1.2), ((1.2, 0.4, 0), -0.8), ((0.2, 0.1, 0.5), 1.2)]
+    made = [Euler(turn).to_matrix() * scale for turn, scale in turns]
+    return [made[active].inverted() @ one for one in made]
+
+
+def test_joined_again_and_applied(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the picture of before: two are joined, the result is turned, applied, and joined into
+    a third, with undo between that goes back over a Join."""
+    a, b, c = three(scene)
+    before = lab.render_exr(tmp_path, "before")
+    activate(a, b)
+    step("start")
+    bpy.ops.object.join()
+    step("joined")
+    scene.frame_end = 88
+    step("more")
+    bpy.ops.ed.undo()
+    a, c = bpy.data.objects["a"], bpy.data.objects["c"]
+    activate(a)
+    assert is_said()
+    apply()
+    activate(c, a)
+    bpy.ops.object.join()
+    assert len(lag.of(c.data)) == 3 and is_said()
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "mended"), before, atol=2e-3)
+
+
+def test_joins_that_are_right(scene: bpy.types.Scene) -> None:
+    """Oracle: nothing is said where no part is turned against the active one, though all are; our
+    own Join of an inverted one is right too, and it refuses what lags."""
+    obs = [lab.add(scene, lab.blob(100 + k, seed=k), f"o{k}") for k in range(3)]
+    lab.prepare(scene)
+    for k, ob in enumerate(obs):
+        place(ob, (k, 0.5, 0), (0.3, 0.1, 0), 0.7)
+    activate(*obs)
+    bpy.ops.object.join()
+    assert not is_said() and len(obs[0].data.vertices) == 303
+    other = lab.add(scene, lab.blob(50, seed=9), "other")
+    other.matrix_basis = obs[0].matrix_basis @ Matrix.Scale(-1, 4)
+    activate(obs[0], other)
+    bpy.ops.gscore.join_splats()
+    bpy.context.view_layer.update()
+    assert not is_said()
+    last = lab.add(scene, lab.blob(60, seed=4), "last")
+    activate(last)
+    last.rotation_euler = (1, 0, 0)
+    apply()
+    activate(obs[0], last)
+    assert "last" in lab.error_of(bpy.ops.gscore.join_splats)
+    assert is_said()  # of a selected one
+
+
+def test_stretching_is_taken_back(ob: bpy.types.Object) -> None:
+    """Oracle: matrix and places of before Apply, of the object, of one that shares its mesh, and of
+    what hangs from it."""
+    ob.scale = (1, 2, 0.5)
+    child = bpy.data.objects.new("child", None)
+    bpy.context.scene.collection.objects.link(child)
+    child.parent, child.location = ob, (0, 1, 0)
+    activate(ob)
+    places = attributes.column(ob.data, attributes.POSITION)
+    matrices = np.array(ob.matrix_world), np.array(child.matrix_world)
+    apply()
+    twin = ob.copy()
+    bpy.context.scene.collection.objects.link(twin)
+    assert is_said(BACK)
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    now = attributes.column(ob.data, attributes.POSITION)  # a location that was applied stays so
+    np.testing.assert_allclose(now - now[0], places - places[0], atol=1e-5)
+    shown = [np.array(one.matrix_world) for one in (ob, twin)]
+    for one in shown:
+        np.testing.assert_allclose(one[:3, :3], matrices[0][:3, :3], atol=1e-5)
+    where = [m[:3, :3] @ now[0] + m[:3, 3] for m in shown]
+    where.append(matrices[0][:3, :3] @ places[0] + matrices[0][:3, 3])
+    np.testing.assert_allclose(where[0], where[2], atol=1e-5)
+    np.testing.assert_allclose(where[1], where[2], atol=1e-5)
+    np.testing.assert_allclose(np.array(child.matrix_world)[:3, 3], matrices[1][:3, 3], atol=1e-5)
+    assert not even_scale.is_even(ob) and not is_said(BACK)
+
+
+def test_a_stretched_part_goes_again(scene: bpy.types.Scene) -> None:
+    """Oracle: places in the world of all splats, and the scale of what was joined."""
+    a, b, c = three(scene)
+    b.scale = (1, 2, 1)
+    activate(a, b, c)
+    scale = np.array(b.matrix_world.to_scale())
+    bpy.ops.object.join()
+    assert is_said(BACK)
+    before = _world(a)
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    part = bpy.data.objects["a part"]
+    assert len(part.data.vertices) == 300 and len(a.data.vertices) == 350
+    np.testing.assert_allclose(np.sort(part.matrix_world.to_scale()), np.sort(scale), atol=1e-5)
+    np.testing.assert_allclose(
+        _sorted(np.concatenate([_world(a), _world(part)])), _sorted(before), atol=1e-5
+    )
+    assert not lag.is_behind(a.data) and not lag.is_behind(part.data)
+
+
+def _world(ob: bpy.types.Object) -> np.ndarray:
+    matrix = np.array(ob.matrix_world)
+    return attributes.column(ob.data, attributes.POSITION) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def _sorted(places: np.ndarray) -> np.ndarray:
+    return np.sort(places, axis=0)
+
+
+def test_flattened_splats_are_undone(ob: bpy.types.Object) -> None:
+    """Oracle: the sentence, and nothing is changed."""
+    ob.scale = (1, 1, 0)
+    activate(ob)
+    apply()
+    places = attributes.column(ob.data, attributes.POSITION)
+    assert "undo" in lab.error_of(bpy.ops.gscore.mend_splats)
+    np.testing.assert_array_equal(attributes.column(ob.data, attributes.POSITION), places)
+
+
+def test_our_apply_keeps_a_lag(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the picture of before Blender's Apply, with ours between it and the mending."""
+    before = lab.render_exr(tmp_path, "before")
+    apply()
+    turn = Matrix.Rotation(1, 4, "Y") @ Matrix.Scale(0.5, 4)
+    ob.matrix_basis = turn
+    bpy.context.view_layer.update()
+    bpy.ops.gscore.apply_splat_transform()
+    ob.matrix_basis = turn.inverted()
+    bpy.context.view_layer.update()
+    assert is_said()
+    bpy.ops.gscore.mend_splats()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "mended"), before, atol=2e-3)
+
+
+def test_other_splats_have_no_lag(ob: bpy.types.Object) -> None:
+    """Oracle: a training or a sequence that puts others in, as many and more."""
+    for count in (400, 500):
+        ob.rotation_euler = (1, 0, 0)
+        apply()
+        assert is_said()
+        objects.refresh(ob, lab.blob(count, seed=8))
+        bpy.context.view_layer.update()
+        assert not is_said()
+
+
+RNG = np.random.default_rng(5)
+CLOUD = RNG.normal(size=(40, 3)) * (1, 3, 0.2) + (500, 0, 0)
+TURN = np.array(Euler((0.3, 1, -2)).to_matrix(), np.float64)
+
+
+@pytest.mark.parametrize(
+    ("points", "turn"),
+    [
+        (CLOUD, TURN * 3),
+        (CLOUD, -TURN),
+        (CLOUD, TURN * (1, 2, 1)),
+        (CLOUD * (1, 1, 0), TURN),
+        (CLOUD * (1, 1, 1e-5), TURN * 1.001),
+        (np.r_[CLOUD[:30], 1e5 * CLOUD[30:]], TURN * 2),
+    ],
+    ids=["even", "mirror", "uneven", "plane", "thin", "outliers"],
+)
+def test_a_turn_is_found(points: np.ndarray, turn: np.ndarray) -> None:
+    """Oracle: the turn that was made, in float32 as Blender does."""
+    old = points.astype(np.float32)
+    new = old @ turn.T.astype(np.float32) + np.float32(7)
+    found = fitted.turn_between(old.astype(np.float64), new.astype(np.float64))
+    np.testing.assert_allclose(found, turn, atol=2e-4)
+    assert fitted.is_similarity(found) == fitted.is_similarity(turn)
+
+
+def test_no_turn_is_found() -> None:
+    """Oracle: points of a line do not tell, single ones that moved are no turn, and a shift is the
+    identity itself."""
+    line = np.arange(20)[:, None] * np.array([1.0, 2, 3])
+    assert fitted.turn_between(line, line @ TURN.T) is None
+    some = CLOUD.copy()
+    some[3] += 0.1
+    assert fitted.turn_between(CLOUD, some) is None
+    assert np.array_equal(fitted.turn_between(CLOUD, CLOUD + 3), np.eye(3))
