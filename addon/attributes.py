@@ -345,10 +345,12 @@ def table(mesh: Any, rows: np.ndarray | None = None) -> list[Column]:
         mesh: A mesh that is not in Edit Mode.
         rows: [K], numbers of the points that are wanted; None: all.
     """
-    found = []
+    if rows is None:
+        return [Column(n, k, _values(mesh.attributes[n])) for n, k in _kinds(mesh).items()]
+    found, read_into = [], {}
     for name, kind in _kinds(mesh).items():
-        values = _values(mesh.attributes[name])
-        found.append(Column(name, kind, values if rows is None else values.take(rows, axis=0)))
+        values = _values(mesh.attributes[name], read_into)
+        found.append(Column(name, kind, values.take(rows, axis=0)))
     return found
 
 
@@ -386,11 +388,21 @@ def _kinds(mesh: Any) -> dict[str, str]:
     }
 
 
-def _values(attribute: Any) -> np.ndarray:
-    """[N, width] copy of an attribute."""
+def _values(attribute: Any, read_into: dict[str, np.ndarray] | None = None) -> np.ndarray:
+    """[N, width] copy of an attribute.
+
+    Args:
+        attribute: Of points.
+        read_into: By data type, arrays for copies that are only needed until the next one of their
+            type; others are added. New memory takes the system longer than a copy.
+    """
     key, width = _COPIED[attribute.data_type]
     dtype = _DTYPES.get(attribute.data_type, np.float32)
-    values = np.empty((len(attribute.data), width), dtype)
+    values = None if read_into is None else read_into.get(attribute.data_type)
+    if values is None:
+        values = np.empty((len(attribute.data), width), dtype)
+    if read_into is not None:
+        read_into[attribute.data_type] = values
     attribute.data.foreach_get(key, values.reshape(-1))
     return values
 
