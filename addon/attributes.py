@@ -117,31 +117,53 @@ def fill(datablock: Any, name: str, kind: str, values: np.ndarray) -> None:
     datablock.attributes[name].data.foreach_set(_KINDS[kind][0], values)
 
 
-def column(datablock: Any, name: str) -> np.ndarray:
+def column(
+    datablock: Any, name: str, *, called: str = "", memory: np.ndarray | None = None
+) -> np.ndarray:
     """[N, 3] or [N, 4] float32 copy of one attribute.
+
+    Args:
+        datablock: Mesh or PointCloud with `attributes`.
+        name: Of the attribute.
+        called: What users know the datablock by, where it has another name.
+        memory: As many float32 as `floats` says, for the copy; None: new ones.
 
     Raises:
         ValueError: the attribute is missing, is no point attribute of a known type, or holds
             numbers that are not finite.
     """
-    attribute = datablock.attributes.get(name)
-    wanted = attribute is not None and attribute.domain == "POINT"
-    if not wanted or attribute.data_type not in _KINDS:
-        raise ValueError(
-            f"{datablock.name} has no point attribute {name!r} of vectors: it is no splat object, "
-            f"or the attribute was deleted or converted; undo that or import the splats again."
-        )
+    attribute = _vectors(datablock, name, called)
     key, width = _KINDS[attribute.data_type]
-    values = np.empty(len(attribute.data) * width, np.float32)
+    size = len(attribute.data) * width
+    values = np.empty(size, np.float32) if memory is None else memory
     attribute.data.foreach_get(key, values)
     values = values.reshape(-1, width)
     if not np.isfinite(values).all():
         bad = ~np.isfinite(values).all(axis=1)
         raise ValueError(
-            f"{datablock.name} has {int(bad.sum())} splats whose {name} is not finite, the first "
-            f"is number {int(bad.argmax())}: delete them in Edit Mode."
+            f"{called or datablock.name} has {int(bad.sum())} splats whose {name} is not finite, "
+            f"the first is number {int(bad.argmax())}: delete them in Edit Mode."
         )
     return values
+
+
+def floats(datablock: Any, name: str, *, called: str = "") -> int:
+    """How many numbers `column` copies; arguments and ValueError as there."""
+    attribute = _vectors(datablock, name, called)
+    return len(attribute.data) * _KINDS[attribute.data_type][1]
+
+
+def _vectors(datablock: Any, name: str, called: str) -> Any:
+    """The attribute; ValueError unless it is one of points, of a known type."""
+    attribute = datablock.attributes.get(name)
+    wanted = attribute is not None and attribute.domain == "POINT"
+    if not wanted or attribute.data_type not in _KINDS:
+        raise ValueError(
+            f"{called or datablock.name} has no point attribute {name!r} of vectors: it is no "
+            f"splat object, or the attribute was deleted or converted; undo that or import the "
+            f"splats again."
+        )
+    return attribute
 
 
 def point_count(datablock: Any) -> int:
@@ -149,8 +171,8 @@ def point_count(datablock: Any) -> int:
     return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)
 
 
-def sh_count(datablock: Any) -> int:
-    """Number of `radiance:sh_<k>` attributes.
+def sh_count(datablock: Any, *, called: str = "") -> int:
+    """Number of `radiance:sh_<k>` attributes; `called` as `column`.
 
     Raises:
         ValueError: some are missing.
@@ -165,8 +187,9 @@ def sh_count(datablock: Any) -> int:
     missing = [f"{SH}{k}" for k in range(count) if f"{SH}{k}" not in have]
     if missing:
         raise ValueError(
-            f"{datablock.name} lacks the attributes {', '.join(missing)} of its SH degree: undo "
-            f"their deletion, or delete all {SH}<k> to go on without view-dependent colour."
+            f"{called or datablock.name} lacks the attributes {', '.join(missing)} of its SH "
+            f"degree: undo their deletion, or delete all {SH}<k> to go on without view-dependent "
+            f"colour."
         )
     return count
 
@@ -187,21 +210,22 @@ def read(datablock: Any, *, rest: bool = True) -> Splats:
     return as_splats({name: column(datablock, name) for name in names(datablock, rest=rest)})
 
 
-def names(datablock: Any, *, rest: bool = True) -> list[str]:
+def names(datablock: Any, *, rest: bool = True, called: str = "") -> list[str]:
     """Names of the attributes of splats that a mesh or point cloud has, as `as_splats` wants them.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
         rest: Those of the view-dependent coefficients too.
+        called: As `column`.
 
     Raises:
         ValueError: attributes are missing; they are named.
     """
-    check(datablock)
+    check(datablock, called=called)
     found = [BASE, SCALE, ROTATION]
     if point_count(datablock):  # else Blender drops `position`
         found.append(POSITION)
-    return found + [f"{SH}{k}" for k in range(sh_count(datablock) if rest else 0)]
+    return found + [f"{SH}{k}" for k in range(sh_count(datablock, called=called) if rest else 0)]
 
 
 def as_splats(columns: dict[str, np.ndarray]) -> Splats:
@@ -245,16 +269,17 @@ def _logits(opacities: np.ndarray, never_seen: np.ndarray) -> np.ndarray:
     return (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
 
 
-def check(datablock: Any) -> None:
-    """Raise ValueError, which names what is missing, unless there are the attributes of splats."""
+def check(datablock: Any, *, called: str = "") -> None:
+    """Raise ValueError, which names what is missing, unless there are the attributes of splats;
+    `called` as `column`."""
     missing = [n for n in (POSITION, SCALE, ROTATION, BASE) if n not in datablock.attributes]
     # Blender drops `position` from a mesh without vertices.
     if missing and not (missing == [POSITION] and point_count(datablock) == 0):
         raise ValueError(
-            f"{datablock.name} holds no splats: the attributes {', '.join(missing)} are missing. "
-            f"Choose an object made by an import or a training run."
+            f"{called or datablock.name} holds no splats: the attributes {', '.join(missing)} are "
+            f"missing. Choose an object made by an import or a training run."
         )
-    sh_count(datablock)
+    sh_count(datablock, called=called)
 
 
 def is_splats(name: str) -> bool:
@@ -335,10 +360,12 @@ def table(mesh: Any, rows: np.ndarray | None = None) -> list[Column]:
         mesh: A mesh that is not in Edit Mode.
         rows: [K], numbers of the points that are wanted; None: all.
     """
-    found = []
+    if rows is None:
+        return [Column(n, k, _values(mesh.attributes[n])) for n, k in _kinds(mesh).items()]
+    found, read_into = [], {}
     for name, kind in _kinds(mesh).items():
-        values = _values(mesh.attributes[name])
-        found.append(Column(name, kind, values if rows is None else values.take(rows, axis=0)))
+        values = _values(mesh.attributes[name], read_into)
+        found.append(Column(name, kind, values.take(rows, axis=0)))
     return found
 
 
@@ -376,11 +403,21 @@ def _kinds(mesh: Any) -> dict[str, str]:
     }
 
 
-def _values(attribute: Any) -> np.ndarray:
-    """[N, width] copy of an attribute."""
+def _values(attribute: Any, read_into: dict[str, np.ndarray] | None = None) -> np.ndarray:
+    """[N, width] copy of an attribute.
+
+    Args:
+        attribute: Of points.
+        read_into: By data type, arrays for copies that are only needed until the next one of their
+            type; others are added. New memory takes the system longer than a copy.
+    """
     key, width = _COPIED[attribute.data_type]
     dtype = _DTYPES.get(attribute.data_type, np.float32)
-    values = np.empty((len(attribute.data), width), dtype)
+    values = None if read_into is None else read_into.get(attribute.data_type)
+    if values is None:
+        values = np.empty((len(attribute.data), width), dtype)
+    if read_into is not None:
+        read_into[attribute.data_type] = values
     attribute.data.foreach_get(key, values.reshape(-1))
     return values
 

@@ -91,6 +91,7 @@ from gscore.frontend import (
     find_frames,
     frame_pattern,
     from_line,
+    given_up_by,
     gray_png,
     importance_of,
     in_unit_shape,

@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from .io.colmap.folder import read_model as read_colmap
     from .io.colmap.folder import write_model as write_colmap
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-    from .io.files import atomic_write
+    from .io.files import atomic_write, given_up_by
     from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.mesh.ply import write_mesh
     from .io.pictures.image_header import ImageInfo, read_header
@@ -169,6 +169,7 @@ _HOME = {
     "find_frames": "datasets.frames",
     "frame_pattern": "datasets.frames",
     "from_line": "events",
+    "given_up_by": "io.files",
     "gray_png": "io.pictures.png",
     "importance_of": "edit",
     "in_unit_shape": "edit",
@@ -284,6 +285,7 @@ __all__ = [
     "find_frames",
     "frame_pattern",
     "from_line",
+    "given_up_by",
     "gray_png",
     "importance_of",
     "in_unit_shape",

@@ -12,8 +12,11 @@ def importance_of(splats: Splats) -> np.ndarray:
     Splats lie flat on surfaces: of half of those of plush, chosen so, pictures keep 3 dB more than
     with the volume in its place, and 3 dB less than with contributions.
     """
-    logs = np.sort(np.clip(splats.scales.astype(np.float64), -300, 300), axis=1)
-    return sigmoid(splats.opacities) * np.exp(logs[:, 1] + logs[:, 2])
+    x, y, z = np.clip(splats.scales.T.astype(np.float64), -300, 300)
+    # The two largest, a sixth of the time that sorting rows takes.
+    higher, lower = np.maximum(x, y), np.minimum(x, y)
+    largest, second = np.maximum(higher, z), np.maximum(lower, np.minimum(higher, z))
+    return sigmoid(splats.opacities) * np.exp(second + largest)
 
 
 def most_important(importance: np.ndarray, count: int) -> np.ndarray:

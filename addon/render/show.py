@@ -7,11 +7,12 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from .. import attributes, compat, stored_paths
+from .. import stored_paths
 from ..cameras import photos
 from ..interface.operators import Acting, make_active
+from ..splats import places
 from ..splats.error_maps import is_map, show_map, siblings
-from ..splats.objects import catch_up, is_splats, meant
+from ..splats.objects import is_splats, meant
 from .operators import use_engine
 
 _MOST = 0.9
@@ -27,12 +28,9 @@ def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
     Raises:
         ValueError: there are none, or their attributes are out of reach in Edit Mode.
     """
-    catch_up(ob)
-    means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
-    if not len(means):
+    placed = places.in_world(ob)
+    if not len(placed):
         raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
-    matrix = compat.matrix_to_numpy(ob.matrix_world)
-    placed = means @ matrix[:3, :3].T + matrix[:3, 3]
     # Of a box, as the median lies on the ground wherever that has the most splats.
     middle = np.quantile(placed, [(1 - _MOST) / 2, (1 + _MOST) / 2], axis=0).mean(axis=0)
     return middle, float(np.quantile(np.linalg.norm(placed - middle, axis=1), _MOST))

@@ -5,7 +5,7 @@ looked up when all is there: undo, or the user, may have taken them meanwhile.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -19,6 +19,9 @@ from . import files, objects
 from .files import Wanted
 from .filling import BUDGET, Filling
 
+Columns = Sequence[tuple[str, str, np.ndarray]]
+"""As `attributes.columns`."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Read:
@@ -31,26 +34,41 @@ class _Read:
     """As `objects.typical_size`."""
     antialiased: bool
     comments: tuple[str, ...]
+    looked: str
 
 
 class Arrival:
     """One import of some files: all of them, or none."""
 
-    def __init__(self, context: bpy.types.Context, wanted: Sequence[Wanted]) -> None:
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        wanted: Sequence[Wanted],
+        *,
+        find: Callable[[Wanted], Wanted] = lambda wanted: wanted,
+        look: Callable[[Columns], str] = lambda columns: "",
+    ) -> None:
         """Begin to read.
 
         Args:
             context: Its scene and collection get the objects.
             wanted: At least one file.
+            find: Which file is meant, where that has to be looked for; in the thread.
+            look: Notes something of what each file gives a mesh, for `looked`; in the thread.
         """
         self.warnings: list[str] = []
         """What the user should know besides."""
-        self._wanted = tuple(wanted)
+        self._wanted, self._find, self._look = tuple(wanted), find, look
         self._scene = context.scene.session_uid
         self._collection = getattr(context.collection, "session_uid", 0)
         self._chores = display.builders()
         self._fillings: list[Filling[_Read]] | None = None
         self._task = Task(self._read)
+
+    @property
+    def looked(self) -> list[str]:
+        """What `look` returned for each file; empty before all are read."""
+        return [filling.loaded.looked for filling in self._fillings or ()]
 
     @property
     def sentence(self) -> str:
@@ -99,8 +117,9 @@ class Arrival:
         """In the thread."""
         made = []
         with collected_warnings() as warnings:
-            for wanted in self._wanted:
-                task.tell(wanted.path.name)
+            for asked in self._wanted:
+                task.tell(asked.path.name)
+                wanted = self._find(asked)
                 try:
                     found = files.read(wanted)
                     task.check()
@@ -119,6 +138,7 @@ class Arrival:
                         size=objects.typical_size(found.splats),
                         antialiased=found.antialiased,
                         comments=tuple(found.comments),
+                        looked=self._look(columns),
                     )
                 )
         return made, list(warnings)

@@ -5,9 +5,8 @@ from typing import Protocol
 import bpy
 
 from ..core import GsError, collected_warnings
-from ..interface import writable
 from ..interface.operators import OnScene
-from ..interface.waiting import Waiting
+from ..interface.stepping import Stepping
 from . import files
 from .arrival import Arrival
 
@@ -29,7 +28,7 @@ class Coming(Protocol):
         """Leave nothing."""
 
 
-class Arriving(OnScene):
+class Arriving(Stepping, OnScene):
     """They say which files, and what becomes of the objects."""
 
     def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
@@ -46,48 +45,11 @@ class Arriving(OnScene):
         """Take care of the objects, one a file; what to tell the user."""
         raise NotImplementedError
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Import: for a user in a window bit by bit, for a script or once more at once."""
-        called = self.options.is_invoke and not self.options.is_repeat
-        if bpy.app.background or context.window is None or not called:
-            return super().execute(context)
-        try:
-            writable.check(*self.changes(context))
-            self._arrival = self.begin(context)
-        except (ValueError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._waiting = Waiting(context, "Esc cancels")
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Go on with it; whatever else is pressed is for others."""
-        if event.type == "ESC" and event.value == "PRESS":
-            self.cancel(context)
-            self.report({"INFO"}, f"{self.bl_label} is cancelled.")
-            return {"CANCELLED"}
-        if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
-            return {"PASS_THROUGH"}
-        try:
-            made = self._arrival.step()
-            if made is None:
-                self._waiting.tell(self._arrival.sentence)
-                return {"PASS_THROUGH"}
-            told = self.show(context, made, self._arrival.warnings)
-        except ValueError as error:
-            self.cancel(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._waiting.end()
-        self.report({"INFO"}, told)
-        return {"FINISHED"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this where another file is opened, or it ends: leave nothing."""
-        if (arrival := getattr(self, "_arrival", None)) is not None:  # else it was the file browser
-            arrival.cancel()
-            self._waiting.end()
+    def complete(
+        self, context: bpy.types.Context, steps: Coming, result: list[bpy.types.Object]
+    ) -> str:
+        """Show them."""
+        return self.show(context, result, steps.warnings)
 
     def act(self, context: bpy.types.Context) -> str:
         """Import one or several files; none of them where one cannot be read."""

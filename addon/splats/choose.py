@@ -4,6 +4,8 @@ import numpy as np
 
 from ..core import Splats, cluster_sizes, reached_from, sh0_to_rgb
 
+_BLOCK = 1 << 14
+"""Splats that are looked at at once: what is computed of them stays in the cache."""
 SET, ADD, TAKE, COMMON = "SET", "ADD", "TAKE", "COMMON"
 
 
@@ -36,8 +38,12 @@ def alike(base: np.ndarray, color: np.ndarray, tolerance: float) -> np.ndarray:
         color: [3] sRGB values.
         tolerance: Largest distance in sRGB values; black and white are sqrt(3) apart.
     """
-    apart = colors(base) - np.asarray(color, np.float32)
-    return (apart * apart).sum(axis=1) <= np.float32(tolerance) ** 2
+    found, color = np.empty(len(base), bool), np.asarray(color, np.float32)
+    for at in range(0, len(base), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        x, y, z = (colors(base[part]) - color).T
+        found[part] = x * x + y * y + z * z <= np.float32(tolerance) ** 2
+    return found
 
 
 def colors(base: np.ndarray) -> np.ndarray:
@@ -57,9 +63,9 @@ def flooded(
         gap: Side of the cells of `gscore.edit.reached_from`, units of `means`.
         tolerance: As `alike`, from the seeds' mean colour; 0: any colour.
     """
-    allowed = np.ones(len(means), bool)
-    if tolerance > 0 and seeds.any():
-        allowed = alike(base, colors(base[seeds]).mean(axis=0), tolerance) | seeds
+    if tolerance <= 0 or not seeds.any():
+        return reached_from(means, seeds, gap)
+    allowed = alike(base, colors(base[seeds]).mean(axis=0), tolerance) | seeds
     found = np.zeros(len(means), bool)
     found[allowed] = reached_from(means[allowed], seeds[allowed], gap)
     return found

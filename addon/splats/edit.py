@@ -10,7 +10,7 @@ from .. import attributes, compat
 from ..cameras.objects import local_matrix
 from ..interface import writable
 from ..nodes import display
-from . import filters, lag, objects
+from . import filters, lag, objects, places
 from . import settings as splat_settings
 
 _QUICK = 200_000
@@ -118,12 +118,9 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     """
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before a crop box is added.")
-    objects.catch_up(ob)
-    means = attributes.column(ob.data, attributes.POSITION) if len(ob.data.vertices) else ()
-    if not len(means):
+    placed = places.in_world(ob)
+    if not len(placed):
         raise ValueError(f"{ob.name} has no splats to put a box around.")
-    world = compat.matrix_to_numpy(ob.matrix_world)
-    placed = means @ world[:3, :3].T + world[:3, 3]
     low, high = np.quantile(placed, [_CROP_QUANTILE, 1 - _CROP_QUANTILE], axis=0)
     mesh = bpy.data.meshes.new("Crop")
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]

@@ -240,18 +240,19 @@ class GradeSplats(Editing, bpy.types.Operator):
     def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
         """Grade."""
         base = _base(ob)
-        chosen = attributes.selected(ob.data) if self.only_selected else np.ones(len(base), bool)
+        chosen = attributes.selected(ob.data) if self.only_selected else slice(None)
         grade = grading.Grade(
             lift=tuple(self.lift),
             gamma=tuple(self.gamma),
             gain=tuple(self.gain),
             saturation=self.saturation,
         )
-        base[chosen] = grading.graded(base[chosen], grade)
+        graded = grading.graded(base[chosen], grade)
+        base[chosen] = graded
         kind = ob.data.attributes[attributes.BASE].data_type
         attributes.fill(ob.data, attributes.BASE, kind, base.ravel())
         ob.data.update()
-        return f"{int(chosen.sum()):,} splats graded."
+        return f"{len(graded):,} splats graded."
 
 
 class SeparateSplats(Editing, bpy.types.Operator):

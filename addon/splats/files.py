@@ -8,16 +8,13 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..attributes import point_count
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
 from ..core import (
     SplatFile,
     is_lod_file,
-    join_splats,
     read_lod,
     read_splat_file,
-    write_splat_file,
 )
 from . import objects
 from .filters import crop_matrix, is_cropped
@@ -186,54 +183,7 @@ def place(ob: bpy.types.Object, matrix: np.ndarray) -> None:
     ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
 
 
-def export_splats(
-    obs: Sequence[bpy.types.Object],
-    path: str | Path,
-    *,
-    world: str = SOURCE,
-    filtered: bool = False,
-) -> tuple[int, tuple[str, ...]]:
-    """Write splat objects, edited and moved as they are, as one file.
-
-    Args:
-        obs: At least one; several are joined.
-        path: The file to write; its ending says in which format.
-        world: SOURCE for the world of the first object's photos (or of its file), BLENDER for the
-            scene's.
-        filtered: Leave out what the display filters hide.
-
-    Returns:
-        Number of splats written, and sentences on what the format does not hold of them and on how
-        many were left out.
-
-    Raises:
-        ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
-        GsError: the file cannot be written.
-    """
-    if not obs:
-        raise ValueError("There is nothing to export: select a splat object.")
-    to_world = np.eye(4) if world == BLENDER else np.linalg.inv(source_matrix(obs[0]))
-    parts = []
-    for ob in obs:
-        own = source_matrix_of_data(ob) if world == SOURCE and ob == obs[0] else None
-        matrix = to_world @ matrix_to_numpy(ob.matrix_world) if own is None else own
-        parts.append(objects.transformed(ob, matrix, filtered=filtered))
-    splats = join_splats(parts)
-    if not len(splats):
-        names = ", ".join(ob.name for ob in obs)
-        raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
-    made = write_splat_file(
-        Path(bpy.path.abspath(str(path))),
-        splats,
-        antialiased=all(ob.get(ANTIALIAS) for ob in obs),
-        comments=_note_of_up(obs[0], world),
-    )
-    hidden = sum(point_count(ob.data) for ob in obs) - len(splats)
-    left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
-    return len(splats), (*made.notes, *left)
-
-
-def _note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
+def note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
     """The comment that says which axis of an export points up, so that it lands in place when it is
     imported again; nothing in the world of photos, which their capture's alignment turns."""
     if world == BLENDER:

@@ -8,6 +8,8 @@ from ..core import rgb_to_sh0, sh0_to_rgb
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 """Rec. 709."""
+_BLOCK = 1 << 14
+"""Splats that are graded at once: what is computed of them stays in the cache."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,16 +32,20 @@ def graded(base: np.ndarray, grade: Grade) -> np.ndarray:
     View-dependent coefficients add to these colours as they did; values below 0, which a view may
     lift again, keep their sign.
     """
-    if grade == Grade():
-        return base.copy()
-    colors = sh0_to_rgb(base[:, :3].astype(np.float64))
+    out = base.copy()
+    if grade != Grade():
+        for at in range(0, len(base), _BLOCK):
+            out[at : at + _BLOCK, :3] = _colors(base[at : at + _BLOCK, :3], grade)
+    return out
+
+
+def _colors(sh0: np.ndarray, grade: Grade) -> np.ndarray:
+    """[K, 3] float64 coefficients of colours [K, 3]."""
+    colors = sh0_to_rgb(sh0.astype(np.float64))
     lift, gamma, gain = (np.array(v) for v in (grade.lift, grade.gamma, grade.gain))
     colors = lift + colors * (1 - lift)
     if (gamma != 1).any():
         colors = np.sign(colors) * np.abs(colors) ** (1 / gamma)
     colors *= gain
     grey = (colors @ _LUMA)[:, None]
-    colors = grey + (colors - grey) * grade.saturation
-    out = base.copy()
-    out[:, :3] = rgb_to_sh0(colors)
-    return out
+    return rgb_to_sh0(grey + (colors - grey) * grade.saturation)

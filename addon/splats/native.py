@@ -24,15 +24,15 @@ class Taking:
     """A splat object that is made of a point cloud bit by bit, where the cloud stands. The cloud
     stays, hidden. It is looked up when all is there: undo, or the user, may have taken it."""
 
-    def __init__(self, cloud: bpy.types.Object) -> None:
-        """Begin.
+    def __init__(self, cloud: bpy.types.Object, *, at_once: bool = False) -> None:
+        """Begin; `at_once` as `Leaving`.
 
         Raises:
             ValueError: attributes are missing.
         """
         self.warnings: list[str] = []
         self._name, self._uid = cloud.name, cloud.session_uid
-        self._leaving = Leaving(cloud)
+        self._leaving = Leaving(cloud, at_once=at_once)
         self._filling: Filling[_Read] | None = None
         self._size = 0.0
 

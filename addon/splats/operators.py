@@ -17,7 +17,8 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.operators import Acting, make_active
-from . import edit, even_scale, files, native, settings
+from ..interface.stepping import Stepping
+from . import edit, even_scale, exporting, files, native, settings
 from .arriving import Arriving
 from .objects import can_export, is_native, is_splats, meant
 
@@ -153,7 +154,7 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
         return f"Imported {total:,} splats from {len(made)} file(s)."
 
 
-class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
+class ExportSplats(Stepping, bpy.types.Operator, ExportHelper):
     """Export the selected splats, edited and moved as they are, as one file"""
 
     bl_idname = "gscore.export_splats"
@@ -206,13 +207,30 @@ class ExportSplats(Acting, bpy.types.Operator, ExportHelper):
             return {"CANCELLED"}
         return ExportHelper.invoke(self, context, event)
 
+    def begin(self, context: bpy.types.Context) -> exporting.Export:
+        """The file."""
+        return exporting.Export(*self._wanted(context), world=self.world, filtered=self.filtered)
+
+    def complete(
+        self, context: bpy.types.Context, steps: exporting.Export, result: exporting.Written
+    ) -> str:
+        """Tell of it."""
+        return self._told(result)
+
     def act(self, context: bpy.types.Context) -> str:
-        """Write the file."""
-        context.view_layer.update()
-        chosen = _chosen(context, self.collection)
-        count, notes = files.export_splats(
-            chosen, self.filepath, world=self.world, filtered=self.filtered
+        """Write the file at once."""
+        wanted = self._wanted(context)
+        return self._told(
+            exporting.export_splats(*wanted, world=self.world, filtered=self.filtered)
         )
+
+    def _wanted(self, context: bpy.types.Context) -> tuple[list[bpy.types.Object], str]:
+        """Which objects, and the file; ValueError as `_chosen`."""
+        context.view_layer.update()
+        return _chosen(context, self.collection), self.filepath
+
+    def _told(self, written: exporting.Written) -> str:
+        count, notes = written
         self.warn(notes)
         return f"Wrote {count:,} splats to {self.filepath}."
 
@@ -376,7 +394,7 @@ class TakeNativeSplats(Arriving, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Make it at once."""
-        taking = self.begin(context)
+        taking = native.Taking(context.object, at_once=True)
         while (made := taking.step()) is None:
             pass
         return self.show(context, made, taking.warnings)

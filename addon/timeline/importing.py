@@ -49,11 +49,20 @@ def import_sequence(
     if parent is None:
         files.turn_up(ob, up)
     mesh.note(ob.data, first)
+    let_play(ob, folder, called=called, start=start)
+    return ob, series
+
+
+def let_play(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:
+    """Let an object whose mesh holds the first frame of a folder play all of them.
+
+    Args:
+        As `import_sequence`.
+    """
     LIBRARY.forget((folder, called))
     own = ob.gscore_sequence
     own.start, own.files = start, called
     own.folder = relative(folder)  # the last: from then on it plays
-    return ob, series
 
 
 def play_again(ob: bpy.types.Object) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
@@ -11,10 +11,12 @@ from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS, collected_warnings
 from ..interface.operators import Acting, OnScene, make_active
+from ..interface.stepping import Stepping
 from ..process import beat
 from ..splats.objects import is_splats, meant
 from ..splats.operators import AXIS_ITEMS
 from . import follow, importing
+from .coming import SequenceComing
 from .frames import Series, name_of_file
 from .library import LIBRARY
 from .moment import folder_of, moment_of
@@ -36,7 +38,7 @@ class OnSequence(Acting):
         return False
 
 
-class ImportSequence(OnScene, bpy.types.Operator):
+class ImportSequence(Stepping, OnScene, bpy.types.Operator):
     """Import a folder of frames, of gscore sequence or with numbered files of splats, as one object
     that plays on the timeline"""
 
@@ -91,22 +93,43 @@ class ImportSequence(OnScene, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
+    def begin(self, context: bpy.types.Context) -> SequenceComing:
+        """The object, with its first frame."""
+        folder, options = self._options(context)
+        return SequenceComing(context, folder, **options)
+
+    def complete(
+        self, context: bpy.types.Context, steps: SequenceComing, result: list[bpy.types.Object]
+    ) -> str:
+        """Take care of the object."""
+        return self._settle(context, result[0], steps.series, steps.warnings)
+
     def act(self, context: bpy.types.Context) -> str:
-        """Import."""
-        folder, called = self._chosen()
+        """Import at once."""
+        folder, options = self._options(context)
         with collected_warnings() as warnings:
-            ob, series = importing.import_sequence(
-                context,
-                folder,
-                called=called,
-                start=self.start,
-                parent=self._parent(context),
-                up=self.up,
-            )
+            ob, series = importing.import_sequence(context, folder, **options)
+        return self._settle(context, ob, series, warnings)
+
+    def _options(self, context: bpy.types.Context) -> tuple[Path, dict[str, Any]]:
+        """What `import_sequence` is to be given."""
+        folder, called = self._chosen()
+        parent = self._parent(context)
+        return folder, {"called": called, "start": self.start, "parent": parent, "up": self.up}
+
+    def _settle(
+        self,
+        context: bpy.types.Context,
+        ob: bpy.types.Object,
+        series: Series,
+        warnings: list[str],
+    ) -> str:
         self.warn(warnings)
         if series.gaps:
             self.warn([series.gap_words()])
-        make_active(context, ob)
+        free = context.mode == "OBJECT"  # asked first, it has the view layer know the new object
+        if free and ob.name in context.view_layer.objects:
+            make_active(context, ob)
         if self.set_range:
             context.scene.frame_start = max(self.start, 0)
             context.scene.frame_end = max(self.start + series.slots - 1, 0)

@@ -5,13 +5,27 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import DatasetError, GsError
 from ..shown import shown
+
+_of_thread = threading.local()
+
+
+@contextlib.contextmanager
+def given_up_by(check: Callable[[], None]) -> Iterator[None]:
+    """Within the block, on this thread, no file is put in its place once `check` raises: whoever
+    waits for a long file may have given it up. What `check` raises is passed on."""
+    _of_thread.check = check
+    try:
+        yield
+    finally:
+        del _of_thread.check
 
 
 def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) -> None:
@@ -40,6 +54,8 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
                 file.write(content)
             file.flush()
             os.fsync(file.fileno())
+        if (check := getattr(_of_thread, "check", None)) is not None:
+            check()
         candidate.replace(path)
         temporary = None
     except (OSError, ValueError) as error:

@@ -8,7 +8,7 @@ from typing import BinaryIO
 import pytest
 
 from gscore.errors import DatasetError, GsError
-from gscore.io.files import atomic_write, is_file, read_bytes
+from gscore.io.files import atomic_write, given_up_by, is_file, read_bytes
 
 
 def _listing(folder: Path) -> list[str]:
@@ -37,6 +37,25 @@ def test_failure_leaves_the_old_file(tmp_path: Path) -> None:
         atomic_write(path, fail)
     assert path.read_bytes() == b"old"
     assert _listing(tmp_path) == ["file.bin"]
+
+
+def test_a_file_that_was_given_up(tmp_path: Path) -> None:
+    """Oracle: contents before; what gives it up comes through, and later files are written."""
+    path = tmp_path / "file.bin"
+    atomic_write(path, b"old")
+    reached = []
+
+    def check() -> None:
+        reached.append(_listing(tmp_path))
+        raise KeyError("stop")
+
+    with pytest.raises(KeyError), given_up_by(check):
+        atomic_write(path, b"new")
+    assert path.read_bytes() == b"old" and _listing(tmp_path) == ["file.bin"]
+    assert len(reached) == 1 and len(reached[0]) == 2  # all was written by then
+    with given_up_by(lambda: None):
+        atomic_write(path, b"newer")
+    assert path.read_bytes() == b"newer"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

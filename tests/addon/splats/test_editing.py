@@ -13,7 +13,8 @@ from addon.attributes import BASE, SCALE
 from addon.core import Splats, join_splats, render, sh0_to_rgb
 from addon.panels import edit as edit_panel
 from addon.panels.edit import EditPanel
-from addon.splats import filters, objects
+from addon.splats import choose as choose_splats
+from addon.splats import filters, grading, objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -159,6 +160,19 @@ def test_grade(ob: bpy.types.Object) -> None:
     bpy.ops.ed.undo()
     again = objects.read(bpy.data.objects[name])
     np.testing.assert_array_equal(again.sh0, before.sh0)
+
+
+def test_many_are_graded_and_compared_as_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the same numbers where all splats are looked at at once."""
+    base = np.random.default_rng(0).normal(size=(1000, 4)).astype(np.float32)
+    grade = grading.Grade(lift=(0.1, 0, -0.1), gamma=(1.2, 1, 0.9), saturation=0.5)
+    color = np.array([0.6, 0.5, 0.5])
+    wanted = grading.graded(base, grade), choose_splats.alike(base, color, 0.3)
+    assert 0 < wanted[1].sum() < 1000
+    for module in (grading, choose_splats):
+        monkeypatch.setattr(module, "_BLOCK", 64)
+    np.testing.assert_allclose(grading.graded(base, grade), wanted[0], rtol=1e-6)
+    np.testing.assert_array_equal(choose_splats.alike(base, color, 0.3), wanted[1])
 
 
 def test_no_grade_changes_nothing(ob: bpy.types.Object) -> None:

@@ -19,7 +19,7 @@ from addon.core import (
     write_splats,
 )
 from addon.panels import result
-from addon.splats import edit, even_scale, files, objects
+from addon.splats import edit, even_scale, exporting, objects
 from addon.splats.filters import visible_mask
 from gscore.formats.registry import FORMATS, format_to_write
 from tests.addon.drawn import drawn, labels
@@ -331,7 +331,7 @@ def test_export_visible(ob: bpy.types.Object, tmp_path: Path) -> None:
     bpy.ops.gscore.export_splats(filepath=str(out))
     np.testing.assert_array_equal(read_splats(out).means, means[keep])
     assert len(ob.data.vertices) == COUNT
-    _, notes = files.export_splats([ob], out, filtered=True)
+    _, notes = exporting.export_splats([ob], out, filtered=True)
     assert notes == (f"{COUNT - keep.sum():,} splats that the filters hide were left out.",)
     bpy.ops.gscore.export_splats(filepath=str(out), filtered=False)
     np.testing.assert_array_equal(read_splats(out).means, means)

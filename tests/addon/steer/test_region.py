@@ -207,7 +207,9 @@ def test_no_step_of_the_start_is_long(
     read, writers, meshes = [], [], len(bpy.data.meshes)
     column, write = attributes.column, start.write_splat_file
     monkeypatch.setattr(leaving, "BUDGET", 0.0)
-    monkeypatch.setattr(attributes, "column", lambda *a: (read.append(a[1]), column(*a))[1])
+    monkeypatch.setattr(
+        attributes, "column", lambda *a, **k: (read.append(a[1]), column(*a, **k))[1]
+    )
     monkeypatch.setattr(
         start,
         "write_splat_file",

@@ -16,7 +16,8 @@ from addon.render.copies import Copies
 from addon.render.engine import final_cache
 from addon.render.scene import sources
 from addon.splats import objects
-from addon.timeline import follow, mesh
+from addon.timeline import follow, importing, mesh
+from addon.timeline.coming import SequenceComing
 from addon.timeline.library import LIBRARY
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -368,3 +369,45 @@ def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
     """Oracle: the splats that a script left, exported before the scene was evaluated."""
     attributes.keep(scrubbed.data, np.arange(300) < 120)
     assert len(objects.read(scrubbed)) == 120
+
+
+def come(coming: SequenceComing) -> bpy.types.Object:
+    """The object of an import that goes bit by bit."""
+    end = time.monotonic() + 20
+    while (made := coming.step()) is None:
+        assert time.monotonic() < end and coming.sentence
+        time.sleep(0.001)
+    return made[0]
+
+
+@pytest.mark.parametrize("under", [False, True])
+def test_an_import_bit_by_bit(scene, folder, under) -> None:
+    """Oracle: the import at once: splats, place, name, and what the mesh is known to hold."""
+    root = bpy.data.objects.new("Capture", None)
+    scene.collection.objects.link(root)
+    options = {"called": "", "start": 3, "parent": root if under else None, "up": "Y"}
+    coming = SequenceComing(bpy.context, folder, **options)
+    got = come(coming)
+    wanted, series = importing.import_sequence(bpy.context, folder, **options)
+    assert coming.series == series and not coming.warnings
+    assert got.name == got.data.name == "frames" and wanted.name == "frames.001"
+    assert got.parent == wanted.parent and got.matrix_basis == wanted.matrix_basis
+    assert mesh.holds(got) == mesh.holds(wanted) and not mesh.was_edited(got)
+    for name in ("folder", "files", "start"):
+        assert getattr(got.gscore_sequence, name) == getattr(wanted.gscore_sequence, name)
+    np.testing.assert_array_equal(objects.read(got).means, objects.read(wanted).means)
+    got.data.vertices[0].co.x += 1
+    assert mesh.was_edited(got)
+
+
+def test_an_import_bit_by_bit_that_fails(scene, folder) -> None:
+    """Oracle: the sentences of the import at once, and an empty file."""
+    options = {"called": "", "start": 1, "parent": None, "up": "-Y"}
+    with pytest.raises(ValueError, match="holds no frames"):
+        come(SequenceComing(bpy.context, folder.parent, **options))
+    coming = SequenceComing(bpy.context, folder, **options)
+    coming.cancel()
+    (folder / "frame_0000.ply").write_bytes(b"no splats")
+    with pytest.raises(ValueError, match="frame_0000"):
+        come(SequenceComing(bpy.context, folder, **options))
+    assert not bpy.data.objects and not bpy.data.meshes

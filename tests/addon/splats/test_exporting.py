@@ -1,0 +1,150 @@
+"""Exports that go bit by bit; oracle: the same export at once, byte by byte."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import attributes
+from addon.core import Splats, read_splats
+from addon.splats import exporting, leaving, objects
+from addon.splats.exporting import Export, export_splats
+
+Make = Callable[..., Splats]
+
+
+@pytest.fixture(autouse=True)
+def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One attribute a step, its memory made ahead."""
+    monkeypatch.setattr(leaving, "BUDGET", 0.0)
+    monkeypatch.setattr(leaving, "AHEAD", 0)
+
+
+@pytest.fixture
+def obs(scene: bpy.types.Scene, make_splats: Make) -> list[bpy.types.Object]:
+    """Two objects of different degrees; the second is moved, the first filtered."""
+    one = objects.create(make_splats(300), "chair")
+    other = objects.create(make_splats(200, rest=3, seed=1), "table")
+    other.location, other.scale = (5, 0, 0), (2, 2, 2)
+    one.gscore.opacity_min = 0.5
+    bpy.context.view_layer.update()
+    return [one, other]
+
+
+def finished(export: Export) -> exporting.Written:
+    """What was written."""
+    for _ in range(10_000):
+        if export._task is not None:
+            assert export._task.wait(20)
+        if (written := export.step()) is not None:
+            return written
+        threading.Event().wait(0.001)
+    raise AssertionError("it never ends")
+
+
+def nothing_left(folder: Path, *names: str) -> None:
+    """Raise unless a folder holds these files alone, and Blender no copy of a mesh."""
+    assert sorted(path.name for path in folder.iterdir()) == sorted(names)
+    assert sorted(mesh.name for mesh in bpy.data.meshes) == ["chair", "table"]
+
+
+@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".glb", ".splat"])
+@pytest.mark.parametrize(("world", "filtered"), [("SOURCE", True), ("BLENDER", False)])
+def test_as_at_once(obs: list, tmp_path: Path, ending: str, world: str, filtered: bool) -> None:
+    """Oracle: the file of `export_splats`, its count and its notes."""
+    wanted, got = tmp_path / f"at once{ending}", tmp_path / f"bit by bit{ending}"
+    told = export_splats(obs, wanted, world=world, filtered=filtered)
+    export = Export(obs, got, world=world, filtered=filtered)
+    assert "Reading splats: 0%" in export.sentence
+    assert export.step() is None and not got.exists()
+    assert finished(export) == told
+    assert got.name in export.sentence
+    assert got.read_bytes() == wanted.read_bytes()
+    nothing_left(tmp_path, wanted.name, got.name)
+
+
+def test_as_it_was(obs: list, tmp_path: Path) -> None:
+    """Oracle: the file before the object was edited, moved and filtered otherwise."""
+    export_splats(obs, tmp_path / "before.ply", filtered=True)
+    export = Export(obs, tmp_path / "after.ply", world="SOURCE", filtered=True)
+    assert export.step() is None
+    attributes.keep(obs[0].data, np.arange(300) < 100)
+    obs[0].gscore.opacity_min = 0.0
+    bpy.data.objects.remove(obs[1])
+    finished(export)
+    assert (tmp_path / "after.ply").read_bytes() == (tmp_path / "before.ply").read_bytes()
+
+
+def test_in_edit_mode(obs: list, tmp_path: Path) -> None:
+    """Oracle: the points that are left in Edit Mode, which the mesh does not know of yet."""
+    ob = obs[0]
+    ob.gscore.opacity_min = 0.0
+    means = objects.read(ob).means
+    attributes.select(ob.data, np.arange(300) >= 100)
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.delete(type="VERT")
+    finished(Export([ob], tmp_path / "some.ply", world="SOURCE", filtered=True))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    np.testing.assert_array_equal(read_splats(tmp_path / "some.ply").means, means[:100])
+
+
+def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the earlier file, and nothing beside it: while splats are read, and while the new one
+    is being written."""
+    out = tmp_path / "out.ply"
+    out.write_bytes(b"earlier")
+    export = Export(obs, out, world="SOURCE", filtered=False)
+    assert export.step() is None
+    export.cancel()
+    nothing_left(tmp_path, "out.ply")
+
+    began, go_on = threading.Event(), threading.Event()
+    write = exporting.write_splat_file
+
+    def slow(*args: object, **options: object) -> object:
+        began.set()
+        assert go_on.wait(20)
+        return write(*args, **options)
+
+    monkeypatch.setattr(exporting, "write_splat_file", slow)
+    export = Export(obs, out, world="SOURCE", filtered=False)
+    while not began.is_set():
+        assert export.step() is None
+    export.cancel()
+    go_on.set()
+    assert export._task.wait(20) and export._task.cancelled
+    assert out.read_bytes() == b"earlier"
+    nothing_left(tmp_path, "out.ply")
+
+
+def test_refuses(obs: list, tmp_path: Path) -> None:
+    """Oracle: the sentences of the export at once; the earlier file is untouched."""
+    out = tmp_path / "out.ply"
+    out.write_bytes(b"earlier")
+    options = {"world": "SOURCE", "filtered": True}
+    obs[1].scale.z = 3
+    bpy.context.view_layer.update()
+    with pytest.raises(ValueError, match=r"table.*unevenly"):
+        Export(obs, out, **options)
+    obs[0].gscore.opacity_min = 1.0
+    with pytest.raises(ValueError, match=r"chair: no splats left"):
+        finished(Export(obs[:1], out, **options))
+    obs[0].gscore.opacity_min = 0.0
+    with pytest.raises(ValueError, match="Cannot write"):
+        finished(Export(obs[:1], out / "below_a_file.ply", **options))
+    scales = attributes.column(obs[0].data, attributes.SCALE)
+    scales[7] = np.nan
+    attributes.fill(obs[0].data, attributes.SCALE, "FLOAT_VECTOR", scales.ravel())
+    export = Export(obs[:1], out, **options)
+    with pytest.raises(ValueError, match=r"^chair has 1 splats whose scale is not finite.* 7:"):
+        finished(export)
+    export.cancel()
+    obs[0].data.attributes.remove(obs[0].data.attributes[attributes.SCALE])
+    with pytest.raises(ValueError, match=r"^chair holds no splats: the attributes scale"):
+        Export(obs[:1], out, **options)
+    assert out.read_bytes() == b"earlier"
+    nothing_left(tmp_path, "out.ply")
