@@ -1,6 +1,7 @@
 """Copies of the splats of viewports, made bit by bit while they are drawn."""
 
 import time
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -13,6 +14,28 @@ COPY_BUDGET = 0.003
 EDITED_AT_ONCE = 200_000
 """Splats in Edit Mode that are copied anew after each step of editing; of others only what is
 selected and hidden follows, and the rest after its end."""
+_ECHO = 0.25
+"""Seconds within which Blender tells of a change that a copy itself was: to copy a mesh in Edit
+Mode, its edits are taken over into it."""
+_TOLD = 0.005
+"""Seconds in which all who listen are told of one update."""
+_REST = 0.5
+"""Seconds after which a copy is made once more where an update was taken for an echo: an edit may
+have come with it."""
+
+
+@dataclass
+class _Echo:
+    """What is known of the last copy of a mesh in Edit Mode."""
+
+    at: float
+    """When it was made, seconds."""
+    same: bool
+    """Whether it was as the one before, so that the next update tells of it alone."""
+    checked: bool
+    """Whether it was made to see that nothing was missed."""
+    passed: float = 0.0
+    """When an update was taken for its echo; 0: none was."""
 
 
 class Copies:
@@ -24,10 +47,11 @@ class Copies:
         self._freezers: dict[int, Freezer] = {}
         self._unmarked: set[int] = set()
         """Those in Edit Mode of which other splats may be selected."""
+        self._echoes: dict[int, _Echo] = {}
 
     def clear(self) -> None:
         """Let go of everything."""
-        for kept in (self._frozen, self._stale, self._freezers, self._unmarked):
+        for kept in (self._frozen, self._stale, self._freezers, self._unmarked, self._echoes):
             kept.clear()
 
     def under_way(self, found: list[Source]) -> bool:
@@ -47,8 +71,18 @@ class Copies:
                     self._unmarked.add(uid)
                 continue
             self._freezers.pop(uid, None)
-            if uid in self._frozen:
+            if uid in self._frozen and not self._is_echo(uid):
                 self._stale[uid] = self._frozen.pop(uid)
+
+    def _is_echo(self, uid: int) -> bool:
+        """Whether an update tells of nothing but the last copy of a mesh in Edit Mode."""
+        echo, now = self._echoes.get(uid), time.perf_counter()
+        if echo is None or not echo.same or now - echo.at > _ECHO:
+            return False
+        if echo.passed and now - echo.passed > _TOLD:
+            return False
+        echo.passed = echo.passed or now
+        return True
 
     def repaint(self, uid: int, base: np.ndarray) -> None:
         """Show a mesh with other colours and opacities than it has, until it is copied again.
@@ -77,7 +111,7 @@ class Copies:
     def keep_only(self, found: list[Source]) -> None:
         """Let go of what is not among these."""
         uids = {source.uid for source in found}
-        for kept in (self._frozen, self._stale, self._freezers):
+        for kept in (self._frozen, self._stale, self._freezers, self._echoes):
             for uid in kept.keys() - uids:
                 del kept[uid]
 
@@ -108,11 +142,22 @@ class Copies:
 
     def _copy(self, source: Source, until: float) -> Frozen | None:
         uid = source.uid
-        if uid not in self._frozen and source.is_edited:
+        if source.is_edited:
+            echo = self._echoes.get(uid)
+            doubtful = echo is not None and echo.passed and not echo.checked
+            doubtful = doubtful and time.perf_counter() - echo.at > _REST
+            if uid in self._frozen and doubtful:
+                self._stale[uid] = self._frozen.pop(uid)
             stale = self._stale.get(uid)
-            if stale is not None and len(stale.vertices) > EDITED_AT_ONCE:
-                return stale
-            self._frozen[uid] = source.frozen_mesh()
+            if uid not in self._frozen:
+                if stale is not None and len(stale.vertices) > EDITED_AT_ONCE:
+                    return stale
+                self._frozen[uid] = made = source.frozen_mesh()
+                same = stale is not None and stale.fingerprint == made.fingerprint
+                at = time.perf_counter()
+                self._echoes[uid] = _Echo(at=at, same=same, checked=same and doubtful)
+        else:
+            self._echoes.pop(uid, None)
         known = self._frozen.get(uid)
         if uid in self._unmarked and known and len(known.vertices) <= EDITED_AT_ONCE:
             self._frozen[uid] = known.remarked(source.marks())
