@@ -72,6 +72,9 @@ class Stepping(Acting):
             self.cancel(context)
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        except Exception:
+            self.cancel(context)  # or its timer would go on
+            raise
         self._waiting.end()
         self.report({"INFO"}, told)
         return {"FINISHED"}

@@ -52,6 +52,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
         own = job.may_replace or ob.get(_FILLED_BY) == job.id
         edited = was_edited(ob)
         if own and not edited:
+            _note_antialias(ob, job.antialias)
             return ob
         _let_go(scene, ob)
         why = "was edited" if edited else "is of an earlier training"
@@ -63,8 +64,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
     _note_run(ob, job.output, job.source)
     if loaded.typical_size:
         ob.gscore.point_size = 0.5 * loaded.typical_size
-    if job.antialias:
-        ob[ANTIALIAS] = True
+    _note_antialias(ob, job.antialias)
     if root is None:
         # Else as a first camera that was held level: COLMAP's own worlds have no up.
         files.place(ob, files.UP_AXES["-Y"] if loaded.upright is None else loaded.upright)
@@ -92,6 +92,12 @@ def is_of_run(ob: bpy.types.Object, output: Path) -> bool:
     """Whether an object holds splats of the run in a folder."""
     run = stored_paths.read(ob, stored_paths.RUN)
     return bool(run) and same_folder(Path(run), output)
+
+
+def _note_antialias(ob: bpy.types.Object, antialias: bool) -> None:
+    ob.pop(ANTIALIAS, None)
+    if antialias:
+        ob[ANTIALIAS] = True
 
 
 def _note_run(ob: bpy.types.Object, output: Path, source: Path) -> None:
@@ -125,13 +131,19 @@ def adopt(
         The object that has the splats now; `made` is gone where it is another.
 
     Raises:
-        ValueError: Blender does not keep changes of what is there.
+        ValueError: the object that is there cannot be written now; `made` is gone.
     """
     output = run.info.path
     ob = shown_object(scene.gscore, output, (source,))
+    if ob is not None:
+        try:
+            objects.check_writable(ob)
+        except ValueError:
+            bpy.data.meshes.remove(made.data)
+            raise
     if ob is not None and not was_edited(ob):
-        mesh = made.data
-        replace(ob, mesh)
+        replace(ob, made.data)
+        _note_antialias(ob, bool(made.get(ANTIALIAS)))
         bpy.data.objects.remove(made)
         drop_maps(ob)  # of what it showed before
     else:

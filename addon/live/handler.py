@@ -160,7 +160,7 @@ def _has_lines_in_front(context: bpy.types.Context, depsgraph: bpy.types.Depsgra
 
 def _has_surface(ob: bpy.types.Object) -> bool:
     if is_splats(ob):
-        return ob.original.gscore.display in {"POINTS", "ELLIPSOIDS", "SOFT"}
+        return ob.original.gscore.display in {"POINTS", "ELLIPSOIDS", "SOFT", "NATIVE"}
     return ob.display_type in {"SOLID", "TEXTURED"}
 
 

@@ -13,7 +13,8 @@ Value = Any
 
 VERSION = 5
 """Of the node groups and materials; a file with older ones gets new ones."""
-_TAG = "gs_nodes"
+_TAG, _NATIVE = "gs_nodes", " native"
+"""What Blenders with splats of their own build, others lack the nodes for."""
 
 
 def ensure(datablocks: Any, name: str, make: Callable[[str], bpy.types.ID]) -> bpy.types.ID:
@@ -21,14 +22,18 @@ def ensure(datablocks: Any, name: str, make: Callable[[str], bpy.types.ID]) -> b
 
     A datablock of the same name that is not ours, or of another version, is left alone.
     """
-    # What Blenders with splats of their own build, others lack the nodes for.
-    tag = f"{name} {VERSION}{' native' if compat.splat_cloud_type() else ''}"
+    tag = f"{name} {VERSION}{_NATIVE if compat.splat_cloud_type() else ''}"
     for block in datablocks:
         if block.get(_TAG) == tag and block.library is None:
             return block
     block = make(name)
     block[_TAG] = tag
     return block
+
+
+def is_of_another_blender(block: bpy.types.ID) -> bool:
+    """Whether a datablock of ours was built by a Blender with other splats of its own."""
+    return str(block.get(_TAG, "")).endswith(_NATIVE) != bool(compat.splat_cloud_type())
 
 
 def is_ours(block: bpy.types.ID | None, name: str) -> bool:

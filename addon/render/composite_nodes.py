@@ -31,10 +31,22 @@ def insert(
     """
     layers, combine = tree.nodes.get(LAYER_NODE), tree.nodes.get(COMBINE_NODE)
     if layers is not None and combine is not None:
-        layers.scene, combine.node_tree = splats, _group()
+        layers.scene = splats
+        _renew(tree, combine)
     else:
         combine = _combine(tree, scene, splats)
     _show_world(tree, combine, world)
+
+
+def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node) -> None:
+    """Give the node a group that knows of worlds; older files have one that does not."""
+    if combine.node_tree is not None and _has_world(combine.node_tree):
+        return
+    # The new group's result is another socket to Blender, so that its links would go.
+    targets = [link.to_socket for link in combine.outputs[0].links]
+    combine.node_tree = _group()
+    for target in targets:
+        tree.links.new(combine.outputs[0], target)
 
 
 def remove(tree: bpy.types.NodeTree) -> None:
@@ -104,9 +116,10 @@ def _group() -> bpy.types.NodeTree:
     Blender's own Z Combine multiplies colours by alpha once more, so it is not used. Depths know no
     part of a pixel: where meshes and splats meet, the edge is smoothed.
     """
-    tree = bpy.data.node_groups.get(GROUP)
-    if tree is not None and tree.bl_idname == "CompositorNodeTree" and _has_world(tree):
-        return tree
+    for tree in bpy.data.node_groups:
+        ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
+        if ours and _has_world(tree):
+            return tree
     tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
     for name in ("Meshes", "Splats"):
         tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")

@@ -12,9 +12,9 @@ from .held_meshes import held_by
 
 _FILM = "gs_film_transparent"
 """Custom property of a scene: whether its film was transparent before."""
-_MADE, _ENGINE = "gs_film_made_transparent", "gs_engine_changed"
-"""Custom properties of a scene: whether compositing has made its film transparent, and has taken
-another engine than that of the splats."""
+_MADE, _ENGINE = "gs_film_made_transparent", "gs_engine_taken"
+"""Custom properties of a scene: whether compositing has made its film transparent, and which engine
+it has taken instead of that of the splats."""
 WORLD_SCENE = "gs_world_scene"
 """Custom property of a scene: the scene that renders its world, where the film hides it."""
 _WORLD_SAMPLES = 4
@@ -70,14 +70,19 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     if SPLAT_SCENE not in scene:
         scene[_FILM] = scene.render.film_transparent
     if scene.render.engine == NAME:
-        scene[_ENGINE] = True
         _take_other_engine(scene)
+        scene[_ENGINE] = scene.render.engine
     other = _apart(scene, SPLAT_SCENE, "Splats")
     _synchronise(scene, other, splats)
     for view_layer in scene.view_layers:
         view_layer.use_pass_z = True
+    if scene.get(_MADE) and not transparent:
+        scene.render.film_transparent = bool(scene[_FILM])
     scene[_MADE] = transparent
-    world = _world_scene(scene) if transparent and not scene[_FILM] and scene.world else None
+    seen = scene.world and any(layer.use_sky for layer in scene.view_layers)
+    world = _world_scene(scene) if transparent and not scene[_FILM] and seen else None
+    if world is None:
+        _drop(scene, WORLD_SCENE)
     scene.render.use_compositing = True
     insert(compat.make_compositor_tree(scene), scene, other, world)
     rest(scene)
@@ -130,6 +135,9 @@ def _follow_world(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
         other.world = scene.world
     if scene.render.engine not in (NAME, other.render.engine):
         other.render.engine = scene.render.engine
+    cycles = getattr(scene, "cycles", None)
+    if cycles is not None and other.cycles.film_exposure != cycles.film_exposure:
+        other.cycles.film_exposure = cycles.film_exposure
 
 
 def _synchronise(
@@ -225,11 +233,19 @@ def take_down(scene: bpy.types.Scene) -> None:
             if modifier.type == "NODES":
                 modifier.show_render = True
     scene.render.film_transparent = bool(scene.get(_FILM, scene.render.film_transparent))
-    if scene.get(_ENGINE):
+    if scene.get(_ENGINE) == scene.render.engine:  # else the user has chosen another
         scene.render.engine = NAME
-    for name in (SPLAT_SCENE, WORLD_SCENE, _FILM, _MADE, _ENGINE):
+    for name in (SPLAT_SCENE, WORLD_SCENE):
+        _drop(scene, name)
+    for name in (_FILM, _MADE, _ENGINE):
         scene.pop(name, None)
-    for other in others:
+
+
+def _drop(scene: bpy.types.Scene, key: str) -> None:
+    """Remove a scene that renders something for another one, if there is one."""
+    other = scene.get(key)
+    scene.pop(key, None)
+    if isinstance(other, bpy.types.Scene):
         bpy.data.scenes.remove(other)
 
 

@@ -55,9 +55,12 @@ class Copies:
             kept.clear()
 
     def under_way(self, found: list[Source]) -> bool:
-        """Whether meshes of objects are copied bit by bit, for which a view must be drawn again.
-        Frames that are read have views drawn when they come."""
-        return any(one.moment is None and one.uid in self._freezers for one in found)
+        """Whether meshes of objects are copied bit by bit, or looked at once more when they rest,
+        for which a view must be drawn again. Frames that are read have views drawn when they
+        come."""
+        doubtful = {uid for uid, echo in self._echoes.items() if echo.passed and not echo.checked}
+        waits = doubtful | self._freezers.keys()
+        return any(one.moment is None and one.uid in waits for one in found)
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Copy again what a depsgraph update says has changed."""

@@ -30,9 +30,9 @@ from .viewport import (
 from .world import background_of, world_light
 
 NAME = "GSCORE_SPLATS"
+"""The engine in `scene.render.engine`."""
 ENGINE_BEFORE = "gs_engine_before"
 """Custom property of a scene: the engine that it had before this one was chosen for it."""
-"""The engine in `scene.render.engine`."""
 final_cache = SplatCache()
 """Decoded splats of the last picture: the frames of an animation share it."""
 _painters: WeakSet[Painter] = WeakSet()

@@ -176,7 +176,8 @@ def can_export(ob: bpy.types.Object | None) -> bool:
 
 def is_native(ob: bpy.types.Object | None) -> bool:
     """Whether an object is a point cloud with the attributes of Blender's own splats (5.3)."""
-    return ob is not None and ob.type == "POINTCLOUD" and attributes.BASE in ob.data.attributes
+    cloud = ob is not None and ob.type == "POINTCLOUD" and "gs_kind" not in ob
+    return cloud and attributes.BASE in ob.data.attributes
 
 
 @contextmanager

@@ -1,10 +1,12 @@
 """How a splat object is shown: properties of the object, handed on to its display modifier."""
 
 import bpy
+from bpy.app.handlers import persistent
 
 from .. import attributes, compat
 from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
+from ..nodes.graph import is_of_another_blender
 from . import live
 from .filters import BOX, SPHERE
 
@@ -157,8 +159,9 @@ def apply(ob: bpy.types.Object) -> None:
     modifier = display.modifier_of(ob)
     if modifier is None:
         return
-    settings, mode = ob.gscore, ob.gscore.display
-    if mode in {"SPLATS", "NATIVE"}:
+    settings = ob.gscore
+    mode = settings.display or "SOFT"  # files of newer Blenders have displays that this one lacks
+    if mode in {"SPLATS", "NATIVE"} or is_of_another_blender(modifier.node_group):
         modifier.node_group = display.group()  # files may hold one that does not know this display
     if mode == "SPLATS" and live.SESSION.problem:
         mode = "POINTS"
@@ -204,14 +207,25 @@ def attach(ob: bpy.types.Object) -> bpy.types.NodesModifier:
     return modifier
 
 
+@persistent
+def _renew(*_: object) -> None:
+    """Give objects of a file that another Blender has saved the display that this one can show."""
+    for ob in bpy.data.objects:
+        modifier = display.modifier_of(ob) if ob.library is None else None
+        if modifier is not None and is_of_another_blender(modifier.node_group):
+            apply(ob)
+
+
 CLASSES = (SplatSettings,)
 
 
 def on_register() -> None:
     """Make the settings a property of objects."""
     bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings, override=_KEPT)
+    bpy.app.handlers.load_post.append(_renew)
 
 
 def on_unregister() -> None:
     """Take the property back."""
+    bpy.app.handlers.load_post.remove(_renew)
     del bpy.types.Object.gscore

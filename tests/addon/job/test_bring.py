@@ -9,9 +9,10 @@ import pytest
 
 from addon import stored_paths
 from addon.cameras.captures import import_capture
-from addon.core import PRESETS
+from addon.core import MIP_COMMENT, PRESETS
 from addon.job import facts, lookups, results
 from addon.panels.train import TrainPanel
+from addon.splats.objects import ANTIALIAS
 from gscore.config_file import config_json
 from gscore.io.ply.splats import write_splats
 from tests.addon.captures import STUDIO
@@ -110,3 +111,19 @@ def test_edited_splats_stay_hidden_beside_it(scene: bpy.types.Scene, run: Path) 
     np.testing.assert_array_equal(positions(edited), kept)
     assert edited.hide_get() and edited.hide_render and stored_paths.RUN not in edited
     assert ob.visible_get() and not ob.hide_render
+
+
+def test_a_result_in_edit_mode_is_a_sentence(scene: bpy.types.Scene, run: Path) -> None:
+    """Oracle: the object as it was, and nothing beside it; outside of Edit Mode it works, and takes
+    over how the new splats were trained."""
+    bpy.ops.gscore.import_result()
+    ob = scene.gscore.result
+    write_splats(run / "point_cloud.ply", splats(71), comments=(MIP_COMMENT,))
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert "is in Edit Mode" in error_of(bpy.ops.gscore.import_result)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bpy.data.objects[:] == [ob] and len(ob.data.vertices) == 70
+    assert ANTIALIAS not in ob
+    assert bpy.ops.gscore.import_result() == {"FINISHED"}
+    assert len(ob.data.vertices) == 71 and ob[ANTIALIAS]

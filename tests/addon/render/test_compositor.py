@@ -373,3 +373,49 @@ def test_an_engine_that_is_gone_is_replaced(mixed):
     mixed.render.engine, mixed["gs_engine_before"] = "GSCORE_SPLATS", "NOT_THERE"
     compositor.set_up(mixed)
     assert mixed.render.engine in ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
+
+
+def test_a_file_of_before_worlds_keeps_its_links(mixed, tmp_path):
+    """Oracle: the picture of a new set-up, and one group, though the file has an older one."""
+    paint_world(mixed, 0.1, 0.2, 0.8)
+    compositor.set_up(mixed)
+    want = lab.render_exr(tmp_path, "new")
+    tree = compat.compositor_tree(mixed)
+    combine = tree.nodes[composite_nodes.COMBINE_NODE]
+    group = combine.node_tree
+    old = group.copy()
+    old.interface.remove(next(i for i in old.interface.items_tree if i.name == "World"))
+    targets = [link.to_socket for link in combine.outputs[0].links]
+    combine.node_tree = old
+    for target in targets:
+        tree.links.new(combine.outputs[0], target)
+    for _ in range(2):
+        compositor.set_up(mixed)
+        assert combine.node_tree == group and combine.outputs[0].links
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "again"), want, atol=1e-4)
+
+
+def test_what_is_chosen_afterwards_stays(mixed):
+    """Oracle: the user's engine, and the film of before where edges are not to blend."""
+    paint_world(mixed, 0.1, 0.2, 0.8)
+    mixed.render.engine = "GSCORE_SPLATS"
+    compositor.set_up(mixed)
+    mixed.render.engine = "CYCLES"
+    assert len(bpy.data.scenes) == 3
+    compositor.set_up(mixed, transparent=False)
+    assert not mixed.render.film_transparent and len(bpy.data.scenes) == 2
+    compositor.take_down(mixed)
+    assert mixed.render.engine == "CYCLES"
+
+
+def test_a_world_that_no_layer_shows_stays_away(mixed, tmp_path):
+    """Oracle: the corner of the picture, and its brightness with another exposure of the film."""
+    paint_world(mixed, 0.1, 0.2, 0.8)
+    mixed.cycles.film_exposure = 2.0
+    before = lab.render_exr(tmp_path, "before")[2, 62]
+    compositor.set_up(mixed)
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "both")[2, 62], before, atol=0.02)
+    compositor.take_down(mixed)
+    mixed.view_layers[0].use_sky = False
+    compositor.set_up(mixed)
+    assert lab.render_exr(tmp_path, "dark")[2, 62, :3].max() < 1e-3

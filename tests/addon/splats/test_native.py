@@ -77,6 +77,17 @@ def test_files_of_older_blenders_show_native_splats(ob: bpy.types.Object) -> Non
     assert display.modifier_of(ob).node_group != group
 
 
+def test_files_of_another_blender_get_its_display(ob: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the nodes of this Blender, as soon as the file is open."""
+    group = display.modifier_of(ob).node_group
+    tag = group["gs_nodes"]
+    group["gs_nodes"] = tag.removesuffix(" native") if tag.endswith(" native") else f"{tag} native"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    modifier = display.modifier_of(bpy.data.objects["ours"])
+    assert modifier.node_group["gs_nodes"] == tag
+
+
 @needs_native
 @pytest.mark.parametrize(("ending", "up"), [("ply", "Z"), ("spz", "-Y")])
 def test_what_blender_imports_is_taken_over(
