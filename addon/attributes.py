@@ -61,15 +61,14 @@ _SMALLEST_SCALE = np.float32(np.log(_TINY))
 """Log of the scale that a splat without extent gets."""
 
 
-def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> None:
+def write(datablock: Any, splats: Splats) -> None:
     """Give a mesh or point cloud that has exactly N points the attributes of N splats.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
         splats: Raw parameters.
-        base_type: Data type of `radiance:base`: FLOAT_COLOR, or FLOAT4 where Blender has it.
     """
-    made = columns(splats, base_type=base_type)
+    made = columns(splats)
     # All first: adding an attribute moves the others' memory.
     for name, kind, _ in made:
         declare(datablock, name, kind)
@@ -77,7 +76,7 @@ def write(datablock: Any, splats: Splats, *, base_type: str = "FLOAT_COLOR") -> 
         fill(datablock, name, kind, values)
 
 
-def columns(splats: Splats, *, base_type: str = "FLOAT_COLOR") -> list[tuple[str, str, np.ndarray]]:
+def columns(splats: Splats) -> list[tuple[str, str, np.ndarray]]:
     """Name, data type and values of all attributes of N splats; touches no datablock.
 
     Values are flat float32, which `foreach_set` copies as they are.
@@ -92,7 +91,7 @@ def columns(splats: Splats, *, base_type: str = "FLOAT_COLOR") -> list[tuple[str
         (POSITION, "FLOAT_VECTOR", splats.means),
         (SCALE, "FLOAT_VECTOR", np.exp(splats.scales.astype(np.float64))),
         (ROTATION, "QUATERNION", splats.quats / lengths),
-        (BASE, base_type, base),
+        (BASE, "FLOAT_COLOR", base),
     ]
     rest = _by_coefficient(splats.shN)
     made += [(f"{SH}{k}", "FLOAT_VECTOR", rows) for k, rows in enumerate(rest)]

@@ -49,11 +49,11 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
     exact = root_from(scene, chosen)
     if exact is not None:
         return exact
-    sources = ((root, Path(stored_paths.read(root, stored_paths.SOURCE))) for root in roots)
-    alike = (
-        (r, source) for r, source in sources if source.name and source.name in chosen.parts[-3:]
-    )
-    return next((root for root, source in alike if not source.exists()), None)
+    for root in roots:
+        source = Path(stored_paths.read(root, stored_paths.SOURCE))
+        if source.name and source.name in chosen.parts[-3:] and not source.exists():
+            return root
+    return None
 
 
 def root_from(scene: bpy.types.Scene, chosen: Path) -> bpy.types.Object | None:

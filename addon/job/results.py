@@ -172,7 +172,7 @@ def _let_go(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
     """Make the result of a run an object like any other, hidden: another one stands there now."""
     for key in (stored_paths.RUN, _FILLED, _FILLED_BY, _CONTENT):
         ob.pop(key, None)
-    _hide(scene, ob, True)
+    objects.hide(ob, scene)
     ob.hide_render = True
 
 
@@ -192,13 +192,7 @@ def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, hide: bool) -> N
     """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
     shows them again."""
     if (points := points_of(root)) is not None:
-        _hide(scene, points, hide)
-
-
-def _hide(scene: bpy.types.Scene, ob: bpy.types.Object, hide: bool) -> None:
-    for layer in scene.view_layers:
-        if ob.name in layer.objects:
-            ob.hide_set(hide, view_layer=layer)
+        objects.hide(points, scene, hidden=hide)
 
 
 def capture_of(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:

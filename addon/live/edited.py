@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from ..interface.views import redraw_views
 from ..render import copies
 from ..render.frozen import HIDDEN, SELECTED
 from ..splats.live import SESSION
@@ -132,10 +133,7 @@ def _file_loaded(*_: object) -> None:
 
 def _beat() -> float | None:
     if _READER.step(time.monotonic()):
-        for window in bpy.context.window_manager.windows:
-            for area in window.screen.areas:
-                if area.type == "VIEW_3D":
-                    area.tag_redraw()
+        redraw_views()
     return INTERVAL if _READER.waits else None
 
 

@@ -112,13 +112,14 @@ def _apart(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scene:
         other = bpy.data.scenes.new(f"{scene.name} {name}")
         scene[key] = other
         other[MAIN_SCENE] = scene
+    # Blender draws no frame beyond these, whatever the frame of the scene that it is for.
+    other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
     return other
 
 
 def _world_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
     """A scene without objects: the world as the scene's camera sees it."""
     other = _apart(scene, WORLD_SCENE, "World")
-    other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
     other.render.film_transparent = False
     if hasattr(other, "cycles"):
         other.cycles.samples, other.cycles.use_denoising = _WORLD_SAMPLES, False
@@ -152,8 +153,6 @@ def _synchronise(
                 modifier.show_render = False
     other.render.engine, other.world = NAME, None
     other.render.film_transparent = True
-    # Blender draws no frame beyond these, whatever the frame of the meshes' scene.
-    other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
     _follow(scene, other)
     for name in ("antialias", "blur_samples"):
         setattr(other.gscore_render, name, getattr(scene.gscore_render, name))

@@ -6,26 +6,16 @@ import bpy
 
 from ..core import GsError, collected_warnings
 from ..interface.operators import OnScene
-from ..interface.stepping import Stepping
+from ..interface.stepping import Stepping, Steps
 from . import files
 from .arrival import Arrival
 
 
-class Coming(Protocol):
-    """Objects on their way."""
+class Coming(Steps, Protocol):
+    """Objects on their way; of `step` come the objects."""
 
     warnings: list[str]
     """What the user should know besides."""
-
-    @property
-    def sentence(self) -> str:
-        """How far it is."""
-
-    def step(self) -> list[bpy.types.Object] | None:
-        """Do a small piece; the objects once all are there. ValueError: nothing of it is left."""
-
-    def cancel(self) -> None:
-        """Leave nothing."""
 
 
 class Arriving(Stepping, OnScene):

@@ -82,9 +82,8 @@ class Taking:
         made.matrix_parent_inverse = cloud.matrix_parent_inverse
         made.matrix_basis = cloud.matrix_basis
         cloud.hide_render = True
-        for layer in (layer for scene in bpy.data.scenes for layer in scene.view_layers):
-            if layer.objects.get(cloud.name) == cloud:
-                cloud.hide_set(True, view_layer=layer)
+        for scene in bpy.data.scenes:
+            objects.hide(cloud, scene)
         return made
 
 

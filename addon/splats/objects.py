@@ -10,7 +10,6 @@ from .. import attributes, compat
 from ..core import Splats, transform_splats
 from ..interface import writable
 from . import lag, live, settings
-from .filters import visible_mask
 
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
@@ -99,12 +98,11 @@ def catch_up(ob: bpy.types.Object) -> None:
         bring(ob.original)
 
 
-def read(ob: bpy.types.Object, *, filtered: bool = False, rest: bool = True) -> Splats:
+def read(ob: bpy.types.Object, *, rest: bool = True) -> Splats:
     """Raw parameters in object space, from the object's own mesh (no modifiers).
 
     Args:
         ob: A splat object, or any mesh or point cloud with the attributes.
-        filtered: Leave out what the object's display filters hide.
         rest: As `attributes.read`.
 
     Raises:
@@ -114,22 +112,21 @@ def read(ob: bpy.types.Object, *, filtered: bool = False, rest: bool = True) -> 
         raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
     catch_up(ob)
     with _readable(ob) as data:
-        splats = attributes.read(data, rest=rest)
-        return splats.subset(visible_mask(ob, data)) if filtered else splats
+        return attributes.read(data, rest=rest)
 
 
-def read_world(ob: bpy.types.Object, *, filtered: bool = False) -> Splats:
+def read_world(ob: bpy.types.Object) -> Splats:
     """Raw parameters in Blender's world: means, quaternions, scales and SH transformed.
 
     Raises:
         ValueError: as `read`, or the object's matrix is no similarity (it is named).
     """
-    return transformed(ob, compat.matrix_to_numpy(ob.matrix_world), filtered=filtered)
+    return transformed(ob, compat.matrix_to_numpy(ob.matrix_world))
 
 
-def transformed(ob: bpy.types.Object, matrix: np.ndarray, *, filtered: bool = False) -> Splats:
+def transformed(ob: bpy.types.Object, matrix: np.ndarray) -> Splats:
     """The object's splats after a 4x4 similarity from object space; ValueError as `read_world`."""
-    return moved(read(ob, filtered=filtered), matrix, ob.name)
+    return moved(read(ob), matrix, ob.name)
 
 
 def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
@@ -178,6 +175,13 @@ def is_native(ob: bpy.types.Object | None) -> bool:
     """Whether an object is a point cloud with the attributes of Blender's own splats (5.3)."""
     cloud = ob is not None and ob.type == "POINTCLOUD" and "gs_kind" not in ob
     return cloud and attributes.BASE in ob.data.attributes
+
+
+def hide(ob: bpy.types.Object, scene: bpy.types.Scene, *, hidden: bool = True) -> None:
+    """Hide an object in all views of a scene that show it, or show it there again."""
+    for layer in scene.view_layers:
+        if layer.objects.get(ob.name) == ob:
+            ob.hide_set(hidden, view_layer=layer)
 
 
 @contextmanager

@@ -4,7 +4,6 @@
 folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
 """
 
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -24,7 +23,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.render import copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
 
 COLOR = (0.1, 0.3, 0.9)
 POINT = 0.002
@@ -98,12 +97,4 @@ def story() -> Iterator[object]:
     screenshot("splats_lower")
 
 
-def _end(problem: str) -> None:
-    if problem:
-        seen["log"].append(problem)
-    (FOLDER / "seen.json").write_text(json.dumps(seen))
-    addon_utils.disable("addon", default_set=True)
-    bpy.ops.wm.quit_blender()
-
-
-Teller(story(), _end)
+Teller(story(), leaving(FOLDER, seen))

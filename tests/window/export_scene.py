@@ -4,7 +4,6 @@
 PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json.
 """
 
-import json
 import sys
 import threading
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.splats import exporting, objects  # noqa: E402
 from addon.splats.operators import ExportSplats  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, clear  # noqa: E402
+from tools.window.desk import Teller, area, clear, leaving  # noqa: E402
 
 seen: dict = {"log": []}
 
@@ -73,12 +72,4 @@ def story() -> Iterator[object]:
     seen["meshes"] = [mesh.name for mesh in bpy.data.meshes if "gs_leaving" in mesh]
 
 
-def _end(problem: str) -> None:
-    if problem:
-        seen["log"].append(problem)
-    (FOLDER / "seen.json").write_text(json.dumps(seen))
-    addon_utils.disable("addon", default_set=True)
-    bpy.ops.wm.quit_blender()
-
-
-Teller(story(), _end)
+Teller(story(), leaving(FOLDER, seen))

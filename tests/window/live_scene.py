@@ -4,7 +4,6 @@
 folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
 """
 
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ from addon.live import handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
 
 COLOR = (0.8, 0.4, 0.2)
 seen: dict = {"log": []}
@@ -228,13 +227,9 @@ def _refusing(self: Card) -> None:
 
 
 def _end(problem: str) -> None:
-    if problem:
-        seen["log"].append(problem)
     found = handler.view_of(region())
     seen["seconds"] = None if found is None else found.seconds
-    (FOLDER / "seen.json").write_text(json.dumps(seen))
-    addon_utils.disable("addon", default_set=True)
-    bpy.ops.wm.quit_blender()
+    leaving(FOLDER, seen)(problem)
 
 
 Teller(story(), _end)

@@ -4,7 +4,6 @@
 folders with what Blender's Python lacks. Leaves FOLDER/seen.json.
 """
 
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +18,7 @@ import bpy  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.interface.sidebar import TAB  # noqa: E402
-from tools.window.desk import Teller, clear  # noqa: E402
+from tools.window.desk import Teller, clear, leaving  # noqa: E402
 
 CAPTURE = ROOT / "examples" / "studio"
 seen: dict = {"log": []}
@@ -57,12 +56,4 @@ def story() -> Iterator[object]:
     seen["height"] = area.height - space.image.size[1] * space.zoom_percentage / 100
 
 
-def _end(problem: str) -> None:
-    if problem:
-        seen["log"].append(problem)
-    (FOLDER / "seen.json").write_text(json.dumps(seen))
-    addon_utils.disable("addon", default_set=True)
-    bpy.ops.wm.quit_blender()
-
-
-Teller(story(), _end)
+Teller(story(), leaving(FOLDER, seen))

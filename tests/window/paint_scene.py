@@ -5,7 +5,6 @@ PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLD
 pictures of the screen.
 """
 
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -25,7 +24,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon import attributes  # noqa: E402
 from addon.paint import modal  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
 PAUSE = 0.2
@@ -175,12 +174,4 @@ def story() -> Iterator[object]:
     yield PAUSE
 
 
-def _end(problem: str) -> None:
-    if problem:
-        seen["log"].append(problem)
-    (FOLDER / "seen.json").write_text(json.dumps(seen))
-    addon_utils.disable("addon", default_set=True)  # where the story broke off before it
-    bpy.ops.wm.quit_blender()
-
-
-Teller(story(), _end)
+Teller(story(), leaving(FOLDER, seen))

@@ -3,9 +3,12 @@
 The add-on is there before this is imported.
 """
 
+import json
 import traceback
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import addon_utils
 import bpy
 
 from addon.live import handler
@@ -42,6 +45,24 @@ def clear() -> None:
     space().overlay.show_overlays = True
     for switch in ("show_floor", "show_axis_x", "show_axis_y", "show_cursor", "show_text"):
         setattr(space().overlay, switch, False)
+
+
+def leaving(folder: Path, seen: dict) -> Callable[[str], None]:
+    """The end of a story: what was seen goes into a file, the add-on off, and Blender ends.
+
+    Args:
+        folder: Gets seen.json.
+        seen: Strict JSON; "log" is a list, and gets what went wrong.
+    """
+
+    def end(problem: str) -> None:
+        if problem:
+            seen["log"].append(problem)
+        (folder / "seen.json").write_text(json.dumps(seen))
+        addon_utils.disable("addon", default_set=True)
+        bpy.ops.wm.quit_blender()
+
+    return end
 
 
 class Teller:

@@ -1,7 +1,6 @@
 """The graphics card's picture, in Blenders that offer one without a window (5.2 and later)."""
 
 import bpy
-import gpu
 import numpy as np
 import pytest
 
@@ -9,6 +8,7 @@ from addon.cameras.captures import RenderCamera
 from addon.core import Rendered, Splats, render, transform_splats
 from addon.live import atlas, order
 from tests.addon import splat_scenes as lab
+from tests.addon.live import graphics
 
 SIZE = (160, 110)
 LIMIT = 2 / 255
@@ -17,12 +17,7 @@ LIMIT = 2 / 255
 @pytest.fixture(scope="module")
 def card():
     """The programs."""
-    if not hasattr(gpu, "init"):
-        pytest.skip("this Blender has no graphics without a window")
-    try:
-        gpu.init()
-    except SystemError as error:
-        pytest.skip(f"no graphics: {error}")
+    graphics.begin()
     from addon.live.card import Card
 
     made = Card()

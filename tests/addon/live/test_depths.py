@@ -5,17 +5,13 @@ import numpy as np
 import pytest
 
 from addon.live.depths import Depths
+from tests.addon.live import graphics
 
 
 @pytest.fixture(scope="module")
 def drawn_to():
     """[H, W] depths are put into a target, and read back by `Depths` given in."""
-    if not hasattr(gpu, "init"):
-        pytest.skip("this Blender has no graphics without a window")
-    try:
-        gpu.init()
-    except SystemError as error:
-        pytest.skip(f"no graphics: {error}")
+    graphics.begin()
 
     def read(depths: Depths, value: float, size: tuple[int, int] = (6, 4)):
         target = gpu.types.GPUOffScreen(*size)

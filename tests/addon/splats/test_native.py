@@ -42,7 +42,10 @@ def theirs(scene: bpy.types.Scene, given: Splats) -> bpy.types.Object:
     """A point cloud with the attributes of Blender's own splats, turned and moved, active."""
     cloud = bpy.data.pointclouds.new("theirs")
     cloud.resize(len(given))
-    attributes.write(cloud, given, base_type="FLOAT4")
+    attributes.write(cloud, given)
+    base = attributes.column(cloud, attributes.BASE).ravel()
+    attributes.declare(cloud, attributes.BASE, "FLOAT4")  # as Blender's importers
+    attributes.fill(cloud, attributes.BASE, "FLOAT4", base)
     ob = bpy.data.objects.new("theirs", cloud)
     scene.collection.objects.link(ob)
     ob.rotation_euler, ob.location = (0.5, 1, 2), (1, 2, 3)
