@@ -16,7 +16,9 @@ EDITED_AT_ONCE = 200_000
 selected and hidden follows, and the rest after its end."""
 _ECHO = 0.25
 """Seconds within which Blender tells of a change that a copy itself was: to copy a mesh in Edit
-Mode, its edits are taken over into it."""
+Mode, its edits are taken over into it. Longer where redraws have turned out to take longer."""
+_LONGEST_ECHO = 10.0
+"""At most so many seconds."""
 _TOLD = 0.005
 """Seconds in which all who listen are told of one update."""
 _REST = 0.5
@@ -36,6 +38,8 @@ class _Echo:
     """Whether it was made to see that nothing was missed."""
     passed: float = 0.0
     """When an update was taken for its echo; 0: none was."""
+    late: float = 0.0
+    """Seconds after which one came that was too late for an echo; 0: none did."""
 
 
 class Copies:
@@ -48,6 +52,8 @@ class Copies:
         self._unmarked: set[int] = set()
         """Those in Edit Mode of which other splats may be selected."""
         self._echoes: dict[int, _Echo] = {}
+        self._echo = _ECHO
+        """Seconds, of this machine."""
 
     def clear(self) -> None:
         """Let go of everything."""
@@ -80,7 +86,10 @@ class Copies:
     def _is_echo(self, uid: int) -> bool:
         """Whether an update tells of nothing but the last copy of a mesh in Edit Mode."""
         echo, now = self._echoes.get(uid), time.perf_counter()
-        if echo is None or not echo.same or now - echo.at > _ECHO:
+        if echo is None or not echo.same:
+            return False
+        if now - echo.at > self._echo:
+            echo.late = now - echo.at
             return False
         if echo.passed and now - echo.passed > _TOLD:
             return False
@@ -157,6 +166,10 @@ class Copies:
                     return stale
                 self._frozen[uid] = made = source.frozen_mesh()
                 same = stale is not None and stale.fingerprint == made.fingerprint
+                if same and np.array_equal(stale.marks, made.marks):
+                    self._frozen[uid] = stale  # so that no view has anything to do
+                if same and echo is not None and echo.late:
+                    self._echo = min(max(self._echo, 2 * echo.late), _LONGEST_ECHO)
                 at = time.perf_counter()
                 self._echoes[uid] = _Echo(at=at, same=same, checked=same and doubtful)
         else:

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ def told(
     *options: str,
     longest: int,
     size: tuple[int, int] = SCREEN,
+    prepare: Callable[[Path], None] | None = None,
 ) -> tuple[dict, Path, str]:
     """What a script saw, the folder of its pictures, and what Blender wrote.
 
@@ -28,12 +30,15 @@ def told(
         options: Of Blender, besides.
         longest: Seconds that it may take.
         size: Width and height of the screen.
+        prepare: Puts into the folder what the script needs.
     """
     blender, problem = programs.find(*programs.PICTURES)
     if not blender:
         pytest.skip(problem)
     script = Path(__file__).with_name(f"{name}_scene.py")
     folder = tmp_path_factory.mktemp(name)
+    if prepare is not None:
+        prepare(folder)
     with programs.screen(*size) as display:
         output = programs.run(blender, script, folder, display, size, longest, *options)
     file = folder / "seen.json"

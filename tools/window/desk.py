@@ -4,6 +4,7 @@ The add-on is there before this is imported.
 """
 
 import json
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,7 +32,9 @@ def region() -> bpy.types.Region:
 
 
 def at_rest() -> bool:
-    """Whether the view shows everything as it is now."""
+    """Whether the view shows everything as it is now, live or in the engine's exact picture."""
+    if region().as_pointer() in handler.viewport.EXACT:
+        return True
     view = handler.view_of(region())
     return view is not None and view.complete and not view.waits
 
@@ -73,6 +76,7 @@ class Teller:
     """
 
     LONGEST = 60.0
+    """Seconds that a story waits for anything."""
     STEP = 0.1
 
     def __init__(self, story: Iterator[object], end: Callable[[str], None]) -> None:
@@ -84,20 +88,20 @@ class Teller:
         """
         self._story, self._end = story, end
         self._wish: object = 0.0
-        self._waited = 0.0
+        self._since = time.monotonic()
         bpy.context.preferences.view.show_splash = False
-        bpy.app.timers.register(self._go_on, first_interval=2.0)
+        # a story may open another file
+        bpy.app.timers.register(self._go_on, first_interval=2.0, persistent=True)
 
     def _go_on(self) -> float | None:
         """Seconds to the next call."""
         if callable(self._wish) and not self._wish():
-            if self._waited >= self.LONGEST:
-                return self._end("waited in vain")
-            self._waited += self.STEP
+            if time.monotonic() - self._since > self.LONGEST:
+                return self._end(f"waited in vain for {self._wish}")
             area().tag_redraw()
             return self.STEP
         try:
-            self._wish, self._waited = next(self._story), 0.0
+            self._wish, self._since = next(self._story), time.monotonic()
         except StopIteration:
             return self._end("")
         except Exception:

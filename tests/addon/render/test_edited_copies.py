@@ -98,3 +98,21 @@ def test_an_edit_that_comes_with_an_echo_shows_when_it_rests(
     for _ in range(20):
         views.drawn()
     assert views.copied <= before + 1
+
+
+def test_slow_redraws_come_to_rest_too(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the number of copies, which ends although every echo is late at first."""
+    monkeypatch.setattr(copies, "_ECHO", 1e-9)
+    views.made = copies.Copies()
+    move(8.0)
+    bpy.context.view_layer.update()
+    for _ in range(8):
+        views.drawn()
+    before = views.copied
+    for _ in range(20):
+        assert views.drawn() == np.float32(8.0)
+    assert views.copied <= before + 1  # once more when it rests
+    move(9.0)
+    bpy.context.view_layer.update()
+    views.drawn()
+    assert views.drawn() == np.float32(9.0)
