@@ -252,6 +252,7 @@ def render() -> Iterator[object]:
     key("mesh.primitive_cube_add", size=0.3)
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.device = 4, "CPU"
+    scene.cycles.use_denoising = False  # Debian 13 builds it without
     press("set_up_compositing")
     scene.render.filepath = str(FOLDER / "composite.png")
     key("render.render", write_still=True)
