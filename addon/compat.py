@@ -1,11 +1,13 @@
 """Everything that depends on Blender's version, told apart by what is there, not by numbers."""
 
+import inspect
 from typing import Any
 
 import bpy
 import gpu
 import mathutils
 import numpy as np
+from gpu_extras.presets import draw_texture_2d
 
 BLEND_RELATIVE: set[str] = (
     {"PATH_SUPPORTS_BLEND_RELATIVE"}
@@ -146,3 +148,9 @@ def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
     """Have a shader's `gl_FragDepth` count."""
     if _DECLARES_DEPTH:
         info.depth_write("ANY")
+
+
+TEXTURES_ARE_ENCODED = (
+    "is_scene_linear_with_rec709_srgb_target" in inspect.signature(draw_texture_2d).parameters
+)
+"""Whether `draw_texture_2d` takes values for encoded ones where its target is; else for light."""

@@ -10,23 +10,9 @@ from gpu_extras.batch import batch_for_shader
 from ..cameras.captures import RenderCamera
 from ..compat import shaders_write_depth
 from . import program
-from .program import PLANES, QUADS
+from .clip import PLANES, Cuts, depth_of_z
+from .program import QUADS
 from .uploads import Order, texture
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cuts:
-    """Where a view ends: splats whose centers lie beyond are left out."""
-
-    far: bool = False
-    """Whether at the far end of the projection."""
-    planes: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-    """[P, 4] float64, P at most `PLANES`: normals, which point to what stays, and offsets, in
-    Blender's world."""
-
-    def same(self, other: "Cuts") -> bool:
-        """Whether the other cuts the same."""
-        return self.far == other.far and np.array_equal(self.planes, other.planes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,17 +172,11 @@ class Card:
 def _planes(shot: Shot) -> np.ndarray:
     """[PLANES, 4] float64: what cuts, in the camera's space; zeros, which cut nothing, beyond."""
     out = np.zeros((PLANES, 4))
-    out[: len(shot.cuts.planes)] = shot.cuts.planes @ np.linalg.inv(shot.camera.viewmat)
+    out[: len(shot.cuts.planes)] = shot.cuts.in_front_of(shot.camera)
     return out
 
 
 def _projection(shot: Shot) -> tuple[float, float, float, float]:
-    """What takes a splat's z to a depth as Blender keeps it, and whether opacities are compensated.
-
-    Orthographic cameras were moved along their axis (`view_camera`); their own z is moved back.
-    """
-    factor, offset = shot.window[2, 2], shot.window[2, 3]
-    if shot.camera.orthographic:
-        own_near = (offset + 1) / factor
-        offset += factor * (shot.camera.near - own_near)
+    """What takes z to a depth as Blender keeps it, and whether opacities are compensated."""
+    factor, offset = depth_of_z(shot.camera, shot.window)
     return factor, offset, float(not shot.camera.orthographic), float(shot.antialias)

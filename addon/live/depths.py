@@ -8,18 +8,29 @@ from .uploads import texture
 
 
 class Depths:
-    """Of one view. As long as they stay the same, so does their texture: who has drawn with it need
-    not draw again."""
+    """Of one view. As long as they stay the same, so do their array and texture: who has drawn with
+    those need not draw again."""
 
     def __init__(self) -> None:
         self._size = (0, 0)
         self._read: list[np.ndarray] = []
+        self._values: np.ndarray | None = None
         self._texture: gpu.types.GPUTexture | None = None
 
     def read(
         self, left: int, bottom: int, width: int, height: int, *, front: bool = False
     ) -> gpu.types.GPUTexture:
-        """Those of a part of what is drawn to, in [0, 1]; waits until the card has drawn it.
+        """As `values`, on the card."""
+        shown = self.values(left, bottom, width, height, front=front)
+        if self._texture is None:
+            self._texture = texture(shown[..., None])
+        return self._texture
+
+    def values(
+        self, left: int, bottom: int, width: int, height: int, *, front: bool = False
+    ) -> np.ndarray:
+        """[H, W] float32 in [0, 1] of a part of what is drawn to, the bottom row first; waits until
+        the card has drawn it.
 
         Args:
             left: Pixels.
@@ -30,13 +41,13 @@ class Depths:
         """
         part = left, bottom, width, height
         found = [_read_depths(*part), *([_read_alphas(*part)] if front else [])]
-        if self._texture is None or not self._same((width, height), found):
+        if self._values is None or not self._same((width, height), found):
             shown = found[0].view(np.float32).reshape(height, width)
             if front:
                 shown = np.where(in_front(shown, found[1].reshape(height, width)), 0, shown)
-            self._texture = texture(shown[..., None].astype(np.float32, copy=False))
+            self._values, self._texture = shown.astype(np.float32, copy=False), None
             self._size, self._read = (width, height), found
-        return self._texture
+        return self._values
 
     def _same(self, size: tuple[int, int], found: list[np.ndarray]) -> bool:
         """Whether that was read before."""

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -11,6 +12,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..compat import matrix_to_numpy
+from ..interface.views import redraw_views
 from ..render import copies, viewport
 from ..render.engine import NAME, final_cache
 from ..render.operators import changes_colors
@@ -18,7 +20,10 @@ from ..render.scene import Source, sources
 from ..splats import settings as splat_settings
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
-from .card import Card, Cuts
+from .attempts import Attempts
+from .card import Card
+from .clip import Cuts
+from .engine_view import EngineView
 from .views import View
 
 POLL = 0.02
@@ -34,8 +39,9 @@ class _State:
     """Of the session."""
 
     card: Card | None = None
-    views: dict[int, View] = field(default_factory=dict)
-    """By the pointer of their region."""
+    views: dict[int, View | EngineView] = field(default_factory=dict)
+    """By the pointer of their region; all of one kind."""
+    attempts: Attempts = field(default_factory=Attempts)
     handle: object = None
     problems: dict[int, str] = field(default_factory=dict)
     """Sentences of views, by the pointer of their region."""
@@ -51,26 +57,28 @@ class _StandIn:
 
     def stands_in(self, context: bpy.types.Context) -> bool:
         """Whether splats are drawn live there; never in colours that the picture will not have."""
-        wanted = SESSION.works and context.scene.gscore_render.live
+        drawn = SESSION.works and not SESSION.by_engine
+        wanted = drawn and context.scene.gscore_render.live
         return wanted and not changes_colors(context.scene)
 
     def moves(self, context: bpy.types.Context) -> bool:
         """Whether its view has just changed."""
         view = _state.views.get(context.region.as_pointer())
-        return view is not None and view.level.moving
+        return isinstance(view, View) and view.level.moving
 
 
 _STAND_IN = _StandIn()
 
 
-def view_of(region: bpy.types.Region) -> View | None:
+def view_of(region: bpy.types.Region) -> View | EngineView | None:
     """What is known of a region's live drawing."""
     return _state.views.get(region.as_pointer())
 
 
 def problem_of(region: bpy.types.Region) -> str:
     """Why a region shows no live splats; empty where it does."""
-    return SESSION.problem or _state.problems.get(region.as_pointer(), "")
+    own = _state.problems.get(region.as_pointer(), "")
+    return " ".join(filter(None, (SESSION.problem, own)))
 
 
 def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[Source]:
@@ -96,14 +104,15 @@ def draw(context: bpy.types.Context) -> None:
         return
     if pointer in viewport.EXACT and _is_own(context):
         return
+    if _state.attempts.rests(time.monotonic()):
+        return
     try:
         _draw(context, pointer)
         _state.problems.pop(pointer, None)
     except ValueError as error:
         _state.problems[pointer] = str(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
-        _log.exception("Splats cannot be drawn live.")
-        _refuse(f"The graphics card does not draw splats ({error}); they are shown as points.")
+        _failed(error, pointer)
 
 
 def _draw(context: bpy.types.Context, pointer: int) -> None:
@@ -115,26 +124,66 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
         _ensure()
     if not placed:
         return
-    if _state.card is None:
+    if not SESSION.by_engine and _state.card is None:
         _state.card = Card()
-    view = _state.views.setdefault(pointer, View(final_cache))
+    view = _state.views.get(pointer)
+    if view is None:
+        view = EngineView(final_cache) if SESSION.by_engine else View(final_cache)
+        _state.views[pointer] = view
     rv3d = context.region_data
     matrix, window = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
-    left, bottom, width, height = gpu.state.viewport_get()
-    camera = viewport.view_camera(matrix, window, width, height, perspective=rv3d.is_perspective)
+    part = gpu.state.viewport_get()
+    camera = viewport.view_camera(matrix, window, *part[2:], perspective=rv3d.is_perspective)
     front = _has_lines_in_front(context, depsgraph)
-    read = partial(view.depths.read, left, bottom, width, height, front=front)
-    meshes = read if _hidden_by(context, depsgraph) else None
-    picture = view.draw(
-        *(_state.card, placed, camera, window, context.scene.gscore_render.antialias, meshes),
-        front=front,
-        cuts=_cuts(context),
-        tint=context.space_data.overlay.show_overlays and not _is_own(context),
-    )
-    if picture is not None:
-        _state.card.show(picture, left, bottom, width, height)
+    hides = _hidden_by(context, depsgraph)
+    antialias = context.scene.gscore_render.antialias
+    cuts = _cuts(context)
+    tint = context.space_data.overlay.show_overlays and not _is_own(context)
+    if isinstance(view, EngineView):
+        values = partial(view.depths.values, *part, front=front) if hides else None
+        view.draw(placed, camera, window, antialias, values, cuts=cuts, tint=tint)
+    else:
+        read = partial(view.depths.read, *part, front=front) if hides else None
+        picture = view.draw(
+            *(_state.card, placed, camera, window, antialias, read),
+            front=front,
+            cuts=cuts,
+            tint=tint,
+        )
+        if picture is not None:
+            _state.card.show(picture, *part)
     if view.waits:
         _ensure()
+
+
+def _failed(error: Exception, pointer: int) -> None:
+    """Let go of all that lies on the graphics card, and try again in a while; where there is no use
+    in that, go on with the engine's pictures, and where not even those are drawn, with points."""
+    refused = _state.card is None and not _state.attempts.count
+    _close_views()
+    _state.card = None
+    _calm()
+    if SESSION.by_engine:
+        _log.exception("Views cannot show pictures of splats.")
+        SESSION.by_engine = False
+        SESSION.problem = f"Views do not draw splats ({error}); they are shown as points."
+        _soon(_show_points, 0.0)  # nothing may change while drawing
+        return
+    pause = None if refused else _state.attempts.failed(time.monotonic())
+    if refused or _state.attempts.count == 1:
+        _log.exception("Splats cannot be drawn live.")
+    if pause is None:
+        SESSION.by_engine = True
+        SESSION.problem = (
+            f"The graphics card does not draw splats ({error}); views show the pictures of the "
+            "render engine, which come when a view rests."
+        )
+        _log.warning(SESSION.problem)
+    else:
+        _state.problems[pointer] = (
+            f"The graphics card failed while it drew splats ({error}); it is asked again."
+        )
+    _soon(redraw_views, pause or 0.0)
 
 
 def _is_own(context: bpy.types.Context) -> bool:
@@ -173,10 +222,18 @@ def _cuts(context: bpy.types.Context) -> Cuts:
     return Cuts(far=True, planes=planes)
 
 
-def _refuse(problem: str) -> None:
-    """Draw no more, and show points instead."""
-    SESSION.problem = problem
-    bpy.app.timers.register(_show_points, first_interval=0.0)  # nothing may change while drawing
+def _calm() -> None:
+    """Leave the graphics card as Blender expects it, which draws on, if it can."""
+    try:
+        gpu.state.blend_set("NONE")
+        gpu.state.depth_test_set("NONE")
+    except Exception:
+        _log.debug("The state of the graphics card is lost.", exc_info=True)
+
+
+def _soon(timer: Callable[[], None], seconds: float) -> None:
+    if not bpy.app.timers.is_registered(timer):
+        bpy.app.timers.register(timer, first_interval=seconds)
 
 
 def _show_points() -> None:
@@ -248,7 +305,7 @@ def on_unregister() -> None:
     """Draw no more, and let go of what lies on the graphics card."""
     if not SESSION.there:
         return
-    for timer in (_poll, _show_points):
+    for timer in (_poll, redraw_views, _show_points):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     viewport.STAND_INS.remove(_STAND_IN)
@@ -256,5 +313,5 @@ def on_unregister() -> None:
     bpy.app.handlers.depsgraph_update_post.remove(_changed)
     bpy.types.SpaceView3D.draw_handler_remove(_state.handle, "WINDOW")
     _close_views()
-    _state.card, _state.handle = None, None
-    SESSION.there, SESSION.problem = False, ""
+    _state.card, _state.handle, _state.attempts = None, None, Attempts()
+    SESSION.there, SESSION.problem, SESSION.by_engine = False, "", False

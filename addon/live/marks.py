@@ -1,7 +1,10 @@
 """How selected splats look, and that hidden ones do not show; no bpy, no gpu."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from ..core import Splats, sh_basis
 from ..render.frozen import HIDDEN, SELECTED
 
 TINT = np.float32([1.0, 0.5, 0.05])
@@ -29,3 +32,19 @@ def reselected(
 def shown(marks: np.ndarray) -> np.ndarray:
     """[B] bool: which splats with these marks [B] show."""
     return (marks & HIDDEN) == 0
+
+
+def tinted_splats(splats: Splats, marks: np.ndarray) -> Splats:
+    """Splats as a picture of all of them has to be given them, with these marks [N]: without those
+    that are hidden, and those that are selected tinted."""
+    there = shown(marks)
+    if not there.all():
+        splats, marks = splats.subset(there), marks[there]
+    chosen = (marks & SELECTED) != 0
+    if not chosen.any():
+        return splats
+    constant = sh_basis(0, np.zeros((1, 3), np.float32))[0, 0]
+    sh0, shN = splats.sh0.copy(), splats.shN.copy()
+    sh0[chosen] += SHARE * ((TINT - np.float32(0.5)) / constant - sh0[chosen])
+    shN[chosen] *= 1 - SHARE
+    return replace(splats, sh0=sh0, shN=shN)

@@ -9,13 +9,12 @@ import gpu
 
 from ..compat import declare_depth
 from .atlas import COLUMNS, TEXELS
+from .clip import PLANES
 
 QUADS = 64
 """Splats of one instance."""
 ORDER_COLUMNS = 1024
 """Splats in a row of the texture that says their order."""
-PLANES = 6
-"""That may cut a view."""
 
 _SPLAT_VERTEX = """
 void main()

@@ -14,7 +14,8 @@ from ..render import picture
 from ..render.scene import Placed, SplatCache, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
-from .card import Canvas, Card, Cuts, Shot
+from .card import Canvas, Card, Shot
+from .clip import Cuts
 from .depths import Depths
 from .level import Level
 from .marks import reselected

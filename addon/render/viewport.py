@@ -2,8 +2,9 @@
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import bpy
 import gpu
@@ -18,7 +19,7 @@ from ..process import threads
 from . import picture
 from .film import Film
 from .held_meshes import HeldMesh, same_meshes
-from .scene import Placed, SplatCache
+from .scene import Model, Placed, SplatCache
 from .stage import View
 
 QUICK = 0.08
@@ -31,9 +32,40 @@ _POLL = 0.02
 """Seconds between two looks whether a picture is ready."""
 
 
+class Wish(Protocol):
+    """A picture that is wanted of a painter."""
+
+    @property
+    def placed(self) -> list[Placed]:
+        """The objects."""
+        ...
+
+    @property
+    def camera(self) -> RenderCamera:
+        """Of the view."""
+        ...
+
+    def same(self, other: Any) -> bool:
+        """Whether the other picture, or None, is this one."""
+        ...
+
+    def shoot(
+        self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
+    ) -> np.ndarray:
+        """[H, W, 4] float32, premultiplied, the bottom row first; errors as `picture.draw`.
+
+        Args:
+            model: Of `placed`.
+            camera: The wish's, or one with fewer pixels.
+            stop: As `picture.draw`.
+            cancel: As `picture.draw`.
+        """
+        ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A picture that is wanted."""
+    """A picture that is wanted in Rendered shading."""
 
     placed: list[Placed]
     held: tuple[HeldMesh, ...]
@@ -58,6 +90,15 @@ class Request:
             and np.array_equal(self.to_scene, other.to_scene)
         )
 
+    def shoot(
+        self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
+    ) -> np.ndarray:
+        """As `Wish`; scene-linear."""
+        film = Film(options=self.options, transparent=self.transparent, to_scene=self.to_scene)
+        return film.shoot(View(model=model, camera=camera, held=self.held), stop, cancel)[
+            "Combined"
+        ]
+
 
 class Painter:
     """Draws the last picture that was asked for, smaller first; knows nothing of bpy."""
@@ -65,7 +106,7 @@ class Painter:
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
         self._wish = threading.Condition()
-        self._request: Request | None = None
+        self._request: Wish | None = None
         self._cancel = CancelFlag()
         self._thread: threading.Thread | None = None
         self._factor = 1
@@ -77,13 +118,13 @@ class Painter:
         """Whether something was finished since this was last set to False."""
         self.busy = False
         """Whether something is being drawn."""
-        self._finished: Request | None = None
+        self._finished: Wish | None = None
 
-    def shows(self, request: Request) -> bool:
+    def shows(self, request: Wish) -> bool:
         """Whether `pixels` are this picture in full size."""
         return self.pixels is not None and request.same(self._finished)
 
-    def ask(self, request: Request) -> None:
+    def ask(self, request: Wish) -> None:
         """Draw this from now on.
 
         What is drawn for an older wish is dropped where it takes long, but for its small picture:
@@ -107,7 +148,7 @@ class Painter:
     _closed = False
 
     def _run(self) -> None:
-        done: Request | None = None
+        done: Wish | None = None
         while True:
             with self._wish:
                 self.busy = self._request is not None and self._request is not done
@@ -125,21 +166,19 @@ class Painter:
                 self.problem, self.pixels, done = str(error) or "Out of memory.", None, request
                 self.fresh = True
 
-    def _paint(self, request: Request) -> None:
+    def _paint(self, request: Wish) -> None:
         """Draw at a size that is quick, then at the full one."""
         model = self._cache.model(request.placed)
-        film = Film(
-            options=request.options, transparent=request.transparent, to_scene=request.to_scene
-        )
         for factor in dict.fromkeys((self._factor, 1)):
             began = time.perf_counter()
             camera = smaller(request.camera, factor)
             until = began + PATIENCE if factor == 1 else float("inf")
-            pixels = film.shoot(
-                View(model=model, camera=camera, held=request.held),
+            pixels = request.shoot(
+                model,
+                camera,
                 lambda until=until: self._is_old(request) and time.perf_counter() > until,
                 self._cancel,
-            )["Combined"]
+            )
             took = time.perf_counter() - began
             self.pixels, self.problem, self.fresh = pixels, "", True
             if factor > 1 and self._is_old(request):
@@ -149,7 +188,7 @@ class Painter:
         wanted = (took / QUICK) ** 0.5  # the last one was full size
         self._factor = min(COARSEST, max(1, int(np.ceil(wanted))))
 
-    def _is_old(self, request: Request) -> bool:
+    def _is_old(self, request: Wish) -> bool:
         return self._request is not request
 
 

@@ -163,7 +163,7 @@ def apply(ob: bpy.types.Object) -> None:
     mode = settings.display or "SOFT"  # files of newer Blenders have displays that this one lacks
     if mode in {"SPLATS", "NATIVE"} or is_of_another_blender(modifier.node_group):
         modifier.node_group = display.group()  # files may hold one that does not know this display
-    if mode == "SPLATS" and live.SESSION.problem:
+    if mode == "SPLATS" and live.SESSION.as_points:
         mode = "POINTS"
     _leave_points_unselected(ob.data)
     values = {

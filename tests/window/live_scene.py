@@ -212,18 +212,6 @@ def story() -> Iterator[object]:
     yield lambda: region().as_pointer() in handler.viewport.EXACT
     yield 1.0
     screenshot("exact")
-    handler.viewport.EXACT.clear()
-    space().shading.type = "SOLID"
-    handler._state.card, init = None, Card.__init__
-    Card.__init__ = _refusing
-    area().tag_redraw()
-    yield 1.0
-    Card.__init__ = init
-    seen["refused"] = handler.problem_of(region())
-
-
-def _refusing(self: Card) -> None:
-    raise Exception("a driver's word")
 
 
 def _end(problem: str) -> None:

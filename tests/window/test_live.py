@@ -22,8 +22,7 @@ COLOR = (204, 102, 51)
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `live_scene.py` saw, and the folder of its pictures."""
     found, folder, output = told("live", tmp_path_factory, longest=LONGEST)
-    refused = output.count("Splats cannot be drawn live.")  # what the driver said is shown whole
-    assert refused == output.count("Traceback") == 1, output
+    assert "Traceback" not in output, output
     return found, folder
 
 
@@ -115,9 +114,3 @@ def test_the_exact_picture_takes_over(seen):
     part = np.s_[SCREEN[1] - y - 60 : SCREEN[1] - y + 60, x - 60 : x + 60]
     assert np.abs(live[part] - exact[part]).max() <= 3
     assert np.std(exact[part]) > 5
-
-
-def test_a_refused_program_is_a_sentence(seen):
-    """Oracle: what the driver said."""
-    assert "a driver's word" in seen[0]["refused"]
-    assert "shown as points" in seen[0]["refused"]

@@ -51,7 +51,8 @@ def drawn(card, parts: list[Splats], matrices, camera, **options):
 
 def painted(card, parts, matrices, camera, *, meshes=None, limit=None, nearness=False, **options):
     """The same, and [H, W] nearness or None."""
-    from addon.live.card import Canvas, Cuts, Shot
+    from addon.live.card import Canvas, Shot
+    from addon.live.clip import Cuts
     from addon.live.uploads import Order, Texels, texture
 
     viewmats = tuple(camera.viewmat @ m for m in matrices)
@@ -162,7 +163,7 @@ def test_depths_are_blended_like_colours(card):
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_what_lies_beyond_planes_is_left_out(card, orthographic):
     """Oracle: gscore.render of the splats on the planes' inner sides; an object that is moved."""
-    from addon.live.card import Cuts
+    from addon.live.clip import Cuts
 
     splats, camera, matrix = lab.blob(2000), view(orthographic), np.diag([0.8, 0.8, 0.8, 1.0])
     matrix[:3, 3] = 0.1, -0.05, 0.1
@@ -178,7 +179,7 @@ def test_what_lies_beyond_planes_is_left_out(card, orthographic):
 
 def test_what_lies_beyond_the_far_end_is_left_out(card):
     """Oracle: gscore.render of the splats before it; of all, where the view has none."""
-    from addon.live.card import Cuts
+    from addon.live.clip import Cuts
 
     splats, camera = lab.blob(2000), view()
     window, far = WINDOW.copy(), 2.1

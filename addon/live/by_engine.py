@@ -1,0 +1,127 @@
+"""Views whose splats the graphics card refuses: pictures of the render engine, made by a thread,
+with what Blender has drawn before them; no gpu."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cameras.captures import RenderCamera
+from ..compat import TEXTURES_ARE_ENCODED
+from ..core import CancelFlag
+from ..render import picture
+from ..render.scene import Model, Placed, marks_of
+from ..srgb import encode
+from .clip import Cuts, z_of
+from .marks import tinted_splats
+
+EXPONENT = 2.2
+"""Blender encodes what lies over a view's picture with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """A picture that is wanted, as `render.viewport.Wish`."""
+
+    placed: list[Placed]
+    """None of them held out: views show what is, as long as it is drawn live."""
+    camera: RenderCamera
+    """Of the view."""
+    window: np.ndarray
+    """[4, 4] float64, Blender's projection."""
+    antialias: str
+    """What the scene wishes."""
+    depths: np.ndarray | None
+    """[H, W] float32 of what hides splats (`Depths.values`), another array where they differ."""
+    cuts: Cuts
+    """Where the view ends."""
+    tint: bool
+    """Whether what is selected is seen."""
+
+    def same(self, other: "Wish | None") -> bool:
+        """Whether the other picture is this one."""
+        return (
+            other is not None
+            and list(map(_shown, self.placed)) == list(map(_shown, other.placed))
+            and all(
+                a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
+                for a, b in zip(self.placed, other.placed, strict=True)
+            )
+            and self.camera.same(other.camera)
+            and np.array_equal(self.window, other.window)
+            and (self.antialias, self.tint) == (other.antialias, other.tint)
+            and self.depths is other.depths
+            and self.cuts.same(other.cuts)
+        )
+
+    def shoot(
+        self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
+    ) -> np.ndarray:
+        """[H, W, 4] float32, as `over_view`.
+
+        Args:
+            model: Of the objects.
+            camera: The view's, or one with fewer pixels.
+            stop: As `picture.draw`.
+            cancel: As `picture.draw`.
+        """
+        options = picture.Options(antialias=self.antialias)
+        far = None if self.depths is None else self._far(self.depths, camera)
+        seen = self._seen(model)
+        drawn = picture.draw(seen, camera, options, far_depths=far, stop=stop, cancel=cancel)
+        return over_view(drawn.rgb, drawn.alpha)
+
+    def _seen(self, model: Model) -> Model:
+        """Without what is cut off or hidden, and with what is selected tinted."""
+        splats = model.splats
+        found = [marks_of(placed, selected=self.tint) for placed in self.placed]
+        if any(marks is not None for marks in found):
+            pairs = zip(self.placed, found, strict=True)
+            splats = tinted_splats(splats, np.concatenate([_marks(p, m) for p, m in pairs]))
+        if self.cuts.far or len(self.cuts.planes):
+            matrix = (self.camera.viewmat @ model.matrix).astype(np.float32)
+            places = splats.means @ matrix[:3, :3].T + matrix[:3, 3]
+            there = self.cuts.kept(places, self.camera, self.window)
+            splats = splats if there.all() else splats.subset(there)
+        return Model(
+            splats=splats, matrix=model.matrix, antialias=model.antialias, plain=model.plain
+        )
+
+    def _far(self, depths: np.ndarray, camera: RenderCamera) -> np.ndarray:
+        """[H, W] float32, as `picture.draw` takes it, of a camera that may have fewer pixels."""
+        height, width = depths.shape
+        rows = (np.arange(camera.height) + 0.5) * height / camera.height
+        columns = (np.arange(camera.width) + 0.5) * width / camera.width
+        there = depths[rows.astype(int)[::-1, None], columns.astype(int)]
+        far = z_of(there, self.camera, self.window).astype(np.float32)
+        far[there >= 1] = np.nan
+        return far
+
+
+def over_view(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """[H, W, 4] float32 as textures are drawn over a view's picture, the bottom row first: light,
+    premultiplied, and encoded where Blender writes them as they are.
+
+    Args:
+        rgb: [H, W, 3] sRGB values over black.
+        alpha: [H, W], how much of a pixel is covered.
+    """
+    share = alpha[..., None]
+    straight = np.divide(rgb, share, out=np.zeros_like(rgb), where=share > 0)
+    out = np.empty((*alpha.shape, 4), np.float32)
+    light = np.clip(straight, 0, 1) ** np.float32(EXPONENT) * share
+    out[..., :3] = encode(light) if TEXTURES_ARE_ENCODED else light
+    out[..., 3] = alpha
+    return np.ascontiguousarray(out[::-1])
+
+
+def _shown(placed: Placed) -> tuple[object, ...]:
+    return placed.part, placed.antialias, placed.edited
+
+
+def _marks(placed: Placed, marks: np.ndarray | None) -> np.ndarray:
+    """[N] uint8 of the splats that are drawn of an object, given as `marks_of` gives them."""
+    if marks is not None:
+        return marks
+    filters, count = placed.filters, len(placed.frozen.vertices)
+    return np.zeros(count if filters is None else placed.frozen.kept(filters).sum(), np.uint8)

@@ -1,0 +1,95 @@
+"""The 3D views whose splats the graphics card refuses; used where Blender draws."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import gpu
+import numpy as np
+from mathutils import Matrix
+
+from ..cameras.captures import RenderCamera
+from ..render.scene import Placed, SplatCache
+from ..render.viewport import Viewport
+from .by_engine import Wish
+from .clip import Cuts
+from .depths import Depths
+
+
+class EngineView:
+    """One region of a 3D view: a thread draws its picture, smaller first; until it is there, the
+    last one stays."""
+
+    def __init__(self, cache: SplatCache) -> None:
+        """Nothing is drawn yet."""
+        self._viewport = Viewport(cache)
+        self.complete = False
+        """Whether the last redraw showed everything as it is now."""
+        self.depths = Depths()
+
+    @property
+    def waits(self) -> bool:
+        """Whether the picture will change although nobody touches anything."""
+        return self._viewport.painter.busy or self._viewport.painter.fresh
+
+    def stale(self, now: float) -> bool:
+        """Whether a redraw would show something else."""
+        return self._viewport.painter.fresh
+
+    def close(self) -> None:
+        """End the thread."""
+        self._viewport.painter.close()
+
+    def draw(
+        self,
+        placed: list[Placed],
+        camera: RenderCamera,
+        window: np.ndarray,
+        antialias: str,
+        meshes: Callable[[], np.ndarray] | None,
+        *,
+        cuts: Cuts,
+        tint: bool,
+    ) -> None:
+        """Draw what is there, and ask for what is missing.
+
+        Args:
+            placed: The objects.
+            camera: Of the view.
+            window: [4, 4] float64, Blender's projection.
+            antialias: What the scene wishes.
+            meshes: Reads depths of what may hide splats (`Depths.values`). None: nothing does.
+            cuts: Where the view ends.
+            tint: Whether what is selected is seen.
+
+        Raises:
+            ValueError: there is no picture; says why.
+        """
+        wish = Wish(
+            placed=[replace(one, holdout=False) for one in placed],
+            camera=camera,
+            window=window,
+            antialias=antialias,
+            depths=None if meshes is None else meshes(),
+            cuts=cuts,
+            tint=tint,
+        )
+        painter = self._viewport.painter
+        painter.ask(wish)
+        painter.fresh = False
+        self.complete = painter.shows(wish)
+        pixels = painter.pixels
+        if painter.problem:
+            raise ValueError(painter.problem)
+        if pixels is None:
+            return
+        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+            gpu.matrix.load_identity()
+            gpu.matrix.load_projection_matrix(_over(camera.width, camera.height))
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            self._viewport.draw(pixels, camera.width, camera.height)
+
+
+def _over(width: int, height: int) -> Matrix:
+    """The projection in which a view of that many pixels goes from its lower left corner."""
+    return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))

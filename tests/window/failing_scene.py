@@ -1,0 +1,139 @@
+"""Runs inside a Blender with a window: a graphics card that fails and refuses; takes screenshots.
+
+`blender --factory-startup -P tests/window/failing_scene.py -- FOLDER PACKAGES...`, as
+`live_scene.py`.
+"""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+from mathutils import Quaternion  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon.live import attempts, handler  # noqa: E402
+from addon.live.card import Card  # noqa: E402
+from addon.nodes import display  # noqa: E402
+from addon.render.viewport import Viewport  # noqa: E402
+from tests.addon import splat_scenes as lab  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+
+COLOR = (0.8, 0.4, 0.2)
+seen: dict = {"log": [], "problems": {}, "calls": {}}
+
+
+def shot(name: str) -> None:
+    """The screen as a file, and what the panel says."""
+    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+    seen["problems"][name] = handler.problem_of(region())
+
+
+class Failing:
+    """A method that raises a driver's word so many times, and counts."""
+
+    def __init__(self, owner: Any, name: str, times: float) -> None:
+        """Put it into the place of the real one."""
+        self.owner, self.name, self.times, self.calls = owner, name, times, 0
+        self.real = getattr(owner, name)
+        setattr(owner, name, lambda *given, **named: self(*given, **named))
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        """Fail, or do what is to be done."""
+        self.calls += 1
+        if self.calls <= self.times:
+            raise Exception("a driver's word")
+        return self.real(*given, **named)
+
+    def end(self, name: str) -> None:
+        """The real one again."""
+        setattr(self.owner, self.name, self.real)
+        seen["calls"][name] = self.calls
+
+
+def turned(view: bpy.types.RegionView3D, angle: float) -> Iterator[object]:
+    """A view from elsewhere, at rest."""
+    view.view_rotation = Quaternion((0, 1, 0), angle)
+    yield 0.5
+    yield at_rest
+
+
+def story() -> Iterator[object]:
+    """What happens; a yield hands over to Blender (`Teller`)."""
+    scene = bpy.context.scene
+    clear()
+    view = space().region_3d
+    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
+    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    wall = lab.add(scene, lab.wall(0.0, COLOR), "wall")
+    lab.add(scene, lab.blob(2000, center=(0.5, 0.3, 0.3)), "blob")
+    mesh = bpy.data.meshes.new("plate")
+    corners = [(-0.2, -0.2, 0.5), (0.2, -0.2, 0.5), (0.2, 0.2, 0.5), (-0.2, 0.2, 0.5)]
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    scene.collection.objects.link(bpy.data.objects.new("plate", mesh))
+    for ob in scene.objects:
+        ob.select_set(False)
+    yield 0.5
+    yield at_rest
+    yield 1.0
+    found = region()
+    seen["middle"] = [found.x + found.width // 2, found.y + found.height // 2]
+    shot("live")
+    yield from turned(view, 0.4)
+    shot("live_turned")
+    yield from turned(view, 0.0)
+    before = handler.view_of(region())
+    failing = Failing(Card, "show", 1)
+    area().tag_redraw()
+    yield 0.15
+    shot("failed_once")
+    yield lambda: handler.view_of(region()) not in (None, before)
+    yield at_rest
+    failing.end("once")
+    yield 0.5
+    shot("again")
+    attempts.PAUSES = (0.1, 0.2, 0.3)
+    failing = Failing(Card, "show", 1e9)
+    area().tag_redraw()
+    yield lambda: handler.SESSION.by_engine
+    yield at_rest
+    yield 0.5
+    failing.end("for_good")
+    shot("by_engine")
+    yield from turned(view, 0.4)
+    shot("by_engine_turned")
+    yield from turned(view, 0.0)
+    wall.data.attributes["radiance:base"].data.foreach_set("color", [0.5, 0.0, 0.0, 6.0] * 1681)
+    wall.data.update()
+    yield 0.5
+    yield at_rest
+    shot("by_engine_painted")
+    addon_utils.disable("addon")
+    addon_utils.enable("addon", persistent=True)
+    failing = Failing(Card, "__init__", 1e9)
+    area().tag_redraw()
+    yield lambda: handler.SESSION.by_engine
+    yield at_rest
+    yield 0.5
+    failing.end("refused")
+    shot("refused")
+    failing = Failing(Viewport, "draw", 1e9)
+    area().tag_redraw()
+    yield lambda: handler.SESSION.as_points
+    yield 1.0
+    failing.end("no_pictures")
+    shot("points")
+    modifier = display.modifier_of(wall)
+    seen["vertices"] = [len(ob.data.vertices) for ob in scene.objects if ob.type == "MESH"]
+    seen["modifier"] = modifier is not None
+
+
+Teller(story(), leaving(FOLDER, seen))

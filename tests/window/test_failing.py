@@ -1,0 +1,77 @@
+"""A graphics card that fails, in the window of a real Blender. Oracles: in the tests.
+
+Needs what `test_live.py` needs.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.window.scenes import SCREEN, pixels, told
+
+pytestmark = pytest.mark.window
+
+LONGEST = 300
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path, str]:
+    """What `failing_scene.py` saw, the folder of its pictures, and what Blender wrote."""
+    return told("failing", tmp_path_factory, longest=LONGEST)
+
+
+def around(seen: tuple[dict, Path, str], name: str) -> np.ndarray:
+    """[220, 300, 3] of the middle of the view, where splats and a mesh are."""
+    x, y = seen[0]["middle"]
+    return pixels(seen[1], name)[SCREEN[1] - y - 110 :, x - 150 : x + 150][:220]
+
+
+def test_a_card_that_fails_once_is_asked_again(seen):
+    """Oracle: the same pixels as before, but for how Blender rounds its lines; the sentence is
+    there as long as it rests."""
+    problems = seen[0]["problems"]
+    assert "it is asked again" in problems["failed_once"]
+    assert not problems["again"]
+    assert np.abs(around(seen, "again") - around(seen, "live")).max() <= 2
+
+
+@pytest.mark.parametrize("name", ["by_engine", "by_engine_turned", "refused"])
+def test_pictures_of_the_engine_take_over(seen, name):
+    """Oracle: those of the card: splats before and behind a mesh, from two sides."""
+    said = seen[0]["problems"][name]
+    assert "a driver's word" in said and "pictures of the render engine" in said
+    if name != "refused":  # by then the wall has another colour
+        live = around(seen, name.replace("by_engine", "live"))
+        apart = np.abs(live - around(seen, name))
+        assert np.std(live) > 20 and (apart > 4).mean() < 0.01
+
+
+def test_changes_are_seen_in_the_pictures_of_the_engine(seen):
+    """Oracle: another colour of the wall."""
+    apart = np.abs(around(seen, "by_engine") - around(seen, "by_engine_painted"))
+    assert (apart > 50).any(axis=2).mean() > 0.2
+    apart = np.abs(around(seen, "by_engine_painted") - around(seen, "refused"))
+    assert (apart > 4).mean() < 0.01
+
+
+def test_what_is_refused_is_not_asked_for_again(seen):
+    """Oracle: how often the card was asked: once, or with three pauses."""
+    calls = seen[0]["calls"]
+    assert calls["refused"] == 1 and calls["for_good"] == 3
+
+
+def test_points_where_nothing_else_is_drawn(seen):
+    """Oracle: the sentence, how often was asked, and that the picture is another."""
+    assert "shown as points" in seen[0]["problems"]["points"]
+    assert seen[0]["calls"]["no_pictures"] == 1
+    assert (np.abs(around(seen, "points") - around(seen, "refused")) > 20).mean() > 0.1
+
+
+def test_the_console_is_told_once(seen):
+    """Oracle: one traceback for a row of failures, one for what is refused, one for points."""
+    output = seen[2]
+    assert output.count("Traceback") == 3, output
+    assert output.count("Splats cannot be drawn live.") == 2, output
+    assert output.count("Views cannot show pictures of splats.") == 1, output
+    assert seen[0]["vertices"] and seen[0]["modifier"]
