@@ -144,6 +144,12 @@ def shaders_write_depth() -> bool:
     return _DECLARES_DEPTH or gpu.platform.backend_type_get() == "OPENGL"
 
 
+def blends_float32() -> bool:
+    """Whether four float32 a pixel can be blended; Apple's graphics cards do not. Asked while
+    drawing."""
+    return gpu.platform.backend_type_get() != "METAL"
+
+
 def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
     """Have a shader's `gl_FragDepth` count."""
     if _DECLARES_DEPTH:

@@ -8,7 +8,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 
 from ..cameras.captures import RenderCamera
-from ..compat import shaders_write_depth
+from ..compat import blends_float32, shaders_write_depth
 from . import program
 from .clip import PLANES, Cuts, depth_of_z
 from .program import QUADS
@@ -44,16 +44,19 @@ class Shot:
 class Canvas:
     """What splats are blended on: premultiplied sRGB values, the bottom row first."""
 
-    def __init__(self, width: int, height: int, *, nearness: bool) -> None:
+    def __init__(self, width: int, height: int, *, nearness: bool, exact: bool = False) -> None:
         """Reserve it.
 
         Args:
             width: Pixels.
             height: Pixels.
             nearness: Whether it has that as well.
+            exact: Whether values are kept to more digits than a moving view needs. Hundreds of
+                faint splats lose what each of them adds otherwise.
         """
-        self.width, self.height = width, height
-        self.picture = gpu.types.GPUTexture((width, height), format="RGBA16F")
+        self.width, self.height, self.exact = width, height, exact
+        kind = "RGBA32F" if exact and blends_float32() else "RGBA16F"
+        self.picture = gpu.types.GPUTexture((width, height), format=kind)
         self.nearness = gpu.types.GPUTexture((width, height), format="R32F") if nearness else None
         """1 less the depths of splats, blended like their colours; None: not drawn."""
         slots = [t for t in (self.picture, self.nearness) if t is not None]

@@ -20,9 +20,9 @@ _SPLAT_VERTEX = """
 void main()
 {
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);  // outside: not drawn
-  spread = vec2(0.0);
+  ellipse = vec4(0.0);
   shade = vec4(0.0);
-  place = 2.0;
+  spot = vec3(0.0, 0.0, 2.0);
   int number = int(corner.z + 0.5) + gl_InstanceID * QUADS;
   if (number >= int(count.x)) {
     return;
@@ -79,11 +79,12 @@ void main()
   vec3 v1 = vec3(dot(s0, m1), dot(s1, m1), dot(s2, m1));
   float xx = max(dot(m0, v0), 0.0), yy = max(dot(m1, v1), 0.0), xy = dot(m1, v0);
   float before = max(xx * yy - xy * xy, 0.0);
+  float after = before + WIDENING * (xx + yy + WIDENING);
   xx += WIDENING;
   yy += WIDENING;
   float opacity = a.w;
   if (projection.w > 0.5) {
-    opacity *= max(sqrt(before / (xx * yy - xy * xy)), 0.005);
+    opacity *= max(sqrt(before / after), 0.005);
   }
   if (opacity < 1.0 / 255.0) {
     return;
@@ -96,32 +97,37 @@ void main()
     axis = normalize(axis);
   }
   float reach = sqrt(2.0 * log(255.0 * opacity));
-  spread = corner.xy * reach;
-  vec2 radii = sqrt(vec2(half_trace + apart, max(half_trace - apart, WIDENING)));
-  vec2 to = spread * radii;
-  at_pixel += axis * to.x + vec2(-axis.y, axis.x) * to.y;
+  float longest = half_trace + apart;
+  vec2 radii = sqrt(vec2(longest, max(after / longest, WIDENING)));
+  vec2 other = vec2(-axis.y, axis.x);
+  ellipse = vec4(axis / radii.x, other / radii.y);
+  spot = vec3(at_pixel, depth);
   shade = vec4(entry.yzw, opacity);
-  place = depth;
+  vec2 to = corner.xy * (reach * radii + 0.01);  // corners are moved a little by the card
+  at_pixel += axis * to.x + other * to.y;
   gl_Position = vec4(2.0 * at_pixel.x / size.x - 1.0, 1.0 - 2.0 * at_pixel.y / size.y, 0.0, 1.0);
 }
 """
 _SPLAT_FRAGMENT = """
 void main()
 {
+  // At the pixel's middle itself: what comes from the corners is rounded as they are.
+  vec2 from = vec2(gl_FragCoord.x, frame.y - gl_FragCoord.y) - spot.xy;
+  vec2 spread = vec2(dot(from, ellipse.xy), dot(from, ellipse.zw));
   float alpha = min(0.99, shade.a * exp(-0.5 * dot(spread, spread)));
   if (alpha < 1.0 / 255.0) {
     discard;
   }
   if (count.z > 0.5) {
     vec2 scale = vec2(textureSize(meshes, 0)) / frame.xy;
-    if (place > texelFetch(meshes, ivec2(gl_FragCoord.xy * scale), 0).r) {
+    if (spot.z > texelFetch(meshes, ivec2(gl_FragCoord.xy * scale), 0).r) {
       discard;
     }
   }
   result = vec4(shade.rgb * alpha, alpha);
 #ifdef NEARNESS
   // From the far end: near 0, where a view's depths crowd, numbers tell more apart.
-  nearness = vec4((1.0 - place) * alpha, 0.0, 0.0, alpha);
+  nearness = vec4((1.0 - spot.z) * alpha, 0.0, 0.0, alpha);
 #endif
 }
 """
@@ -195,9 +201,9 @@ def splats(*, nearness: bool = False) -> gpu.types.GPUShader:
         info.sampler(slot, "FLOAT_2D", name)
     info.vertex_in(0, "VEC3", "corner")
     between = gpu.types.GPUStageInterfaceInfo("gscore_splats")
-    between.smooth("VEC2", "spread")
+    between.flat("VEC4", "ellipse")  # its axes, each divided by its length
+    between.flat("VEC3", "spot")  # middle, pixels from the upper left; depth
     between.flat("VEC4", "shade")
-    between.flat("FLOAT", "place")
     info.vertex_out(between)
     if nearness:
         info.define("NEARNESS")

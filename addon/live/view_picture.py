@@ -27,6 +27,7 @@ class ViewPicture:
         meshes: gpu.types.GPUTexture | None,
         *,
         nearness: bool = False,
+        exact: bool = False,
         took: Callable[[float], None] | None = None,
     ) -> Canvas:
         """The picture.
@@ -38,17 +39,18 @@ class ViewPicture:
             shot: From where.
             meshes: As `Card.draw`; another where depths differ (`Depths`).
             nearness: Whether the picture gets it.
+            exact: As `Canvas`.
             took: Called with the seconds that the card needed, if it has to draw; waits for it.
         """
         size = shot.camera.width, shot.camera.height
-        canvas = self._fitting(*size, nearness)
+        canvas = self._fitting(*size, nearness, exact)
         if canvas is not None and self._holds is not None:
             order_, shot_, meshes_ = self._holds
             if order_ is order and meshes_ is meshes and shot.same(shot_):
                 return canvas
         self._holds = None  # until it is drawn
         if canvas is None:
-            canvas = self._canvas = Canvas(*size, nearness=nearness)
+            canvas = self._canvas = Canvas(*size, nearness=nearness, exact=exact)
         if took is None:
             card.draw(canvas, atlas, order, shot, meshes)
         else:
@@ -60,12 +62,13 @@ class ViewPicture:
         self._holds = order, shot, meshes
         return canvas
 
-    def _fitting(self, width: int, height: int, nearness: bool) -> Canvas | None:
+    def _fitting(self, width: int, height: int, nearness: bool, exact: bool) -> Canvas | None:
         """The canvas, if it is one of that kind."""
         canvas = self._canvas
         if canvas is None or (canvas.width, canvas.height) != (width, height):
             return None
-        return canvas if (canvas.nearness is not None) == nearness else None
+        kind = canvas.nearness is not None, canvas.exact
+        return canvas if kind == (nearness, exact) else None
 
 
 def _wait(canvas: Canvas) -> None:

@@ -254,6 +254,7 @@ class View:
         canvas = self._picture.draw(
             *(card, shown.texels.texture, shown.order, shot, depths),
             nearness=nearness,
+            exact=not self.level.moving,
             took=took,
         )
         self.drawn = min(detail.count, shown.wish.count)

@@ -12,7 +12,7 @@ SHOT = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda ot
 def with_canvas() -> tuple[ViewPicture, SimpleNamespace]:
     """One that has something to draw on, and that."""
     picture = ViewPicture()
-    picture._canvas = SimpleNamespace(width=4, height=3, nearness=None)
+    picture._canvas = SimpleNamespace(width=4, height=3, nearness=None, exact=False)
     return picture, picture._canvas
 
 
