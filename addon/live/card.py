@@ -11,6 +11,7 @@ from ..cameras.captures import RenderCamera
 from ..compat import blends_float32, shaders_write_depth
 from . import program
 from .clip import PLANES, Cuts, depth_of_z
+from .photos import FrontPhoto
 from .program import QUADS
 from .uploads import Order, texture
 
@@ -151,10 +152,26 @@ class Card:
             self._rows.uniform_sampler("piece", piece)
             self._piece.draw(self._rows)
 
-    def show(self, canvas: Canvas, left: int, bottom: int, width: int, height: int) -> None:
+    def show(
+        self,
+        canvas: Canvas,
+        left: int,
+        bottom: int,
+        width: int,
+        height: int,
+        photo: FrontPhoto | None = None,
+    ) -> None:
         """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it.
 
         One with nearness is laid behind what stands before the splats of a pixel, on the whole.
+
+        Args:
+            canvas: The picture.
+            left: Of the part, pixels.
+            bottom: Of the part, pixels.
+            width: Pixels.
+            height: Pixels.
+            photo: What is seen before the splats.
         """
         near = canvas.nearness is not None
         shader = self._near_view if near else self._view
@@ -165,6 +182,9 @@ class Card:
         smaller = canvas.width / width, canvas.height / height
         shader.uniform_float("place", (left, bottom, *smaller))
         shader.uniform_sampler("picture", canvas.picture)
+        shader.uniform_sampler("photo", self._nothing if photo is None else photo.texture)
+        shader.uniform_float("photo_frame", (0, 0, 1, 1) if photo is None else photo.frame)
+        shader.uniform_float("photo_opacity", 0.0 if photo is None else photo.opacity)
         if near:
             shader.uniform_sampler("nearness", canvas.nearness)
         self._screen.draw(shader)

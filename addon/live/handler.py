@@ -20,6 +20,7 @@ from ..render.scene import Source, sources
 from ..splats import settings as splat_settings
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
+from . import photos
 from .attempts import Attempts
 from .card import Card
 from .clip import Cuts
@@ -56,15 +57,20 @@ class _StandIn:
     """For views in the engine's Rendered shading."""
 
     def stands_in(self, context: bpy.types.Context) -> bool:
-        """Whether splats are drawn live there; never in colours that the picture will not have."""
+        """Whether splats are drawn live there; in colours that the picture will not have only
+        before a photo, whose own are shown too."""
         drawn = SESSION.works and not SESSION.by_engine
         wanted = drawn and context.scene.gscore_render.live
-        return wanted and not changes_colors(context.scene)
+        return wanted and (not changes_colors(context.scene) or self.stays(context))
 
     def moves(self, context: bpy.types.Context) -> bool:
         """Whether its view has just changed."""
         view = _state.views.get(context.region.as_pointer())
         return isinstance(view, View) and view.level.moving
+
+    def stays(self, context: bpy.types.Context) -> bool:
+        """Whether a photo is to be seen behind the splats, over which Blender lays it else."""
+        return photos.is_behind(context)
 
 
 _STAND_IN = _StandIn()
@@ -151,7 +157,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
             tint=tint,
         )
         if picture is not None:
-            _state.card.show(picture, *part)
+            _state.card.show(picture, *part, photos.in_front(context, window, *part[2:]))
     if view.waits:
         _ensure()
 

@@ -165,6 +165,13 @@ void main()
 #endif
   // The view holds what lies over its picture as light, and encodes it with this exponent.
   vec3 light = pow(clamp(found.rgb / found.a, 0.0, 1.0), vec3(2.2));
+  // A photo before the camera was drawn before splats were: it is mixed with them as it is with all
+  // else, so that where they are not it stays as it is.
+  vec2 of_photo = (gl_FragCoord.xy - place.xy - photo_frame.xy) / photo_frame.zw;
+  if (photo_opacity > 0.0 && of_photo == clamp(of_photo, 0.0, 1.0)) {
+    vec4 over = texture(photo, of_photo) * photo_opacity;
+    light = light * (1.0 - over.a) + over.rgb;
+  }
   result = vec4(light * found.a, found.a);
 }
 """
@@ -222,10 +229,13 @@ def view(*, nearness: bool = False) -> gpu.types.GPUShader:
     """
     info = gpu.types.GPUShaderCreateInfo()
     info.push_constant("VEC4", "place")  # left, bottom, picture's pixels for one of the view
+    info.push_constant("VEC4", "photo_frame")  # left, bottom, width, height, pixels of the view
+    info.push_constant("FLOAT", "photo_opacity")
     info.sampler(0, "FLOAT_2D", "picture")
+    info.sampler(1, "FLOAT_2D", "photo")
     if nearness:
         info.define("NEARNESS")
-        info.sampler(1, "FLOAT_2D", "nearness")
+        info.sampler(2, "FLOAT_2D", "nearness")
         declare_depth(info)
     info.vertex_in(0, "VEC2", "corner")
     return _made(info, _SCREEN_VERTEX, _VIEW_FRAGMENT)

@@ -94,6 +94,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             return
         request = self._request(context, depsgraph, placed)
         live = next((one for one in STAND_INS if one.stands_in(context)), None)
+        holds = bool(request.held) or any(one.holdout for one in placed)
+        stays = live is not None and not holds and live.stays(context)
         if not complete:
             self.update_stats("", "Reading splats")
             if copies.SHARED.under_way(found):
@@ -101,10 +103,10 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         elif not placed:
             view.painter.pixels = None
             self.update_stats("", "There are no splats to show")
-        elif live is None or not live.moves(context):
+        elif live is None or not (stays or live.moves(context)):
             self._ask(view, request)
         view.painter.fresh = False
-        if complete and view.painter.shows(request):
+        if complete and not stays and view.painter.shows(request):
             EXACT.add(pointer)
         pixels = view.painter.pixels
         if live is not None and pointer not in EXACT:

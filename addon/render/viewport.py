@@ -222,6 +222,10 @@ class StandIn(Protocol):
     def moves(self, context: bpy.types.Context) -> bool:
         """Whether the view of a context is on the move, so that no picture will be of use."""
 
+    def stays(self, context: bpy.types.Context) -> bool:
+        """Whether it draws the view of a context as long as nothing there is held out, so that no
+        picture is wanted."""
+
 
 STAND_INS: list[StandIn] = []
 """What was registered."""

@@ -1,0 +1,86 @@
+"""Runs inside a Blender with a window: splats behind and before a photo of their camera.
+
+`blender --factory-startup -P tests/window/photo_scene.py -- FOLDER PACKAGES...`, as
+`live_scene.py`.
+"""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+from mathutils import Matrix  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from tests.addon import splat_scenes as lab  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+
+CAPTURE = ROOT / "examples" / "studio"
+COLOR = (0.8, 0.4, 0.2)
+seen: dict = {"log": []}
+
+
+def shots(name: str, wall: bpy.types.Object) -> Iterator[object]:
+    """The screen with the photo behind the splats, before them, and half; and the photo alone."""
+    slot = bpy.context.scene.camera.data.background_images[0]
+    kinds = {"back": ("BACK", 1.0), "front": ("FRONT", 1.0), "half": ("FRONT", 0.5)}
+    kinds["alone"] = "FRONT", 1.0
+    for kind, (depth, opacity) in kinds.items():
+        slot.display_depth, slot.alpha = depth, opacity
+        wall.hide_set(kind == "alone")
+        area().tag_redraw()
+        yield 2.0
+        file = FOLDER / f"{name}_{kind}.png"
+        subprocess.run(["import", "-window", "root", str(file)], check=True)
+    wall.hide_set(False)
+
+
+def lost() -> Iterator[object]:
+    """The screen with a photo before the splats whose file is not there."""
+    slot = bpy.context.scene.camera.data.background_images[0]
+    slot.image = slot.image.copy()
+    slot.image.filepath = str(FOLDER / "nowhere.jpg")
+    slot.image.reload()
+    slot.display_depth, slot.alpha = "FRONT", 1.0
+    area().tag_redraw()
+    yield 2.0
+    subprocess.run(["import", "-window", "root", str(FOLDER / "lost.png")], check=True)
+
+
+def story() -> Iterator[object]:
+    """Import a capture, put a wall before one of its cameras, look through that."""
+    scene = bpy.context.scene
+    clear()
+    scene.gscore.capture_path = str(CAPTURE)
+    bpy.ops.gscore.import_cameras(directory=str(CAPTURE), photos=True)
+    yield 0.5
+    camera = next(ob for ob in scene.objects if ob.type == "CAMERA")
+    scene.camera = camera
+    for ob in scene.objects:  # lines of others would be seen
+        ob.hide_set(ob is not camera)
+    bpy.context.view_layer.update()
+    wall = lab.add(scene, lab.wall(0.0, COLOR, half=0.3), "wall")
+    wall.matrix_world = camera.matrix_world @ Matrix.Translation((0, 0, -3))
+    wall.select_set(False)
+    space().region_3d.view_perspective = "CAMERA"
+    space().overlay.show_extras = False
+    yield 0.5
+    yield at_rest
+    found = region()
+    seen["middle"] = [found.x + found.width // 2, found.y + found.height // 2]
+    yield from shots("solid", wall)
+    space().shading.type, scene.render.engine = "RENDERED", "GSCORE_SPLATS"
+    yield 1.0
+    yield from shots("rendered", wall)
+    space().shading.type = "SOLID"
+    yield from lost()
+
+
+Teller(story(), leaving(FOLDER, seen))

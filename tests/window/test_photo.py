@@ -1,0 +1,62 @@
+"""A camera's photo and live splats, in the window of a real Blender. Oracles: in the tests.
+
+Needs what `test_live.py` needs.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.window.scenes import SCREEN, pixels, told
+
+pytestmark = pytest.mark.window
+
+LONGEST = 200
+COLOR = (204, 102, 51)
+"""Of the wall, 8 bit."""
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    """What `photo_scene.py` saw, and the folder of its pictures."""
+    found, folder, output = told("photo", tmp_path_factory, longest=LONGEST)
+    assert "Traceback" not in output, output
+    return found, folder
+
+
+def around(seen: tuple[dict, Path], name: str, half: int = 25) -> np.ndarray:
+    """[2 half, 2 half, 3] of the middle of the view, where the wall is."""
+    x, y = seen[0]["middle"]
+    y = SCREEN[1] - y
+    return pixels(seen[1], name)[y - half : y + half, x - half : x + half]
+
+
+@pytest.mark.parametrize("shading", ["solid", "rendered"])
+def test_splats_lie_over_a_photo_behind_them(seen, shading):
+    """Oracle: the wall's colour; the photo where there is none. In Rendered shading too, whose own
+    picture Blender would lay the photo over."""
+    assert np.abs(around(seen, f"{shading}_back") - COLOR).max() <= 2
+    wide, alone = (around(seen, f"{shading}_{n}", half=180) for n in ("back", "alone"))
+    assert np.std(alone) > 20
+    beside = np.s_[140:220, :40]
+    assert np.abs(wide[beside] - alone[beside]).mean() < 1
+
+
+@pytest.mark.parametrize("shading", ["solid", "rendered"])
+def test_a_photo_lies_over_splats_behind_it(seen, shading):
+    """Oracle: the photo without splats, as Blender draws it."""
+    front, alone = (around(seen, f"{shading}_{n}") for n in ("front", "alone"))
+    assert np.abs(front - alone).mean() < 2 and np.std(alone) > 20
+
+
+def test_a_photo_shows_as_much_as_was_chosen(seen):
+    """Oracle: the mean of the wall's light and the photo's."""
+    light = (around(seen, "solid_alone") / 255) ** 2.2 + (np.array(COLOR) / 255) ** 2.2
+    want = 255 * (light / 2) ** (1 / 2.2)
+    assert np.abs(around(seen, "solid_half") - want).mean() < 2
+
+
+def test_a_photo_that_is_not_there_hides_nothing(seen):
+    """Oracle: the wall's colour."""
+    assert np.abs(around(seen, "lost") - COLOR).max() <= 2
