@@ -150,6 +150,12 @@ def blends_float32() -> bool:
     return gpu.platform.backend_type_get() != "METAL"
 
 
+def draws_into_views() -> bool:
+    """Whether what is bound before a 3D view is drawn can be drawn to after it: the target of its
+    picture. Known of OpenGL alone. Asked while drawing."""
+    return gpu.platform.backend_type_get() == "OPENGL"
+
+
 def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
     """Have a shader's `gl_FragDepth` count."""
     if _DECLARES_DEPTH:

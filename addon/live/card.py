@@ -1,5 +1,6 @@
 """What lies in the graphics card's memory, and how it is drawn; used where Blender draws."""
 
+import logging
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,10 @@ from .clip import PLANES, Cuts, depth_of_z
 from .photos import FrontPhoto
 from .program import QUADS
 from .uploads import Order, texture
+
+_log = logging.getLogger(__name__)
+_OVER, _WITHIN, _HIDDEN = 0.0, 1.0, 2.0
+"""Values of `layer` of `program.view`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +99,8 @@ class Card:
         self._screen = batch_for_shader(self._view, "TRIS", {"corner": big})
         self._piece = batch_for_shader(self._rows, "TRIS", {"corner": big})
         self._nothing = texture(np.full((1, 1, 1), 2, np.float32))
+        self._shut = False
+        """Whether views do not let their own pictures be drawn to."""
 
     def draw(
         self,
@@ -160,6 +167,7 @@ class Card:
         width: int,
         height: int,
         photo: FrontPhoto | None = None,
+        scene: gpu.types.GPUFrameBuffer | None = None,
     ) -> None:
         """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it.
 
@@ -172,15 +180,49 @@ class Card:
             width: Pixels.
             height: Pixels.
             photo: What is seen before the splats.
+            scene: The target of the view's own picture, which keeps more digits than what lies over
+                it, linear light; what the splats hide of the latter is taken away. None: it cannot
+                be drawn to.
         """
+        smaller = canvas.width / width, canvas.height / height
+        place = left, bottom, *smaller
+        if scene is not None and self._lay_within(scene, canvas, place):
+            self._lay(canvas, place, "MULTIPLY", _HIDDEN)
+        else:
+            self._lay(canvas, place, "ALPHA_PREMULT", _OVER, photo)
+
+    def _lay_within(
+        self, scene: gpu.types.GPUFrameBuffer, canvas: Canvas, place: tuple[float, ...]
+    ) -> bool:
+        """Lay it into a view's own picture; whether that can be done."""
+        if self._shut:
+            return False
+        try:
+            with scene.bind():
+                width, height = canvas.width / place[2], canvas.height / place[3]
+                gpu.state.viewport_set(*map(round, (*place[:2], width, height)))
+                self._lay(canvas, place, "ALPHA_PREMULT", _WITHIN)
+        except Exception:  # drivers raise anything; what lies over the picture does as well
+            _log.exception("The pictures of views cannot be drawn to: dark colors get less exact.")
+            self._shut = True
+        return not self._shut
+
+    def _lay(
+        self,
+        canvas: Canvas,
+        place: tuple[float, ...],
+        blend: str,
+        layer: float,
+        photo: FrontPhoto | None = None,
+    ) -> None:
         near = canvas.nearness is not None
         shader = self._near_view if near else self._view
-        gpu.state.blend_set("ALPHA_PREMULT")
+        gpu.state.blend_set(blend)
         gpu.state.depth_test_set("LESS_EQUAL" if near else "NONE")
         gpu.state.depth_mask_set(False)
         shader.bind()
-        smaller = canvas.width / width, canvas.height / height
-        shader.uniform_float("place", (left, bottom, *smaller))
+        shader.uniform_float("place", place)
+        shader.uniform_float("layer", layer)
         shader.uniform_sampler("picture", canvas.picture)
         shader.uniform_sampler("photo", self._nothing if photo is None else photo.texture)
         shader.uniform_float("photo_frame", (0, 0, 1, 1) if photo is None else photo.frame)

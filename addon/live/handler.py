@@ -11,7 +11,7 @@ import gpu
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..compat import matrix_to_numpy
+from ..compat import draws_into_views, matrix_to_numpy, rec709_to_scene
 from ..interface.views import redraw_views
 from ..render import copies, viewport
 from ..render.engine import NAME, final_cache
@@ -43,7 +43,9 @@ class _State:
     views: dict[int, View | EngineView] = field(default_factory=dict)
     """By the pointer of their region; all of one kind."""
     attempts: Attempts = field(default_factory=Attempts)
-    handle: object = None
+    handles: list[object] = field(default_factory=list)
+    scene: gpu.types.GPUFrameBuffer | None = None
+    """The target of the picture of the view that is being drawn; Blender's, and soon another."""
     problems: dict[int, str] = field(default_factory=dict)
     """Sentences of views, by the pointer of their region."""
     copying: set[int] = field(default_factory=set)
@@ -157,7 +159,10 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
             tint=tint,
         )
         if picture is not None:
-            _state.card.show(picture, *part, photos.in_front(context, window, *part[2:]))
+            photo = photos.in_front(context, window, *part[2:])
+            rests = photo is None and picture.nearness is None and not view.level.moving
+            within = _state.scene if rests and _keeps_colors(context) else None
+            _state.card.show(picture, *part, photo, within)
     if view.waits:
         _ensure()
 
@@ -195,6 +200,14 @@ def _failed(error: Exception, pointer: int) -> None:
 def _is_own(context: bpy.types.Context) -> bool:
     """Whether the view is in Rendered shading of our engine."""
     return context.space_data.shading.type == "RENDERED" and context.scene.render.engine == NAME
+
+
+def _keeps_colors(context: bpy.types.Context) -> bool:
+    """Whether a view shows sRGB values as they are, once decoded into its picture."""
+    scene = context.scene
+    plain = context.space_data.shading.type == "SOLID" or not changes_colors(scene)
+    device = scene.display_settings.display_device
+    return plain and device == "sRGB" and np.allclose(rec709_to_scene(), np.eye(3), atol=1e-6)
 
 
 def _hidden_by(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
@@ -292,8 +305,20 @@ def _close_views() -> None:
         kept.clear()
 
 
+def _before_handler() -> None:
+    _state.scene = None
+    if not SESSION.works or SESSION.by_engine:
+        return
+    try:
+        if draws_into_views():
+            _state.scene = gpu.state.active_framebuffer_get()
+    except Exception:  # what draws after it says so
+        _log.debug("The target of a view is not known.", exc_info=True)
+
+
 def _draw_handler() -> None:
     draw(bpy.context)
+    _state.scene = None
 
 
 def on_register() -> None:
@@ -301,7 +326,9 @@ def on_register() -> None:
     SESSION.there = not bpy.app.background
     if not SESSION.there:
         return
-    _state.handle = bpy.types.SpaceView3D.draw_handler_add(_draw_handler, (), "WINDOW", "POST_VIEW")
+    for handler, when in ((_before_handler, "PRE_VIEW"), (_draw_handler, "POST_VIEW")):
+        handle = bpy.types.SpaceView3D.draw_handler_add(handler, (), "WINDOW", when)
+        _state.handles.append(handle)
     bpy.app.handlers.depsgraph_update_post.append(_changed)
     bpy.app.handlers.load_post.append(_file_loaded)
     viewport.STAND_INS.append(_STAND_IN)
@@ -317,7 +344,8 @@ def on_unregister() -> None:
     viewport.STAND_INS.remove(_STAND_IN)
     bpy.app.handlers.load_post.remove(_file_loaded)
     bpy.app.handlers.depsgraph_update_post.remove(_changed)
-    bpy.types.SpaceView3D.draw_handler_remove(_state.handle, "WINDOW")
+    for handle in _state.handles:
+        bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
     _close_views()
-    _state.card, _state.handle, _state.attempts = None, None, Attempts()
+    _state.card, _state.handles, _state.attempts = None, [], Attempts()
     SESSION.there, SESSION.problem, SESSION.by_engine = False, "", False

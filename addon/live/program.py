@@ -164,7 +164,17 @@ void main()
   gl_FragDepth = clamp(1.0 - between(nearness, p0, p1, part).r / found.a, 0.0, 1.0);
 #endif
   // The view holds what lies over its picture as light, and encodes it with this exponent.
-  vec3 light = pow(clamp(found.rgb / found.a, 0.0, 1.0), vec3(2.2));
+  vec3 value = clamp(found.rgb / found.a, 0.0, 1.0);
+  if (layer > 1.5) {  // what lies over the view's picture, made as much fainter
+    result = vec4(1.0 - found.a);
+    return;
+  }
+  if (layer > 0.5) {  // the picture itself, linear light
+    vec3 low = value / 12.92, high = pow((value + 0.055) / 1.055, vec3(2.4));
+    result = vec4(mix(high, low, vec3(lessThanEqual(value, vec3(0.04045)))) * found.a, found.a);
+    return;
+  }
+  vec3 light = pow(value, vec3(2.2));
   // A photo before the camera was drawn before splats were: it is mixed with them as it is with all
   // else, so that where they are not it stays as it is.
   vec2 of_photo = (gl_FragCoord.xy - place.xy - photo_frame.xy) / photo_frame.zw;
@@ -231,6 +241,7 @@ def view(*, nearness: bool = False) -> gpu.types.GPUShader:
     info.push_constant("VEC4", "place")  # left, bottom, picture's pixels for one of the view
     info.push_constant("VEC4", "photo_frame")  # left, bottom, width, height, pixels of the view
     info.push_constant("FLOAT", "photo_opacity")
+    info.push_constant("FLOAT", "layer")  # 0 over the picture, 1 in it, 2 what 1 hides of 0
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "photo")
     if nearness:

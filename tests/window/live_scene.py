@@ -28,6 +28,7 @@ from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
 
 COLOR = (0.8, 0.4, 0.2)
+DARK = (5, 4, 3)
 seen: dict = {"log": []}
 
 
@@ -117,6 +118,19 @@ def clipped(view: bpy.types.RegionView3D) -> Iterator[object]:
     yield 0.5
 
 
+def dark(scene: bpy.types.Scene) -> Iterator[object]:
+    """A wall of a few levels of 8 bit before the other, at rest and drawn again and again."""
+    wall = lab.add(scene, lab.wall(0.8, tuple(level / 255 for level in DARK)), "dark")
+    yield 0.5
+    yield at_rest
+    for _ in range(5):
+        area().tag_redraw()
+        yield 0.2
+    screenshot("dark")
+    bpy.data.objects.remove(wall)
+    yield 0.5
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     scene = bpy.context.scene
@@ -189,6 +203,7 @@ def story() -> Iterator[object]:
         bpy.ops.view3d.localview()
     space().overlay.show_overlays = False
     plate.hide_set(True)
+    yield from dark(scene)
     view.view_rotation = Quaternion((0, 0, 1), 0.3)
     yield 0.3
     yield at_rest

@@ -39,6 +39,12 @@ def test_colours_of_splats_reach_the_screen(seen):
     assert np.abs(middle(seen, "wall") - COLOR).max() <= 2
 
 
+def test_dark_colours_reach_the_screen(seen):
+    """Oracle: a wall of few levels of 8 bit, to one of them: what lies over a view's picture is
+    kept so that 1 to 5 would become 0 or 6."""
+    assert np.abs(middle(seen, "dark") - (5, 4, 3)).max() <= 1
+
+
 def test_splats_come_without_being_touched(seen):
     """Oracle: the copy three seconds after one redraw, each of which copies one attribute."""
     assert seen[0]["by_itself"]
@@ -99,18 +105,20 @@ def test_which_objects_are_shown(seen):
 
 
 def test_a_picture_is_kept_until_the_view_changes(seen):
-    """Oracle: how often the card was asked for one; there and back the screen is the same."""
+    """Oracle: how often the card was asked for one; there and back the screen is the same, but for
+    how Blender rounds what it smooths."""
     found, folder = seen
     assert found["pictures"]["again"] == 0 < found["pictures"]["turned"]
-    assert np.array_equal(pixels(folder, "both"), pixels(folder, "both_again"))
+    apart = np.abs(pixels(folder, "both") - pixels(folder, "both_again"))
+    assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
 
 
 def test_the_exact_picture_takes_over(seen):
-    """Oracle: the picture of the graphics card, to three levels of 8 bit where splats are dense;
+    """Oracle: the picture of the graphics card, to two levels of 8 bit where splats are dense;
     the background is the world's and not Solid's."""
     _, folder = seen
     live, exact = (pixels(folder, name) for name in ("both", "exact"))
     x, y = seen[0]["middle"]
     part = np.s_[SCREEN[1] - y - 60 : SCREEN[1] - y + 60, x - 60 : x + 60]
-    assert np.abs(live[part] - exact[part]).max() <= 3
+    assert np.abs(live[part] - exact[part]).max() <= 2
     assert np.std(exact[part]) > 5

@@ -271,3 +271,64 @@ def test_without_a_window_nothing_is_registered(scene):
         pytest.skip("there is a window")
     assert not SESSION.works and not SESSION.problem
     assert lab.add(scene, lab.blob()).gscore.display == "POINTS"
+
+
+@pytest.fixture
+def laid(card):
+    """Lays splats over a grey target, within another one or not; both, [H, W, 4], and the
+    picture."""
+    import gpu
+
+    from addon.live.card import Canvas
+
+    def lay(scene_of=lambda target: target):
+        splats, camera = lab.blob(2000), view()
+        rgba = drawn(card, [splats], [np.eye(4)], camera, exact=True)
+        canvas = Canvas(*SIZE, nearness=False, exact=True)
+        data = gpu.types.Buffer("FLOAT", rgba.size, np.ascontiguousarray(rgba[::-1]).reshape(-1))
+        canvas.picture = gpu.types.GPUTexture(SIZE, format="RGBA32F", data=data)
+        found = []
+        for _ in range(2):
+            made = gpu.types.GPUTexture(SIZE, format="RGBA32F")
+            found.append((made, gpu.types.GPUFrameBuffer(color_slots=made)))
+        (over, over_target), (within, within_target) = found
+        for target in (over_target, within_target):
+            with target.bind():
+                target.clear(color=(0.5, 0.5, 0.5, 0.25))
+        with over_target.bind():
+            card.show(canvas, 0, 0, *SIZE, None, scene_of(within_target))
+        return values(over, 4), values(within, 4), rgba
+
+    yield lay
+    card._shut = False
+
+
+def test_a_picture_lies_within_a_view(laid):
+    """Oracle: IEC 61966-2-1 and the formulas of blending; what lay over it is as much fainter."""
+    over, within, rgba = laid()
+    alpha = rgba[..., 3:]
+    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
+    straight = np.clip(straight, 0, 1)
+    light = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4)
+    grey = np.array([0.5, 0.5, 0.5, 0.25])
+    np.testing.assert_allclose(over, grey * (1 - alpha), atol=1e-5)
+    want = np.concatenate([light, np.ones_like(alpha)], axis=2) * alpha + grey * (1 - alpha)
+    np.testing.assert_allclose(within, want, atol=1e-4)
+    assert alpha.mean() > 0.2
+
+
+def test_a_view_that_cannot_be_drawn_to_is_drawn_over(laid, card, caplog):
+    """Oracle: the picture that is laid over a view as if there were nothing else; said once."""
+
+    class Gone:
+        """As a target whose memory Blender has freed."""
+
+        def bind(self):
+            raise ReferenceError("GPU framebuffer no longer valid")
+
+    want, untouched, _ = laid(lambda target: None)
+    for _ in range(2):
+        over, within, _ = laid(lambda target: Gone())
+        np.testing.assert_array_equal(over, want)
+        np.testing.assert_array_equal(within, untouched)
+    assert card._shut and len(caplog.records) == 1
