@@ -46,6 +46,7 @@ MODULES: tuple[str, ...] = (
     "render.engine",
     "render.compositor",
     "live.handler",
+    "live.notice",
     "live.edited",
     "render.operators",
     "render.show",

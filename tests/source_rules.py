@@ -16,8 +16,8 @@ MODULES = _words(
     reprlib resource secrets shlex shutil signal stat statistics string struct subprocess sys
     tempfile textwrap threading time traceback types typing unicodedata uuid warnings weakref
     zipfile zlib
-    av bmesh bpy bpy_extras gpu gpu_extras gscore huggingface_hub lpips mathutils numpy onnxruntime
-    OpenEXR PIL plyfile pycolmap safetensors scipy torch"""
+    av blf bmesh bpy bpy_extras gpu gpu_extras gscore huggingface_hub lpips mathutils numpy
+    onnxruntime OpenEXR PIL plyfile pycolmap safetensors scipy torch"""
 )
 """All that is imported. Not among them: pickles, sockets, HTTP, processes that pass pickles."""
 FORBIDDEN = _words(

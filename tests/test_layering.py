@@ -138,7 +138,7 @@ DOORS = {"gscore": gscore.__all__, "gscore.frontend": frontend.__all__}
 """What the add-on may see of gscore, by the module that offers it."""
 
 ADDON = ROOT / "addon"
-IN_BLENDER = {"bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
+IN_BLENDER = {"blf", "bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
 _FLOOR = {"attributes", "compat", "core", "registration", "srgb"}
 _FILES = _FLOOR | {"capture", "paths", "stored_paths", "outcomes"}

@@ -125,6 +125,11 @@ def story() -> Iterator[object]:
     yield 0.5
     failing.end("refused")
     shot("refused")
+    space().overlay.show_text = True
+    seen["corner"] = [region().x, region().y]
+    area().tag_redraw()
+    yield 0.5
+    shot("said")
     failing = Failing(Viewport, "draw", 1e9)
     area().tag_redraw()
     yield lambda: handler.SESSION.as_points

@@ -62,6 +62,14 @@ def test_what_is_refused_is_not_asked_for_again(seen):
     assert calls["refused"] == 1 and calls["for_good"] == 3
 
 
+def test_the_view_says_so_itself(seen):
+    """Oracle: letters of a colour that nothing else has there, in the lower left."""
+    x, y = seen[0]["corner"]
+    part = np.s_[SCREEN[1] - y - 50 : SCREEN[1] - y, x : x + 300]
+    amber = [np.ptp(pixels(seen[1], name)[part], axis=2) > 100 for name in ("refused", "said")]
+    assert not amber[0].any() and amber[1].sum() > 200
+
+
 def test_points_where_nothing_else_is_drawn(seen):
     """Oracle: the sentence, how often was asked, and that the picture is another."""
     assert "shown as points" in seen[0]["problems"]["points"]
