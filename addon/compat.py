@@ -95,6 +95,12 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     return scene.node_tree
 
 
+def index_pass_name() -> str:
+    """What Cycles calls the pass of objects' indices; since 5.0 as the panel does."""
+    older = "node_tree" in bpy.types.Scene.bl_rna.properties  # the compositor's, gone in 5.0
+    return "IndexOB" if older else "Object Index"
+
+
 def make_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
     """A scene's compositor nodes, switched on; new ones pass the render on."""
     if not hasattr(scene, "compositing_node_group"):

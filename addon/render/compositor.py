@@ -9,6 +9,7 @@ from .apart import MAIN_SCENE, SPLAT_SCENE
 from .composite_nodes import combine_node, insert, remove
 from .engine import ENGINE_BEFORE, NAME
 from .held_meshes import held_by
+from .passes import MATTES
 
 _FILM = "gs_film_transparent"
 """Custom property of a scene: whether its film was transparent before."""
@@ -157,6 +158,15 @@ def _synchronise(
     for name in ("antialias", "blur_samples"):
         setattr(other.gscore_render, name, getattr(scene.gscore_render, name))
     other.view_layers[0].use_pass_z = True
+    _follow_mattes(scene, other)
+
+
+def _follow_mattes(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
+    """Give the splats' scene the mattes of the meshes' scene; writes only what differs."""
+    layer, own = scene.view_layers[0], other.view_layers[0]
+    for name in MATTES:
+        if getattr(own, name) != getattr(layer, name):
+            setattr(own, name, getattr(layer, name))
 
 
 def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
@@ -194,6 +204,7 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
     other = scene.get(SPLAT_SCENE)
     if isinstance(other, bpy.types.Scene):
         _follow(scene, other)
+        _follow_mattes(scene, other)
         rest(scene)
     if isinstance(world := scene.get(WORLD_SCENE), bpy.types.Scene):
         _follow_world(scene, world)

@@ -16,7 +16,18 @@ from ..timeline.settings import plays
 from . import copies, held_meshes, ignored, picture
 from .apart import main_scene
 from .film import Film
-from .scene import NO_SPLATS, NONE_IN_VIEW, Model, Placed, SplatCache, place, sources
+from .passes import asked_of
+from .samples import Mean
+from .scene import (
+    NO_SPLATS,
+    NONE_IN_VIEW,
+    Identity,
+    Model,
+    Placed,
+    SplatCache,
+    place,
+    sources,
+)
 from .stage import Stage
 from .viewport import (
     EXACT,
@@ -54,9 +65,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self, scene: bpy.types.Scene | None = None, renderlayer: Any = None
     ) -> None:
         """Tell the compositor which passes there will be."""
-        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
-        if renderlayer.use_pass_z:
-            self.register_pass(scene, renderlayer, "Depth", 1, "Z", "VALUE")
+        for one in asked_of(renderlayer).registered():
+            self.register_pass(scene, renderlayer, *one)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Draw one view layer of one frame. In the program this is not the main thread."""
@@ -174,18 +184,22 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         stage = Stage(depsgraph, camera, size, final_cache, self.frame_set)
         still = stage.view()
         self._warn(ignored.Shown(scene=scene, layer=layer, camera=camera))
-        film = self._film(scene, depths=layer.use_pass_z)
+        asked = asked_of(layer)
+        film = self._film(scene, depths=asked.depth)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if stage.blurs:
             # Of the frame itself, through the lens's middle: means of depths are of no use.
-            passes = film.shoot(still, self.test_break) if film.options.depths else {}
-            count = scene.gscore_render.blur_samples
-            passes["Combined"] = self._mean(film, stage, count)
+            passes = film.shoot(still, self.test_break) if asked.depth else {}
+            mean = self._mean(film, stage, scene.gscore_render.blur_samples, mattes=asked.mattes)
+            passes["Combined"], covered = mean
         else:
             passes = film.shoot(still, self.test_break)
+            covered = film.coverage(still, self.test_break) if asked.mattes else {}
+        passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
         self._deliver(passes, layer.name, scene.render, film.options.window)
+        asked.stamp(self.get_result(), layer.name, covered)
 
     def _film(self, scene: bpy.types.Scene, *, depths: bool) -> Film:
         transparent = scene.render.film_transparent
@@ -198,20 +212,26 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         )
         return Film(options=options, transparent=transparent, to_scene=rec709_to_scene())
 
-    def _mean(self, film: Film, stage: Stage, count: int) -> np.ndarray:
-        """The mean of the pictures from all over the lens and the exposure, [H, W, 4] float32."""
-        plain = film.without_depths()
-        total, last, pixels = None, None, None
+    def _mean(
+        self, film: Film, stage: Stage, count: int, *, mattes: bool
+    ) -> tuple[np.ndarray, dict[Identity, np.ndarray]]:
+        """The mean of the pictures from all over the lens and the exposure, [H, W, 4] float32; and
+        how much each object adds in the mean, where that is asked for."""
+        plain, last = film.without_depths(), None
+        picture, covered = Mean(), Mean()
+        shot, parts = {}, {}
         with closing(stage.views(count)) as views:
             for i, view in enumerate(views):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
-                    last, pixels = view, plain.shoot(view, self.test_break)["Combined"]
+                    last, shot = view, plain.shoot(view, self.test_break)
+                    parts = plain.coverage(view, self.test_break) if mattes else {}
                 if self.test_break():
                     raise Cancelled
-                total = pixels.copy() if total is None else np.add(total, pixels, out=total)
+                picture.add(shot)
+                covered.add(parts)
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
-        return total / np.float32(count)
+        return picture.result()["Combined"], covered.result()
 
     def _warn(self, shown: ignored.Shown) -> None:
         """Say what has no effect or is missing; of an animation with its first frame."""

@@ -9,9 +9,10 @@ from ..cameras.captures import RenderCamera
 from ..cameras.panorama import Panorama
 from ..core import CancelFlag, Rendered
 from . import color, picture
+from .coverage import one_hot
 from .cube import Window, beyond, unfold
-from .mesh_holdout import Hidden, cut, hidden
-from .scene import Model
+from .mesh_holdout import Hidden, cut
+from .scene import Identity, Model
 from .stage import View
 
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
@@ -41,7 +42,7 @@ class Film:
         """
         if isinstance(view.camera, Panorama):
             return self._unfold(view, view.camera, stop)
-        at = hidden(view.held, view.camera) if view.held else None
+        at = view.hidden
 
         def expose(model: Model, options: picture.Options) -> tuple[Rendered, np.ndarray | None]:
             return _exposed(model, view.camera, options, at, stop, cancel)
@@ -62,6 +63,33 @@ class Film:
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
         return passes
+
+    def coverage(self, view: View, stop: Callable[[], bool]) -> dict[Identity, np.ndarray]:
+        """How much each object adds to each pixel, [H, W] float32, the bottom row first.
+
+        The picture is drawn once more for every three objects; errors as `shoot`.
+        """
+        found = {}
+        for three, model in one_hot(view.model):
+            weights = self._weights(view, model, self.options.window, stop)
+            for i, owner in enumerate(three):
+                found[owner] = np.ascontiguousarray(weights[..., i])
+        return found
+
+    def _weights(
+        self, view: View, model: Model, window: Window | None, stop: Callable[[], bool]
+    ) -> np.ndarray:
+        """[H, W, 4] of a model that stands where that of a view does; the last one is nothing."""
+        if isinstance(view.camera, Panorama):
+
+            def side(camera: RenderCamera, part: Window) -> dict[str, np.ndarray]:
+                return {"Combined": self._weights(replace(view, camera=camera), seen, part, stop)}
+
+            seen = beyond(model, view.camera)
+            return unfold(view.camera, window, side)["Combined"]
+        options = replace(self.options, background=_BLACK, depths=False, window=window)
+        rgb = _exposed(model, view.camera, options, view.hidden, stop, None)[0].rgb
+        return np.pad(np.clip(rgb, 0, 1)[::-1], ((0, 0), (0, 0), (0, 1)))
 
     def _unfold(
         self, view: View, camera: Panorama, stop: Callable[[], bool]

@@ -14,6 +14,7 @@ from ..splats import mending
 from ..splats.objects import is_native, is_splats
 from .apart import SPLAT_SCENE, main_scene
 from .held_meshes import is_held_by, may_hide, not_taken_over
+from .passes import SWITCHES
 from .world import world_light
 
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
@@ -23,8 +24,6 @@ _DRAWN_BY_OTHERS = {
     *("GPENCIL", "GREASEPENCIL"),
 }
 """Types of objects that other engines draw."""
-_MADE = {"use_pass_combined", "use_pass_z"}
-"""Switches of the passes that this engine makes."""
 _FILTER = bpy.types.RenderSettings.bl_rna.properties["filter_size"]
 
 
@@ -110,7 +109,7 @@ def _passes(shown: Shown) -> str:
     for prop in shown.layer.bl_rna.properties:
         name = prop.identifier
         asked = name.startswith("use_pass_") and prop.type == "BOOLEAN" and not prop.default
-        if asked and name not in _MADE and getattr(shown.layer, name):
+        if asked and name not in SWITCHES and getattr(shown.layer, name):
             wanted.append(prop.name)
     return ", ".join(wanted)
 
@@ -216,7 +215,11 @@ CHECKS = (
         "The Material Override {} has no effect: splats have colors of their own.",
         lambda s: getattr(s.layer.material_override, "name", ""),
     ),
-    Check("There are no passes but the picture and its depth: not {}.", _passes),
+    Check(
+        "The passes are picture, depth, object index, and Cryptomatte of objects and assets: there "
+        "is no {}.",
+        _passes,
+    ),
     Check("Freestyle has no effect.", lambda s: _if(s.scene.render.use_freestyle)),
     Check("Simplify has no effect on splats.", lambda s: _if(s.scene.render.use_simplify)),
     Check(

@@ -75,8 +75,19 @@ class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
 
     def draw(self, context: bpy.types.Context) -> None:
         """Lay it out."""
-        self.layout.use_property_split = True
-        self.layout.prop(context.view_layer, "use_pass_z", text="Depth")
+        layout, layer = self.layout, context.view_layer
+        layout.use_property_split, layout.use_property_decorate = True, False
+        column = layout.column(heading="Data")
+        column.prop(layer, "use_pass_z", text="Depth")
+        column.prop(layer, "use_pass_object_index", text="Object Index")
+        if layer.use_pass_object_index:
+            column.prop(layer, "pass_alpha_threshold", text="From a Share of")
+        column = layout.column(heading="Cryptomatte")
+        column.prop(layer, "use_pass_cryptomatte_object", text="Object")
+        column.prop(layer, "use_pass_cryptomatte_asset", text="Asset")
+        if layer.use_pass_cryptomatte_object or layer.use_pass_cryptomatte_asset:
+            column.prop(layer, "pass_cryptomatte_depth", text="Levels")
+        wrapped(layout, "Splats have no materials, so there are no passes of them.", icon="INFO")
 
 
 class DATA_PT_gscore_panorama(bpy.types.Panel):  # noqa: N801 Blender's rule

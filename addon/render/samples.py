@@ -1,6 +1,8 @@
 """The pictures that a blurred one is the mean of: where on the lens, and when; no bpy."""
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -94,3 +96,29 @@ class Shutter:
             total = np.concatenate([[0], np.cumsum(amounts)])
             share = float(np.interp(share, total / total[-1], ends))
         return self.opens + self.length * share
+
+
+_Key = TypeVar("_Key", bound=Hashable)
+
+
+class Mean(Generic[_Key]):
+    """Of sets of pictures; one that a set lacks is black in it."""
+
+    def __init__(self) -> None:
+        self._totals: dict[_Key, np.ndarray] = {}
+        self._count = 0
+
+    def add(self, pictures: Mapping[_Key, np.ndarray]) -> None:
+        """Take one more set."""
+        self._count += 1
+        for key, values in pictures.items():
+            if key in self._totals:
+                self._totals[key] += values
+            else:
+                self._totals[key] = values.copy()
+
+    def result(self) -> dict[_Key, np.ndarray]:
+        """The means; nothing may be added any more."""
+        for total in self._totals.values():
+            total /= np.float32(self._count)
+        return self._totals

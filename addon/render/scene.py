@@ -2,7 +2,7 @@
 
 import threading
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import bmesh
 import bpy
@@ -109,12 +109,21 @@ class Source:
     """Gives `data`."""
 
 
+class Identity(NamedTuple):
+    """How mattes know an object."""
+
+    name: str
+    asset: str
+    """The name of the uppermost of its parents, or its own."""
+    index: int
+    """Its Pass Index."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Placed:
     """A splat object copied out of Blender: needs no bpy any more."""
 
-    name: str
-    """The object's."""
+    identity: Identity
     uid: int
     """Of its original mesh, or of an object that plays a sequence; the same as long as Blender
     runs."""
@@ -128,6 +137,11 @@ class Placed:
     """Whether it is in Edit Mode, where hidden points do not show."""
     holdout: bool = False
     """Whether it cuts a hole into the picture where it is."""
+
+    @property
+    def name(self) -> str:
+        """The object's."""
+        return self.identity.name
 
     @property
     def part(self) -> tuple[int, bytes]:
@@ -150,6 +164,8 @@ class Model:
     """Names of the objects that were trained with anti-aliasing."""
     plain: tuple[str, ...]
     """Names of the others."""
+    owners: tuple[tuple[Identity | None, int], ...] = ()
+    """Whose `splats` are, so many in a row each; None: of what is held out."""
     shares: Splats | None = None
     """Where objects are held out, whose `splats` are black then: the same splats, those black and
     all others white, which so draw how much of the light is not cut out."""
@@ -201,7 +217,7 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
     if filters is not None and not filters.leave_out_anything:
         filters = None
     return Placed(
-        name=ob.name,
+        identity=Identity(ob.name, _uppermost(ob.original).name, ob.pass_index),
         uid=source.uid,
         frozen=frozen,
         matrix=source.matrix,
@@ -210,6 +226,12 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
         edited=source.is_edited,
         holdout=source.is_holdout,
     )
+
+
+def _uppermost(ob: bpy.types.Object) -> bpy.types.Object:
+    while ob.parent is not None:
+        ob = ob.parent
+    return ob
 
 
 def marks_of(placed: Placed, *, selected: bool) -> np.ndarray | None:
@@ -261,11 +283,14 @@ class SplatCache:
                 (parts[p.part], np.eye(4) if p is base else inverse @ p.matrix) for p in placed
             ]
             splats, shares = self._merge(turned), None
+            counts = [len(parts[p.part]) for p in placed]
             if any(p.holdout for p in placed):
-                runs = [(len(parts[p.part]), p.holdout) for p in placed]
+                runs = [(n, p.holdout) for n, p in zip(counts, placed, strict=True)]
                 splats, shares = self._hold_out(splats, runs)
+        owners = [None if p.holdout else p.identity for p in placed]
         return Model(
             splats=splats,
+            owners=tuple(zip(owners, counts, strict=True)),
             shares=shares,
             matrix=base.matrix,
             antialias=tuple(p.name for p in placed if p.antialias),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import bpy
 import numpy as np
@@ -16,6 +17,7 @@ from ..timeline import follow
 from .apart import main_scene
 from .frozen import Frozen
 from .held_meshes import HeldMesh, HeldMeshes, same_meshes
+from .mesh_holdout import Hidden, hidden
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Model, SplatCache, place, sources
 
@@ -35,10 +37,17 @@ class View:
     held: tuple[HeldMesh, ...] = ()
     """Meshes that hide the splats behind them."""
 
+    @cached_property
+    def hidden(self) -> Hidden | None:
+        """What `held` hides; of panoramas each patch is looked at by itself."""
+        flat = isinstance(self.camera, RenderCamera)
+        return hidden(self.held, self.camera) if self.held and flat else None
+
     def same(self, other: "View") -> bool:
         """Whether the other picture is this one."""
         return (
             self.model.splats is other.model.splats
+            and self.model.owners == other.model.owners
             and np.array_equal(self.model.matrix, other.model.matrix)
             and self.camera.same(other.camera)
             and same_meshes(self.held, other.held)

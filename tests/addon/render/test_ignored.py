@@ -85,7 +85,7 @@ WITHOUT_EFFECT = {
     "shape keys of splats": modified,
     "Shadow Catcher of splats": setting("splats.is_shadow_catcher", True),
     "Material Override clay": override,
-    "its depth: not Mist": setting("layer.use_pass_mist", True),
+    "there is no Mist": setting("layer.use_pass_mist", True),
     "Freestyle": setting("render.use_freestyle", True),
     "Simplify": setting("render.use_simplify", True),
     "Threads": setting("render.threads_mode", "FIXED"),
@@ -143,11 +143,15 @@ def test_what_is_held_out_and_has_no_faces_is_named(
     assert "Holdout of smoke hides no splats" in said
 
 
-def test_cryptomatte_is_named(scene: bpy.types.Scene) -> None:
+def test_mattes_of_materials_are_named(scene: bpy.types.Scene) -> None:
     """Oracle: the name of Blender's switch."""
-    bpy.context.view_layer.use_pass_cryptomatte_object = True
+    layer = bpy.context.view_layer
+    layer.use_pass_cryptomatte_object = layer.use_pass_cryptomatte_asset = True
+    layer.use_pass_object_index = True
+    assert ignored.without_effect(shown()) == []
+    layer.use_pass_cryptomatte_material = True
     (sentence,) = ignored.without_effect(shown())
-    assert "not Cryptomatte Object" in sentence
+    assert "there is no Cryptomatte Material." in sentence
 
 
 @pytest.mark.parametrize("words", REFUSED)

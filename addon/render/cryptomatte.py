@@ -1,0 +1,102 @@
+"""Cryptomatte: objects told apart by the hashes of their names, as its specification has them.
+
+Psyop's Cryptomatte 1.2.0: ids are MurmurHash3 of UTF-8 names, kept as floats that no program takes
+for infinite, not a number, or too small; pixels list them with what each covers; no bpy.
+"""
+
+import json
+import struct
+from collections.abc import Mapping
+
+import numpy as np
+
+_WORD = 0xFFFFFFFF
+_ROWS = 64
+"""Rows of a picture that are sorted together, which processors keep at hand."""
+OBJECT, ASSET = "CryptoObject", "CryptoAsset"
+"""What passes and mattes are called after: objects, or the uppermost of their parents."""
+
+
+def name_hash(name: str) -> int:
+    """MurmurHash3_x86_32 of a name, seed 0."""
+    data, result = name.encode(), 0
+    whole = len(data) // 4 * 4
+    for i in range(0, whole, 4):
+        result = _turned(result ^ _scrambled(data[i : i + 4]), 13)
+        result = (result * 5 + 0xE6546B64) & _WORD
+    result ^= _scrambled(data[whole:]) ^ len(data)
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
+        result = ((result ^ (result >> shift)) * factor) & _WORD
+    return result ^ (result >> 16)
+
+
+def _scrambled(piece: bytes) -> int:
+    word = int.from_bytes(piece, "little") * 0xCC9E2D51 & _WORD
+    return _turned(word, 15) * 0x1B873593 & _WORD
+
+
+def _turned(word: int, bits: int) -> int:
+    return (word << bits | word >> (32 - bits)) & _WORD
+
+
+def id_of(name: str) -> np.float32:
+    """A name's id, as pixels have it: the hash's bits as a float whose exponent is an ordinary
+    one."""
+    bits = name_hash(name)
+    exponent = min(max(bits >> 23 & 0xFF, 1), 254)
+    (value,) = struct.unpack("<f", struct.pack("<I", bits & 0x807FFFFF | exponent << 23))
+    return np.float32(value)
+
+
+def pass_names(kind: str, levels: int) -> list[str]:
+    """The passes that hold so many ids a pixel, two each."""
+    return [f"{kind}{i:02}" for i in range((levels + 1) // 2)]
+
+
+def ranked(
+    covered: Mapping[str, np.ndarray], shape: tuple[int, int], kind: str, levels: int
+) -> dict[str, np.ndarray]:
+    """The passes of a kind: what covers most of a pixel comes first.
+
+    Args:
+        covered: [H, W] float32 by name.
+        shape: H and W, where nothing is there.
+        kind: OBJECT or ASSET.
+        levels: So many a pixel; what covers less is left out.
+
+    Returns:
+        [H, W, 4] float32 by pass: id, share, id, share; zeros where there are no more.
+    """
+    names = pass_names(kind, levels)
+    passes = np.zeros((len(names), *shape, 4), np.float32)
+    ids = np.array([id_of(name) for name in covered], np.float32)
+    for first in range(0, shape[0] if covered else 0, _ROWS):
+        band = slice(first, first + _ROWS)
+        shares = np.stack([part[band] for part in covered.values()], -1)
+        order = np.argsort(-shares, axis=-1, kind="stable")[..., : 2 * len(names)]
+        shares = np.take_along_axis(shares, order, -1)
+        found = np.stack([np.where(shares > 0, ids[order], 0), shares], -1)
+        for rank in range(order.shape[-1]):
+            half = 2 * (rank % 2)
+            passes[rank // 2, band, :, half : half + 2] = found[..., rank, :]
+    return dict(zip(names, passes, strict=True))
+
+
+def metadata(layer: str, kind: str, names: list[str]) -> dict[str, str]:
+    """What files and nodes have to know of the passes of a kind, by Blender's and EXR's keys.
+
+    Args:
+        layer: Name of the view layer.
+        kind: OBJECT or ASSET.
+        names: All that may occur in the picture.
+    """
+    called = f"{layer}.{kind}"
+    manifest = {name: f"{name_hash(name):08x}" for name in names}
+    fields = {
+        "name": called,
+        "hash": "MurmurHash3_32",
+        "conversion": "uint32_to_float32",
+        "manifest": json.dumps(manifest, ensure_ascii=False, separators=(",", ":")),
+    }
+    # Seven digits of the hash, as the specification's own example.
+    return {f"cryptomatte/{name_hash(called):08x}"[:19] + f"/{k}": v for k, v in fields.items()}

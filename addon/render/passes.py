@@ -1,0 +1,107 @@
+"""The passes of a view layer: which are asked for, and what Blender has to know of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..compat import index_pass_name
+from . import cryptomatte
+from .coverage import index_pass, summed
+from .scene import Identity
+
+SWITCHES = {
+    *("use_pass_combined", "use_pass_z", "use_pass_object_index"),
+    *("use_pass_cryptomatte_object", "use_pass_cryptomatte_asset"),
+}
+"""Switches of the passes that this engine makes."""
+MATTES = (
+    *("use_pass_object_index", "pass_alpha_threshold"),
+    *("use_pass_cryptomatte_object", "use_pass_cryptomatte_asset", "pass_cryptomatte_depth"),
+)
+"""What of a view layer says which mattes there are."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """The passes of a view layer besides the picture."""
+
+    depth: bool
+    index: bool
+    kinds: tuple[str, ...]
+    """Those of Cryptomatte."""
+    levels: int
+    """Objects a pixel that Cryptomatte has."""
+    threshold: float
+    """Share of a pixel from which on it has an object's index."""
+
+    @property
+    def mattes(self) -> bool:
+        """Whether it takes knowing how much each object adds to each pixel."""
+        return self.index or bool(self.kinds)
+
+    def registered(self) -> list[tuple[str, int, str, str]]:
+        """All passes as Blender registers them: name, numbers a pixel, their names, and kind."""
+        found = [("Combined", 4, "RGBA", "COLOR")]
+        if self.depth:
+            found.append(("Depth", 1, "Z", "VALUE"))
+        if self.index:
+            found.append((index_pass_name(), 1, "X", "VALUE"))
+        for kind in self.kinds:
+            # Small letters, so that files keep these numbers exact where they shrink colors.
+            names = cryptomatte.pass_names(kind, self.levels)
+            found += [(name, 4, "rgba", "COLOR") for name in names]
+        return found
+
+    def mattes_of(
+        self, covered: Mapping[Identity, np.ndarray], shape: tuple[int, int]
+    ) -> dict[str, np.ndarray]:
+        """Their passes by name.
+
+        Args:
+            covered: [H, W] float32, how much an object adds.
+            shape: H and W.
+        """
+        found = {}
+        if self.index:
+            found[index_pass_name()] = index_pass(covered, shape, self.threshold)
+        for kind in self.kinds:
+            named = summed(covered, _NAMES[kind])
+            found |= cryptomatte.ranked(named, shape, kind, self.levels)
+        return found
+
+    def stamp(self, result: Any, layer: str, covered: Mapping[Identity, np.ndarray]) -> None:
+        """Put into a render's result what Cryptomatte nodes and files need.
+
+        Args:
+            result: The RenderResult of the whole render.
+            layer: Name of the view layer.
+            covered: As before.
+        """
+        for kind in self.kinds:
+            names = sorted({_NAMES[kind](owner) for owner in covered})
+            for key, value in cryptomatte.metadata(layer, kind, names).items():
+                result.stamp_data_add_field(key, value)
+
+
+_NAMES = {
+    cryptomatte.OBJECT: lambda owner: owner.name,
+    cryptomatte.ASSET: lambda owner: owner.asset,
+}
+
+
+def asked_of(layer: bpy.types.ViewLayer) -> Asked:
+    """What a view layer asks for."""
+    kinds = {
+        cryptomatte.OBJECT: layer.use_pass_cryptomatte_object,
+        cryptomatte.ASSET: layer.use_pass_cryptomatte_asset,
+    }
+    return Asked(
+        depth=layer.use_pass_z,
+        index=layer.use_pass_object_index,
+        kinds=tuple(kind for kind, on in kinds.items() if on),
+        levels=layer.pass_cryptomatte_depth,
+        threshold=layer.pass_alpha_threshold,
+    )
