@@ -128,5 +128,6 @@ from gscore.frontend import (
     write_cameras,
     write_colmap,
     write_mesh,
+    write_nerfstudio_path,
     write_region,
 )

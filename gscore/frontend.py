@@ -11,7 +11,7 @@ from .extras import offered
 if TYPE_CHECKING:
     from .config import Switch
     from .datasets import Capture, Folder, View, read_capture
-    from .datasets.camera_path_json import read_camera_path
+    from .datasets.camera_path_json import read_camera_path, write_nerfstudio_path
     from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
@@ -206,6 +206,7 @@ _HOME = {
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
     "write_mesh": "io.mesh.ply",
+    "write_nerfstudio_path": "datasets.camera_path_json",
     "write_region": "io.region_file",
 }
 """Where a name lives; `module:name` where it is called differently there."""
@@ -323,6 +324,7 @@ __all__ = [
     "write_cameras",
     "write_colmap",
     "write_mesh",
+    "write_nerfstudio_path",
     "write_region",
 ]
 

@@ -63,6 +63,7 @@ those whose names end in `_object` and torch's RPC do."""
 WRITES = {
     "addon/cameras/camera_path.py:export_path ..core.atomic_write": "the user's choice",
     "addon/cameras/camera_path.py:export_path ..core.write_cameras": "the user's choice",
+    "addon/cameras/camera_path.py:export_path ..core.write_nerfstudio_path": "the user's choice",
     "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
     "addon/cameras/straight.py:remove file.unlink": "Blender's folder of it",

@@ -1,4 +1,4 @@
-"""An animated Blender camera into a cameras.json or transforms.json: a camera for each frame."""
+"""An animated Blender camera into a file of a camera path: a camera for each frame."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,9 +6,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core import Cameras, atomic_write, write_cameras
+from ..core import Cameras, atomic_write, write_cameras, write_nerfstudio_path
 from .export_colmap import ExportView, collect
 from .export_transforms import transforms_text
+
+CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
+"""Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""
 
 
 def export_path(
@@ -17,20 +20,21 @@ def export_path(
     scene: bpy.types.Scene,
     *,
     root: bpy.types.Object | None = None,
-    transforms: bool = False,
+    kind: str = CAMERAS,
 ) -> int:
     """Write where a camera stands, and its lens, at each frame of the scene's range.
 
     Every `frame_step`-th frame is written, as a render of the animation would draw them. The scene
     stands at its own frame again afterwards. Depth of field, motion blur and clipping distances
-    have no place in the file.
+    have no place in the file. Times go from 0 at the first to 1 at the last frame, as readers of
+    moving scenes take them; a cameras.json has none.
 
     Args:
         path: The file to write.
         camera: A perspective camera; its lens, sensor and shift may be animated.
         scene: Gives range, resolution and pixel aspect.
         root: A capture's empty, whose world is written; None: Blender's world.
-        transforms: Write a transforms.json; else the cameras.json that `gscore render` takes.
+        kind: CAMERAS, TRANSFORMS or NERFSTUDIO.
 
     Returns:
         How many frames were written.
@@ -38,7 +42,8 @@ def export_path(
     Raises:
         GsError: the file cannot be written.
         ValueError: the camera is orthographic, panoramic or sheared at some frame, or has
-            distortion, which cameras.json cannot state, and no straightened photo.
+            distortion, which a cameras.json cannot state, and no straightened photo, or a lens that
+            nerfstudio's file cannot.
     """
     here, views = (scene.frame_current, scene.frame_subframe), []
     try:
@@ -49,8 +54,13 @@ def export_path(
             views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
     finally:
         scene.frame_set(here[0], subframe=here[1])
-    if transforms:
-        atomic_write(path, transforms_text(views, Path(path).parent).encode())
+    pace = scene.render.fps / scene.render.fps_base
+    if kind == TRANSFORMS:
+        times = np.linspace(0, 1, len(views)).tolist()
+        text = transforms_text(views, Path(path).parent, {"fps": pace}, times=times)
+        atomic_write(path, text.encode())
+    elif kind == NERFSTUDIO:
+        write_nerfstudio_path(path, _pinholes(views), fps=pace)
     else:
         write_cameras(path, _pinholes(views))
     return len(views)
@@ -61,8 +71,8 @@ def _pinholes(views: list[ExportView]) -> Cameras:
     for K, view in zip(Ks, views, strict=True):
         if view.camera.model != "PINHOLE":
             raise ValueError(
-                f"{view.name} has the camera model {view.camera.model}, but cameras.json knows "
-                f"PINHOLE alone. Export a transforms.json."
+                f"{view.name} has the camera model {view.camera.model}, but cameras.json and "
+                f"camera_path.json know PINHOLE alone. Export a transforms.json."
             )
         K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params
     return Cameras(

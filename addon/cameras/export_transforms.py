@@ -1,7 +1,7 @@
 """Blender cameras into a transforms.json, with the points as a PLY beside it."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,14 +79,26 @@ def export_transforms(
 
 
 def transforms_text(
-    views: Sequence[ExportView], folder: Path, further: dict[str, Any] | None = None
+    views: Sequence[ExportView],
+    folder: Path,
+    further: dict[str, Any] | None = None,
+    *,
+    times: Iterable[float] | None = None,
 ) -> str:
-    """A transforms.json of these views, for a file in `folder`; `further` keys stand at its top.
+    """A transforms.json of these views.
+
+    Args:
+        views: In their order.
+        folder: Where the file is to lie.
+        further: Keys that stand at its top.
+        times: One for each view; None: it stands still.
 
     Raises:
         ValueError: a view's camera model has no name in transforms.json.
     """
     frames = [_frame(view, folder) for view in views]
+    for frame, time in zip(frames, times or (), strict=times is not None):
+        frame["time"] = time
     shared = {key: frames[0][key] for key in frames[0] if _is_shared(frames, key)}
     own_keys = [{k: v for k, v in frame.items() if k not in shared} for frame in frames]
     return _text({**shared, **(further or {})}, own_keys)
@@ -135,7 +147,7 @@ def _is_below(file: Path, folder: Path) -> bool:
 
 
 def _is_shared(frames: list[dict[str, Any]], key: str) -> bool:
-    if key in ("file_path", "transform_matrix"):
+    if key in ("file_path", "transform_matrix", "time"):
         return False
     return all(key in frame and frame[key] == frames[0][key] for frame in frames)
 

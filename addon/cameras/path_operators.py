@@ -9,7 +9,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..interface.operators import make_active
 from ..paths import absolute
-from .camera_path import export_path
+from .camera_path import CAMERAS, NERFSTUDIO, TRANSFORMS, export_path
 from .camera_path_import import import_path, use_path
 from .lookup import find_root, roots_of
 from .operators import OnCapture
@@ -29,11 +29,17 @@ class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
     kind: EnumProperty(
         name="Files",
         items=(
-            ("CAMERAS", "cameras.json", "What gscore render takes as --path"),
+            (CAMERAS, "cameras.json", "For gscore render and viewers of 3DGS; has no times"),
             (
-                "TRANSFORMS",
+                TRANSFORMS,
                 "transforms.json",
-                "For nerfstudio and others; gscore render takes it as --path too",
+                "For gscore render and others, with times from 0 to 1 and frames a second",
+            ),
+            (
+                NERFSTUDIO,
+                "camera_path.json",
+                "For nerfstudio's viewer and ns-render, and gscore render; without lens shift. "
+                "nerfstudio turns and scales captures, unless it is told not to",
             ),
         ),
         description="What to write",
@@ -53,9 +59,7 @@ class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
         if camera is None:
             raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        count = export_path(
-            path, camera, context.scene, root=root, transforms=self.kind == "TRANSFORMS"
-        )
+        count = export_path(path, camera, context.scene, root=root, kind=self.kind)
         return f"{path}: {count} frames of {camera.name}"
 
 

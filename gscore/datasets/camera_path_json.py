@@ -1,5 +1,6 @@
 """Files of camera paths: a cameras.json, nerfstudio's camera_path.json, a transforms.json."""
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DatasetError, FormatError
+from ..errors import ConfigError, DatasetError, FormatError
 from ..io.cameras_json import read_cameras_json
 from ..io.colmap.camera_models import NO_PINHOLE
-from ..io.files import read_bytes
+from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
 from ..scene import Cameras
 from ..shown import quoted
-from ..transforms import viewmat_from_opengl
+from ..transforms import opengl_from_viewmat, viewmat_from_opengl
 from ..words import count_words
 from .capture import View
 from .poses import check_focal, rigid_matrix
@@ -22,6 +23,8 @@ from .transforms_json import views_of_file
 
 _LARGEST = 1 << 16
 """Pixels of a side."""
+_ALIKE = 1e-6
+"""Share of a picture's size to which a lens is that of nerfstudio's path."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +71,64 @@ def read_camera_path(path: str | Path) -> MovingCamera:
     return found
 
 
+def write_nerfstudio_path(path: str | Path, cameras: Cameras, *, fps: float) -> None:
+    """Write the camera_path.json of nerfstudio's viewer, with a keyframe for each camera.
+
+    Times go evenly from 0 to 1, which nerfstudio's moving scenes take.
+
+    Args:
+        path: The file.
+        cameras: In the order of time; of one size, with square pixels and the axis in the middle.
+        fps: Pictures a second.
+
+    Raises:
+        ConfigError: a camera has another lens than such a file can state; it is named.
+        GsError: the file cannot be written.
+    """
+    width, height = int(cameras.widths[0]), int(cameras.heights[0])
+    lenses = cameras.Ks[:, [0, 1, 0, 1], [0, 1, 2, 2]] / width
+    wanted = np.stack([lenses[:, 1], lenses[:, 1], *np.full((2, len(cameras)), 0.5)], axis=1)
+    wanted[:, 3] *= height / width
+    sizes = (cameras.widths != width) | (cameras.heights != height)
+    for i in np.flatnonzero(sizes | (np.abs(lenses - wanted).max(axis=1) > _ALIKE)):
+        raise ConfigError(
+            f"{path}: nerfstudio's camera_path.json has no place for a shifted lens, pixels that "
+            f"are not square, or a change of size, as {cameras.names[i]} has. Write a "
+            f"transforms.json."
+        )
+    poses = opengl_from_viewmat(cameras.viewmats)
+    fovs = np.degrees(2 * np.arctan(0.5 * height / cameras.Ks[:, 1, 1]))
+    keyframes, entries = [], []
+    for pose, fov, time in zip(poses, fovs, np.linspace(0, 1, len(cameras)), strict=True):
+        lens = {"fov": float(fov), "aspect": width / height}
+        matrix = pose.ravel().tolist()
+        further = {"override_transition_enabled": False, "override_transition_sec": None}
+        keyframes.append({"matrix": matrix, **lens, **further})
+        entries.append({"camera_to_world": matrix, **lens, "render_time": float(time)})
+    content = {
+        "default_fov": float(fovs[0]),
+        "default_transition_sec": 1 / fps,
+        "keyframes": keyframes,
+        "camera_type": "perspective",
+        "render_height": height,
+        "render_width": width,
+        "fps": fps,
+        "seconds": len(cameras) / fps,
+        "is_cycle": False,
+        "smoothness_value": 0.0,
+        "camera_path": entries,
+    }
+    lines = (f"{json.dumps(key)}: {_text(value)}" for key, value in content.items())
+    atomic_write(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+
+
+def _text(value: Any) -> str:
+    """JSON, of a list with an item a line."""
+    if not isinstance(value, list):
+        return json.dumps(value)
+    return "[\n" + ",\n".join(json.dumps(item) for item in value) + "\n]"
+
+
 def _nerfstudio(path: Path, data: dict[str, Any]) -> MovingCamera:
     kind = data.get("camera_type", "perspective")
     if kind != "perspective":
@@ -96,11 +157,16 @@ def _nerfstudio(path: Path, data: dict[str, Any]) -> MovingCamera:
         heights=np.full(count, height, np.int64),
         names=tuple(names),
     )
+    return MovingCamera(cameras=cameras, fps=_pace(path, data))
+
+
+def _pace(path: Path, data: dict[str, Any]) -> float | None:
+    """Pictures a second, where that is stated."""
     fps = data.get("fps")
     stated = None if fps is None else _number(str(path), "fps", fps)
     if stated is not None and not 0 < stated <= 1000:
         raise FormatError(f"{path}: fps is {stated:g}, expected up to 1000. Export the path again.")
-    return MovingCamera(cameras=cameras, fps=stated)
+    return stated
 
 
 def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
@@ -124,7 +190,7 @@ def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
             heights=np.array([view.camera.height for view in views], np.int64),
             names=tuple(view.name for view in views),
         ),
-        fps=None,
+        fps=_pace(path, data),
         warnings=(warning,) if bent else (),
     )
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.datasets.camera_path_json import read_camera_path
-from gscore.errors import DatasetError, FormatError
+from gscore.datasets.camera_path_json import read_camera_path, write_nerfstudio_path
+from gscore.errors import ConfigError, DatasetError, FormatError
 from gscore.io.cameras_json import write_cameras
 from gscore.scene import Cameras
 
@@ -49,6 +49,38 @@ def test_the_path_of_nerfstudios_viewer(tmp_path: Path) -> None:
         np.testing.assert_allclose(pixel, (100 + focal * 1.5, 50, 1), rtol=1e-12)
 
 
+def test_a_path_for_nerfstudios_viewer_comes_back(tmp_path: Path) -> None:
+    """Oracles: the cameras that were written; the file of the viewer, pose by pose."""
+    read = read_camera_path(written(tmp_path, NERFSTUDIO))
+    write_nerfstudio_path(tmp_path / "again.json", read.cameras, fps=23.976)
+    again = read_camera_path(tmp_path / "again.json")
+    np.testing.assert_allclose(again.cameras.viewmats, read.cameras.viewmats, atol=1e-12)
+    np.testing.assert_allclose(again.cameras.Ks, read.cameras.Ks, rtol=1e-12)
+    assert again.fps == 23.976 and list(again.cameras.widths) == [200, 200]
+    content = json.loads((tmp_path / "again.json").read_text())
+    for key, entry, fov in zip(content["keyframes"], content["camera_path"], (90, 60), strict=True):
+        np.testing.assert_allclose(key["matrix"], POSE, atol=1e-12)
+        assert key["matrix"] == entry["camera_to_world"]
+        assert entry["fov"] == key["fov"] == pytest.approx(fov) and entry["aspect"] == 2
+    assert [entry["render_time"] for entry in content["camera_path"]] == [0, 1]
+    assert content["seconds"] == pytest.approx(2 / 23.976)
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value"), [(0, 0, 60.0), (0, 2, 101.0), (1, 2, 49.0), (None, None, None)]
+)
+def test_lenses_that_nerfstudio_cannot_state(tmp_path: Path, row, column, value) -> None:
+    """Oracle: a sentence that names the second camera, and no file."""
+    cameras = read_camera_path(written(tmp_path, NERFSTUDIO)).cameras
+    if row is None:
+        cameras.widths[1] = 210
+    else:
+        cameras.Ks[1, row, column] = value
+    with pytest.raises(ConfigError, match=r"frame_000002.*transforms\.json"):
+        write_nerfstudio_path(tmp_path / "again.json", cameras, fps=24)
+    assert not (tmp_path / "again.json").exists()
+
+
 def test_frames_come_in_the_order_of_their_time(tmp_path: Path) -> None:
     """Oracle: the times; without them, the order of the file."""
     rows = [POSE[i : i + 4] for i in range(0, 16, 4)]
@@ -60,6 +92,9 @@ def test_frames_come_in_the_order_of_their_time(tmp_path: Path) -> None:
     found = read_camera_path(written(tmp_path, content))
     assert found.cameras.names == ("a.png", "b.png", "c.png") and not found.warnings
     np.testing.assert_array_equal(found.cameras.Ks[0], [[90, 0, 33], [0, 80, 44], [0, 0, 1]])
+    assert found.fps is None
+    content["fps"] = 30
+    assert read_camera_path(written(tmp_path, content)).fps == 30
     del frames[1]["time"]
     assert read_camera_path(written(tmp_path, content)).cameras.names == ("c.png", "a.png", "b.png")
     content["k1"] = 0.1

@@ -140,6 +140,84 @@ def test_a_path_comes_back(scene, camera, tmp_path: Path, kind, world, step) -> 
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-2)
 
 
+def without_shift(camera) -> None:
+    """Take the lens's shift and its keys away."""
+    for curve in lab.curves(camera.data):
+        if curve.data_path == "shift_x":
+            for key in curve.keyframe_points:
+                key.co.y = key.handle_left.y = key.handle_right.y = 0
+    camera.data.shift_x = 0
+
+
+@pytest.mark.parametrize("world", ["BLENDER", "CAPTURE"])
+def test_a_path_for_nerfstudio(scene, camera, tmp_path: Path, world) -> None:
+    """Oracles: Blender's projection at each frame, by nerfstudio's formulas from the file and by
+    the camera that comes back; its size, pace and times."""
+    if world == "CAPTURE":
+        capture_with(camera)
+    scene.camera = camera
+    without_shift(camera)
+    scene.render.fps, scene.render.fps_base = 30, 1.001
+    before = seen(scene, camera)
+    file = tmp_path / "walk.json"
+    export = bpy.ops.gscore.export_camera_path
+    assert export(filepath=str(file), world=world, kind="NERFSTUDIO") == {"FINISHED"}
+    written = json.loads(file.read_text())
+    assert (written["render_width"], written["render_height"]) == (320, 180)
+    assert written["fps"] == pytest.approx(30 / 1.001)
+    assert written["seconds"] == pytest.approx(6 / written["fps"])
+    keys = [(key["matrix"], key["fov"]) for key in written["keyframes"]]
+    entries = written["camera_path"]
+    assert keys == [(entry["camera_to_world"], entry["fov"]) for entry in entries]
+    times = [entry["render_time"] for entry in entries]
+    np.testing.assert_allclose(times, [0, 0.2, 0.4, 0.6, 0.8, 1])
+    to_file = np.linalg.inv(made_matrix()) if world == "CAPTURE" else np.eye(4)
+    for entry, wanted in zip(entries, before, strict=True):
+        # nerfstudio: OpenGL axes, focal length of the height's field of view, the axis in the
+        # middle.
+        pose = np.reshape(entry["camera_to_world"], (4, 4))
+        focal = 0.5 * 180 / np.tan(0.5 * np.radians(entry["fov"]))
+        for point, pixel in zip(POINTS, wanted, strict=True):
+            x, y, z, _ = np.linalg.inv(pose) @ to_file @ (*point, 1)
+            at = 160 + focal * x / -z, 90 - focal * y / -z
+            np.testing.assert_allclose(at, pixel, rtol=0, atol=1e-2)
+        assert entry["aspect"] == pytest.approx(320 / 180)
+    scene.render.fps = 24
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world=world, start=3, numbered=False)
+    assert (scene.frame_start, scene.frame_end) == (3, 8)
+    assert scene.render.fps / scene.render.fps_base == pytest.approx(30 / 1.001)
+    for ours, theirs in zip(seen(scene, scene.camera), before, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-2)
+
+
+@pytest.mark.parametrize("what", ["shift", "pixels"])
+def test_nerfstudio_has_no_such_lens(scene, camera, tmp_path: Path, what) -> None:
+    """Oracle: a sentence that names the frame, and no file."""
+    if what == "pixels":
+        without_shift(camera)
+        scene.render.pixel_aspect_x = 1.5
+    text = lab.error_of(
+        lambda: bpy.ops.gscore.export_camera_path(
+            filepath=str(tmp_path / "p.json"), world="BLENDER", kind="NERFSTUDIO"
+        )
+    )
+    first = "frame_000004" if what == "shift" else "frame_000003"
+    assert first in text and "transforms.json" in text and not list(tmp_path.iterdir())
+
+
+def test_transforms_have_times(scene, camera, tmp_path: Path) -> None:
+    """Oracle: from 0 to 1 over the frames that are rendered; the pace comes back."""
+    scene.render.fps, scene.frame_step = 50, 2
+    file = tmp_path / "p.json"
+    export = bpy.ops.gscore.export_camera_path
+    export(filepath=str(file), world="BLENDER", kind="TRANSFORMS")
+    written = json.loads(file.read_text())
+    assert [frame["time"] for frame in written["frames"]] == [0, 0.5, 1] and written["fps"] == 50
+    scene.render.fps = 24
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
+    assert scene.render.fps / scene.render.fps_base == 50
+
+
 @pytest.mark.skipif(not bpy.app.build_options.alembic, reason="this Blender has no Alembic")
 def test_cameras_of_alembic_files(scene, camera, tmp_path: Path) -> None:
     """Oracle: the path of the camera that Blender itself wrote to Alembic and read again."""
@@ -239,7 +317,7 @@ def test_the_other_half_of_a_turn(scene, tmp_path: Path) -> None:
     assert steps.max() < 25 and steps.min() > 5
 
 
-@pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS"])
+@pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS", "NERFSTUDIO"])
 def test_gscore_render_draws_what_f12_does(scene, camera, tmp_path: Path, kind) -> None:
     """Oracle: F12 at each frame; the splats hang from a capture that is turned and scaled."""
     root = capture_with(camera)
@@ -250,15 +328,19 @@ def test_gscore_render_draws_what_f12_does(scene, camera, tmp_path: Path, kind) 
     scene.camera, scene.frame_step = camera, 5
     # Where the blob is seen, in the capture's place.
     camera.parent = root
+    names = {3: "frame_000003", 8: "frame_000008"}
+    if kind == "NERFSTUDIO":  # which has no names and no shift
+        names = {3: "frame_000001", 8: "frame_000002"}
+        without_shift(camera)
     file = tmp_path / "path.json"
     bpy.ops.gscore.export_camera_path(filepath=str(file), world="CAPTURE", kind=kind)
     command = [sys.executable, "-m", "gscore", "render", str(tmp_path / "s.ply"), "--quiet"]
     command += ["--path", str(file), "--near", str(camera.data.clip_start / 1.7)]
     subprocess.run([*command, "-o", str(tmp_path / "out")], check=True, cwd=ROOT)
-    for number in (3, 8):
+    for number, name in names.items():
         scene.frame_set(number)
         got = lab.render_file(tmp_path / "blender.png")
-        want = lab.read_image(next((tmp_path / "out").rglob(f"frame_{number:06d}.png")))
+        want = lab.read_image(next((tmp_path / "out").rglob(f"{name}.png")))
         assert np.abs(got - want).mean() < 2 / 255 and np.abs(got - want).max() < 4 / 255
         assert want[..., :3].std() > 0.05
 
