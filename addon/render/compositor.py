@@ -39,6 +39,8 @@ _SHARED = (
     "use_motion_blur",
     "motion_blur_shutter",
     "motion_blur_position",
+    "frame_map_old",
+    "frame_map_new",
     "use_multiview",
 )
 
@@ -158,13 +160,14 @@ def _synchronise(
     for name in ("antialias", "blur_samples"):
         setattr(other.gscore_render, name, getattr(scene.gscore_render, name))
     other.view_layers[0].use_pass_z = True
-    _follow_mattes(scene, other)
+    _follow_layer(scene, other)
 
 
-def _follow_mattes(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Give the splats' scene the mattes of the meshes' scene; writes only what differs."""
+def _follow_layer(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
+    """Give the splats' scene the mattes and the motion blur of the meshes' view layer; writes only
+    what differs."""
     layer, own = scene.view_layers[0], other.view_layers[0]
-    for name in MATTES:
+    for name in (*MATTES, "use_motion_blur"):
         if getattr(own, name) != getattr(layer, name):
             setattr(own, name, getattr(layer, name))
 
@@ -188,6 +191,7 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
         wanted = getattr(scene.render, name)
         if getattr(other.render, name) != wanted:
             setattr(other.render, name, wanted)
+    _follow_curve(*(s.render.motion_blur_shutter_curve for s in (scene, other)))
     # Markers that change the camera: the render looks for them in the scene that it draws.
     cuts, own = (
         {(m.frame, m.camera) for m in s.timeline_markers if m.camera} for s in (scene, other)
@@ -198,13 +202,30 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
             other.timeline_markers.new(camera.name, frame=frame).camera = camera
 
 
+def _follow_curve(curve: bpy.types.CurveMapping, other: bpy.types.CurveMapping) -> None:
+    """Give a curve the points of another one; writes only where they differ."""
+    wanted, own = (
+        [(tuple(p.location), p.handle_type) for p in c.curves[0].points] for c in (curve, other)
+    )
+    if wanted == own:
+        return
+    points = other.curves[0].points
+    for _ in range(len(own) - len(wanted)):
+        points.remove(points[-1])
+    for _ in range(len(wanted) - len(own)):
+        points.new(1, 1)
+    for point, (location, handle) in zip(points, wanted, strict=True):
+        point.location, point.handle_type = location, handle
+    other.update()
+
+
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """Once set up, a new camera or size of the meshes' scene is the others' at once."""
     other = scene.get(SPLAT_SCENE)
     if isinstance(other, bpy.types.Scene):
         _follow(scene, other)
-        _follow_mattes(scene, other)
+        _follow_layer(scene, other)
         rest(scene)
     if isinstance(world := scene.get(WORLD_SCENE), bpy.types.Scene):
         _follow_world(scene, world)

@@ -38,7 +38,7 @@ from .viewport import (
     redraw_when_ready,
     view_camera,
 )
-from .world import background_of, world_light
+from .world import background_of, world_light, world_of
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
@@ -120,7 +120,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             EXACT.add(pointer)
         pixels = view.painter.pixels
         if live is not None and pointer not in EXACT:
-            pixels = self._empty(depsgraph.scene)
+            pixels = self._empty(depsgraph)
         if pixels is not None:
             self.bind_display_space_shader(depsgraph.scene)
             view.draw(pixels, region.width, region.height)
@@ -146,7 +146,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
         size = region.width, region.height
         transparent = scene.render.film_transparent
-        light = np.zeros(3) if transparent else world_light(scene.world)[0]
+        light = np.zeros(3) if transparent else _light(depsgraph)
         return Request(
             placed=placed,
             held=held_meshes.SHARED.of(depsgraph),
@@ -165,11 +165,11 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             redraw_when_ready(painter)
         self.update_stats("", painter.problem)
 
-    def _empty(self, scene: bpy.types.Scene) -> np.ndarray:
+    def _empty(self, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
         """[1, 1, 4] of a picture without splats."""
-        if scene.render.film_transparent:
+        if depsgraph.scene.render.film_transparent:
             return np.zeros((1, 1, 4), np.float32)
-        return np.array([[[*world_light(scene.world)[0], 1]]], np.float32)
+        return np.array([[[*_light(depsgraph), 1]]], np.float32)
 
     def _refuse(self, message: str) -> None:
         """Stop with a sentence: on the render window, and as the operator's error."""
@@ -185,7 +185,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         still = stage.view()
         self._warn(ignored.Shown(scene=scene, layer=layer, camera=camera))
         asked = asked_of(layer)
-        film = self._film(scene, depths=asked.depth)
+        film = self._film(depsgraph, depths=asked.depth)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if stage.blurs:
@@ -201,11 +201,12 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self._deliver(passes, layer.name, scene.render, film.options.window)
         asked.stamp(self.get_result(), layer.name, covered)
 
-    def _film(self, scene: bpy.types.Scene, *, depths: bool) -> Film:
+    def _film(self, depsgraph: bpy.types.Depsgraph, *, depths: bool) -> Film:
+        scene = depsgraph.scene
         transparent = scene.render.film_transparent
         black = (0.0, 0.0, 0.0)
         options = picture.Options(
-            background=black if transparent else background_of(world_light(scene.world)[0]),
+            background=black if transparent else background_of(_light(depsgraph)),
             depths=depths,
             antialias=scene.gscore_render.antialias,
             window=border_window(scene.render, self.resolution_x, self.resolution_y),
@@ -292,6 +293,11 @@ def collect(depsgraph: bpy.types.Depsgraph, cache: SplatCache) -> Model:
     if not placed:
         raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
     return cache.model(placed)
+
+
+def _light(depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+    """[3] scene-linear color of what is behind the splats."""
+    return world_light(world_of(depsgraph.scene, depsgraph.view_layer_eval))[0]
 
 
 def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from ..splats.objects import is_native, is_splats
 from .apart import SPLAT_SCENE, main_scene
 from .held_meshes import is_held_by, may_hide, not_taken_over
 from .passes import SWITCHES
-from .world import world_light
+from .world import world_light, world_of
 
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
 """Sentence on meshes that were held out after that."""
@@ -163,7 +163,15 @@ def _behind(sentence: str) -> Callable[[Shown], str]:
 
 
 def _world(shown: Shown) -> str:
-    return "" if shown.scene.render.film_transparent else world_light(shown.scene.world)[1]
+    world = world_of(shown.scene, shown.layer)
+    return "" if shown.scene.render.film_transparent else world_light(world)[1]
+
+
+def _rolls(shown: Shown) -> bool:
+    """Whether rows are to be exposed one after the other, which Cycles knows."""
+    scene = main_scene(shown.scene) or shown.scene
+    own = getattr(scene, "cycles", None)
+    return scene.render.use_motion_blur and getattr(own, "rolling_shutter_type", "NONE") != "NONE"
 
 
 CHECKS = (
@@ -184,6 +192,10 @@ CHECKS = (
     ),
     Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
     Check("{}", _world),
+    Check(
+        "Rolling Shutter has no effect on splats: all rows are exposed at once.",
+        lambda s: _if(_rolls(s)),
+    ),
     Check(
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
         lambda s: "" if _composited(s) else _others(s),

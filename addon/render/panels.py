@@ -7,6 +7,8 @@ import bpy
 from ..cameras.panorama import KINDS, kind_of
 from ..compat import panorama_settings
 from ..interface.questions import letters, wrapped
+from ..splats.objects import is_native, is_splats
+from ..timeline.settings import plays
 from . import ignored
 from .engine import NAME
 from .operators import changes_colors
@@ -108,6 +110,33 @@ class DATA_PT_gscore_panorama(bpy.types.Panel):  # noqa: N801 Blender's rule
         draw_panorama(self.layout, context.camera)
 
 
+class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rule
+    """The switches of an object's motion blur, which Blender's own panel shows for Cycles alone."""
+
+    bl_label = "Motion Blur"
+    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "object"
+    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """For this engine, of what it draws or looks through."""
+        ob = context.object
+        drawn = ob is not None and (ob.type == "CAMERA" or is_splats(ob) or is_native(ob))
+        return context.engine in cls.COMPAT_ENGINES and drawn and hasattr(ob, "cycles")
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """The switch."""
+        self.layout.active = context.scene.render.use_motion_blur
+        self.layout.prop(context.object.cycles, "use_motion_blur", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Whether its frames change within an exposure."""
+        ob = context.object
+        self.layout.active = context.scene.render.use_motion_blur and ob.cycles.use_motion_blur
+        if plays(ob):
+            self.layout.prop(ob.cycles, "use_deform_motion", text="Frames of the Sequence")
+
+
 def draw_panorama(layout: bpy.types.UILayout, camera: bpy.types.Camera) -> None:
     """The kind of a panoramic camera, and its settings."""
     own, column = panorama_settings(camera), layout.column()
@@ -120,7 +149,12 @@ def draw_panorama(layout: bpy.types.UILayout, camera: bpy.types.Camera) -> None:
         column.prop(own, name)
 
 
-CLASSES = (RENDER_PT_gscore, VIEWLAYER_PT_gscore_passes, DATA_PT_gscore_panorama)
+CLASSES = (
+    RENDER_PT_gscore,
+    VIEWLAYER_PT_gscore_passes,
+    DATA_PT_gscore_panorama,
+    OBJECT_PT_gscore_motion_blur,
+)
 
 
 def _shared() -> list[Any]:

@@ -19,7 +19,7 @@ from .frozen import Frozen
 from .held_meshes import HeldMesh, HeldMeshes, same_meshes
 from .mesh_holdout import Hidden, hidden
 from .samples import Aperture, Sample, Shutter, samples
-from .scene import NO_SPLATS, Model, SplatCache, place, sources
+from .scene import NO_SPLATS, Model, Placed, Source, SplatCache, place, sources
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
 """When the shutter opens, in lengths of the exposure after the frame, by Blender's names."""
@@ -76,14 +76,19 @@ class Stage:
         self._depsgraph, self._camera, self._size = depsgraph, camera, size
         self._cache, self._frame_set = cache, frame_set
         self._frame = float(depsgraph.scene.frame_current_final)
-        self._shutter = shutter_of(depsgraph.scene)
+        opens = depsgraph.view_layer_eval.use_motion_blur
+        self._shutter = shutter_of(depsgraph.scene) if opens else None
         self._frozen: dict[int, Frozen] = {}
+        self._resting: list[Placed] | None = None
+        """Objects without motion blur, as they are at the frame itself; None: not yet known."""
+        self._own_lens: tuple[RenderCamera | Panorama, Aperture | None] | None = None
+        """Of the frame itself, where the camera has no motion blur."""
 
     @property
     def blurs(self) -> bool:
         """Whether a picture is the mean of several."""
         camera = self._camera.evaluated_get(self._depsgraph)
-        return blurs(self._depsgraph.scene, camera)
+        return self._shutter is not None or _has_depth_of_field(camera)
 
     def view(self) -> View:
         """What a pinhole in the middle of the lens shows at the frame itself.
@@ -110,34 +115,65 @@ class Stage:
             yield from self._through(samples(count))
 
     def _through(self, wanted: list[Sample]) -> Iterator[View]:
-        still = None if self._shutter is not None else self.view()
+        still = None
+        if self._shutter is None:
+            still = self.view()
+        elif self._resting is None:
+            self.view()  # of the frame itself, for what rests
         for sample in wanted:
             if self._shutter is not None:
                 self._go(self._frame + self._shutter.time(sample))
-            view, aperture = still or self._view(), self._aperture()
+            view = still or self._view()
             if view is None:  # objects may be hidden for a part of the exposure
                 view = self._empty()
+            aperture = self._lens()[1]
             if aperture is not None and isinstance(view.camera, RenderCamera):
                 view = replace(view, camera=through(view.camera, *aperture.point(sample), aperture))
             yield view
 
     def _view(self) -> View | None:
-        camera = self._pinhole()
-        found = sources(self._depsgraph)
-        placed = []
-        for source in found:
-            # A frame of a sequence is kept elsewhere; what a mesh holds is the same all the time.
-            known = None if source.moment is not None else self._frozen.get(source.uid)
-            placed.append(place(source, known))
-            if source.moment is None:
-                self._frozen[source.uid] = placed[-1].frozen
+        camera = self._lens()[0]
+        placed = self._placed()
         if not placed:
             return None
         held = HeldMeshes().of(self._depsgraph)
         return View(model=self._cache.model(placed), camera=camera, held=held)
 
+    def _placed(self) -> list[Placed]:
+        """What shows now, but objects without motion blur as they were when this was asked first:
+        at the frame itself."""
+        found, moving, resting = sources(self._depsgraph), [], []
+        for source in found:
+            rests = self._shutter is not None and not _moves(source.ob, source.shown_by)
+            if rests and self._resting is not None:
+                continue
+            # What a mesh holds is the same all the time; frames of a sequence are not.
+            known = None if self._changes(source) else self._frozen.get(source.uid)
+            one = place(source, known)
+            if not self._changes(source):
+                self._frozen[source.uid] = one.frozen
+            (resting if rests else moving).append(one)
+        if self._resting is None:
+            self._resting = resting
+        return moving + self._resting
+
+    def _changes(self, source: Source) -> bool:
+        """Whether what an object shows may be something else at another moment of the exposure."""
+        settings = getattr(source.ob, "cycles", None)
+        return source.moment is not None and getattr(settings, "use_deform_motion", True)
+
+    def _lens(self) -> tuple[RenderCamera | Panorama, Aperture | None]:
+        """The pinhole camera in the lens's middle, and the hole."""
+        if self._own_lens is not None:
+            return self._own_lens
+        camera = self._camera.evaluated_get(self._depsgraph)
+        lens = self._pinhole(), aperture_of(camera, self._depsgraph)
+        if self._shutter is None or not _moves(camera):
+            self._own_lens = lens
+        return lens
+
     def _empty(self) -> View:
-        return View(model=_nothing(), camera=self._pinhole())
+        return View(model=_nothing(), camera=self._lens()[0])
 
     def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size
@@ -151,9 +187,6 @@ class Stage:
             width=width,
             height=height,
         )
-
-    def _aperture(self) -> Aperture | None:
-        return aperture_of(self._camera.evaluated_get(self._depsgraph), self._depsgraph)
 
     def _go(self, frame: float) -> None:
         whole = math.floor(frame)
@@ -171,6 +204,12 @@ class Stage:
 def blurs(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
     """Whether pictures of a scene by a camera are the mean of several."""
     return _opens(scene.render) or _has_depth_of_field(camera)
+
+
+def _moves(*owners: bpy.types.Object) -> bool:
+    """Whether evaluated objects all have motion blur, by the switches that Cycles keeps."""
+    settings = (getattr(ob, "cycles", None) for ob in owners)
+    return all(getattr(one, "use_motion_blur", True) for one in settings)
 
 
 def shutter_of(scene: bpy.types.Scene) -> Shutter | None:

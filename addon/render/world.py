@@ -7,6 +7,11 @@ from ..compat import rec709_to_scene, world_nodes
 from ..srgb import encode
 
 
+def world_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+    """The world that a view layer shows; None where it shows none."""
+    return (layer.world_override or scene.world) if layer.use_sky else None
+
+
 def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
     """Scene-linear colour of the background [3], and a sentence where the world is not that."""
     if world is None:

@@ -1,16 +1,18 @@
 """Depth of field and motion blur. Oracles: thin-lens optics, and pictures without either."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 
 from addon.core import Splats, write_splats
-from addon.render import film
+from addon.render import film, panels
 from addon.render.samples import Aperture, Shutter, samples
 from addon.timeline import importing, mesh
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import Layout
 
 LEVEL = 1 / 255
 
@@ -244,3 +246,78 @@ def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
     np.testing.assert_allclose(got, np.mean(alone, 0), atol=1e-5)
     assert np.abs(alone[0] - alone[1]).max() > 0.1
     assert mesh.holds(ob) == held
+    ob.cycles.use_deform_motion = False
+    got = lab.render_exr(tmp_path, "frame")
+    np.testing.assert_allclose(got, alone[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("what", ["object", "camera", "instancer", "layer"])
+def test_what_has_no_motion_blur_rests(scene, tmp_path, what):
+    """Oracle: the picture of the frame itself; and a streak where one switch is on again."""
+    camera = lab.prepare(scene)
+    scene.render.film_transparent = True
+    ob = lab.add(scene, lab.blob(200, size=0.3))
+    lab.add(scene, lab.wall(-1.0, (0.9, 0.2, 0.1), half=0.4), "still")
+    if what == "instancer":
+        group = bpy.data.collections.new("group")
+        scene.collection.objects.unlink(ob)
+        group.objects.link(ob)
+        ob = bpy.data.objects.new("instancer", None)
+        scene.collection.objects.link(ob)
+        ob.instance_type, ob.instance_collection = "COLLECTION", group
+    moved = camera if what == "camera" else ob
+    lab.moving(moved, 0.3)
+    scene.frame_set(5)
+    sharp = lab.render_exr(tmp_path, "sharp")
+    scene.render.use_motion_blur = True
+    scene.gscore_render.blur_samples = 4
+    owner = scene.view_layers[0] if what == "layer" else moved.cycles
+    owner.use_motion_blur = False
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "rests"), sharp, atol=1e-5)
+    owner.use_motion_blur = True
+    assert np.abs(lab.render_exr(tmp_path, "moves") - sharp).max() > 0.1
+
+
+def test_one_object_rests_while_another_moves(scene, tmp_path):
+    """Oracle: where the one that rests is alone, its own picture of the frame; a streak elsewhere;
+    it shows through the whole exposure, though it is hidden after the frame."""
+    lab.prepare(scene)
+    scene.render.film_transparent = True
+    rests = lab.add(scene, lab.blob(200, center=(-0.8, 0, 0), size=0.3), "rests")
+    moves = lab.add(scene, lab.blob(200, center=(0.8, 0, 0), size=0.2, seed=1), "moves")
+    for ob in (rests, moves):
+        lab.moving(ob, 0.3)
+    for frame, hidden in ((5, False), (6, True)):
+        rests.hide_render = hidden
+        rests.keyframe_insert("hide_render", frame=frame)
+    scene.frame_set(5)
+    sharp = lab.render_exr(tmp_path, "sharp")
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 2.0
+    scene.gscore_render.blur_samples = 4
+    rests.cycles.use_motion_blur = False
+    got = np.abs(lab.render_exr(tmp_path) - sharp).max((0, 2))
+    assert got[:40].max() < 1e-5 and got[50:].max() > 0.1
+
+
+def test_the_switch_is_offered(scene, tmp_path):
+    """Oracle: Blender's names of the switches; that of frames for an object that has some."""
+
+    def offered(ob: bpy.types.Object) -> str:
+        layout = Layout()
+        context = SimpleNamespace(object=ob, scene=scene, engine=scene.render.engine)
+        panel = panels.OBJECT_PT_gscore_motion_blur
+        assert panel.poll(context)
+        shown = SimpleNamespace(layout=layout)
+        panel.draw_header(shown, context)
+        panel.draw(shown, context)
+        return layout.text
+
+    camera = lab.prepare(scene)
+    write_splats(tmp_path / "1.ply", lab.blob(20))
+    playing, _ = importing.import_sequence(bpy.context, tmp_path)
+    for ob in (camera, lab.add(scene, lab.blob(20))):
+        assert offered(ob) == "<use_motion_blur>"
+    assert offered(playing) == "<use_motion_blur> <use_deform_motion>"
+    light = bpy.data.objects.new("light", bpy.data.lights.new("light", "SUN"))
+    context = SimpleNamespace(object=light, engine=scene.render.engine)
+    assert not panels.OBJECT_PT_gscore_motion_blur.poll(context)

@@ -6,7 +6,7 @@ import pytest
 
 from addon import compat
 from addon.panels.render import RenderPanel
-from addon.render import composite_nodes, compositor, ignored
+from addon.render import composite_nodes, compositor, ignored, stage
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -190,6 +190,30 @@ def test_it_can_be_taken_down(mixed, tmp_path):
     assert all(m.show_render for m in bpy.data.objects["splats"].modifiers)
     assert "no compositing" in lab.error_of(bpy.ops.gscore.remove_compositing)
     lab.render_exr(tmp_path)
+
+
+def test_the_shutter_and_its_curve_are_followed(mixed):
+    """Oracle: what the curve of the splats' scene gives, and the settings of the meshes' scene."""
+    scene = mixed
+    other = compositor.set_up(scene)
+    curve = scene.render.motion_blur_shutter_curve
+    curve.curves[0].points.new(0.3, 0.2)
+    curve.curves[0].points[0].location.y = 0.5
+    curve.curves[0].points[0].handle_type = "VECTOR"
+    curve.update()
+    scene.render.use_motion_blur = True
+    scene.render.frame_map_new = 150
+    scene.view_layers[0].use_motion_blur = False
+    bpy.context.view_layer.update()
+    assert other.render.use_motion_blur and other.render.frame_map_new == 150
+    assert not other.view_layers[0].use_motion_blur
+    own = stage.shutter_of(other).curve
+    assert own == stage.shutter_of(scene).curve and min(own) < 0.3
+    curve.curves[0].points.remove(curve.curves[0].points[1])
+    curve.update()
+    scene.render.motion_blur_shutter = 0.7
+    bpy.context.view_layer.update()
+    assert stage.shutter_of(other) == stage.shutter_of(scene)
 
 
 def test_markers_change_the_camera(mixed, tmp_path):
