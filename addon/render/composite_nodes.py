@@ -49,6 +49,15 @@ def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node) -> None:
         tree.links.new(combine.outputs[0], target)
 
 
+def show_passes(scene: bpy.types.Scene, splats: bpy.types.Scene) -> None:
+    """Give the node of the splats' render sockets for passes that were just switched on, which
+    Blender 4.2 does for the nodes of the rendered scene alone."""
+    tree = compat.compositor_tree(scene)
+    node = None if tree is None else tree.nodes.get(LAYER_NODE)
+    if node is not None:
+        node.scene = splats
+
+
 def remove(tree: bpy.types.NodeTree) -> None:
     """Take the nodes away; what they were put between is linked again."""
     if (node := tree.nodes.get(COMBINE_NODE)) is not None:

@@ -6,7 +6,7 @@ from .. import compat
 from ..interface import writable
 from ..splats.objects import is_splats
 from .apart import MAIN_SCENE, SPLAT_SCENE
-from .composite_nodes import combine_node, insert, remove
+from .composite_nodes import combine_node, insert, remove, show_passes
 from .engine import ENGINE_BEFORE, NAME
 from .held_meshes import held_by
 from .passes import MATTES
@@ -167,9 +167,12 @@ def _follow_layer(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
     """Give the splats' scene the mattes and the motion blur of the meshes' view layer; writes only
     what differs."""
     layer, own = scene.view_layers[0], other.view_layers[0]
-    for name in (*MATTES, "use_motion_blur"):
-        if getattr(own, name) != getattr(layer, name):
-            setattr(own, name, getattr(layer, name))
+    names = (*MATTES, "use_motion_blur")
+    differing = [name for name in names if getattr(own, name) != getattr(layer, name)]
+    for name in differing:
+        setattr(own, name, getattr(layer, name))
+    if differing:
+        show_passes(scene, other)
 
 
 def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:

@@ -304,6 +304,9 @@ def test_a_composite_has_the_mattes_of_its_splats(scene, tmp_path):
     scene.view_layers[0].use_pass_object_index = True
     bpy.context.view_layer.update()
     assert other.view_layers[0].use_pass_object_index
+    tree = compat.compositor_tree(scene)
+    names = [o.name for o in tree.nodes["GS Splats"].outputs if o.enabled]
+    assert compat.index_pass_name() in names
     tree = compat.make_compositor_tree(scene)
     node = tree.nodes.new("CompositorNodeCryptomatteV2")
     node.scene = other
