@@ -221,6 +221,10 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         plain, last = film.without_depths(), None
         picture, covered = Mean(), Mean()
         shot, parts = {}, {}
+        _, top, _, height = film.options.window or (0, 0, 0, self.resolution_y)
+        # Pictures come with their bottom rows first.
+        rows = (np.arange(top, top + height)[::-1] + 0.5) / self.resolution_y
+        shares = stage.shares(count, rows)
         with closing(stage.views(count)) as views:
             for i, view in enumerate(views):
                 self.update_stats("", f"Sample {i + 1} of {count}")
@@ -229,8 +233,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                     parts = plain.coverage(view, self.test_break) if mattes else {}
                 if self.test_break():
                     raise Cancelled
-                picture.add(shot)
-                covered.add(parts)
+                row = None if shares is None else shares[i]
+                picture.add(shot, row)
+                covered.add(parts, row)
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
         return picture.result()["Combined"], covered.result()
 

@@ -167,13 +167,6 @@ def _world(shown: Shown) -> str:
     return "" if shown.scene.render.film_transparent else world_light(world)[1]
 
 
-def _rolls(shown: Shown) -> bool:
-    """Whether rows are to be exposed one after the other, which Cycles knows."""
-    scene = main_scene(shown.scene) or shown.scene
-    own = getattr(scene, "cycles", None)
-    return scene.render.use_motion_blur and getattr(own, "rolling_shutter_type", "NONE") != "NONE"
-
-
 CHECKS = (
     Check(
         "The camera is {}, and splats are rendered by perspective, orthographic, equirectangular "
@@ -192,10 +185,6 @@ CHECKS = (
     ),
     Check("Clip End of {} has no effect: splats beyond it are drawn.", _clip_end),
     Check("{}", _world),
-    Check(
-        "Rolling Shutter has no effect on splats: all rows are exposed at once.",
-        lambda s: _if(_rolls(s)),
-    ),
     Check(
         "{} is not drawn by this engine: Composite Splats with Meshes renders both.",
         lambda s: "" if _composited(s) else _others(s),

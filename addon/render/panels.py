@@ -32,6 +32,10 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if scene.render.use_motion_blur:
         column.prop(scene.render, "motion_blur_position")
         column.prop(scene.render, "motion_blur_shutter")
+        if hasattr(scene, "cycles"):
+            column.prop(scene.cycles, "rolling_shutter_type", text="Rolling Shutter")
+            if scene.cycles.rolling_shutter_type != "NONE":
+                column.prop(scene.cycles, "rolling_shutter_duration", text="Row's Share")
     if scene.camera is not None and blurs(scene, scene.camera):
         column.prop(scene.gscore_render, "blur_samples")
     changes = changes_colors(scene)

@@ -84,18 +84,42 @@ class Shutter:
     """Frames that it stays open."""
     curve: tuple[float, ...] = ()
     """How open it is, at moments that follow each other evenly; empty: quite, all the time."""
+    row: float | None = None
+    """Share of the exposure in which a row of the picture gets its light, where rows get it one
+    after the other, from the top down; None: all of them all the time."""
 
     def time(self, sample: Sample) -> float:
         """When a sample is taken, in frames after the one that is rendered."""
         share = sample.moment
-        light = np.maximum(np.array(self.curve, np.float64), 0)
-        if light.size > 1 and light.any():
-            ends = np.linspace(0, 1, _STEPS + 1)
-            middles = (ends[1:] + ends[:-1]) / 2
-            amounts = np.interp(middles, np.linspace(0, 1, light.size), light)
-            total = np.concatenate([[0], np.cumsum(amounts)])
-            share = float(np.interp(share, total / total[-1], ends))
+        if self.row is None:
+            ends, light = self._light()
+            share = float(np.interp(share, light, ends))
         return self.opens + self.length * share
+
+    def shares(self, count: int, rows: np.ndarray) -> np.ndarray | None:
+        """How much of the light of a row each sample is of, [count, R] float32; None: an even part.
+
+        Args:
+            count: Of samples.
+            rows: [R], places of the rows, 0 at the picture's top and 1 at its bottom.
+        """
+        if self.row is None:
+            return None
+        # As Cycles does it: the curve is that of a row.
+        opens = (1 - self.row) * np.asarray(rows, np.float64)
+        after = (np.linspace(0, 1, count + 1)[:, None] - opens) / max(self.row, 1e-6)
+        return np.diff(np.interp(after, *self._light()), axis=0).astype(np.float32)
+
+    def _light(self) -> tuple[np.ndarray, np.ndarray]:
+        """Shares of the exposure, and how much of its light has come until then."""
+        ends = np.linspace(0, 1, _STEPS + 1)
+        light = np.maximum(np.array(self.curve, np.float64), 0)
+        if light.size < 2 or not light.any():
+            return ends, ends
+        middles = (ends[1:] + ends[:-1]) / 2
+        amounts = np.interp(middles, np.linspace(0, 1, light.size), light)
+        total = np.concatenate([[0], np.cumsum(amounts)])
+        return ends, total / total[-1]
 
 
 _Key = TypeVar("_Key", bound=Hashable)
@@ -108,17 +132,29 @@ class Mean(Generic[_Key]):
         self._totals: dict[_Key, np.ndarray] = {}
         self._count = 0
 
-    def add(self, pictures: Mapping[_Key, np.ndarray]) -> None:
-        """Take one more set."""
+    def add(self, pictures: Mapping[_Key, np.ndarray], shares: np.ndarray | None = None) -> None:
+        """Take one more set.
+
+        Args:
+            pictures: [H, W, ...] by key.
+            shares: [H], how much of each row it is; None: as much as every other set.
+        """
         self._count += 1
         for key, values in pictures.items():
+            if shares is not None:
+                values = values * shares.reshape(-1, *[1] * (values.ndim - 1))
             if key in self._totals:
                 self._totals[key] += values
             else:
                 self._totals[key] = values.copy()
+        self._whole = shares is not None
+
+    _whole = False
+    """Whether the shares make a whole."""
 
     def result(self) -> dict[_Key, np.ndarray]:
         """The means; nothing may be added any more."""
         for total in self._totals.values():
-            total /= np.float32(self._count)
+            if not self._whole:
+                total /= np.float32(self._count)
         return self._totals

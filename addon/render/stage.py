@@ -114,6 +114,10 @@ class Stage:
         with self._other_moments():
             yield from self._through(samples(count))
 
+    def shares(self, count: int, rows: np.ndarray) -> np.ndarray | None:
+        """As `Shutter.shares`, of the views."""
+        return None if self._shutter is None else self._shutter.shares(count, rows)
+
     def _through(self, wanted: list[Sample]) -> Iterator[View]:
         still = None
         if self._shutter is None:
@@ -222,8 +226,21 @@ def shutter_of(scene: bpy.types.Scene) -> Shutter | None:
     curve.initialize()
     points = (curve.evaluate(curve.curves[0], x) for x in np.linspace(0, 1, _CURVE_POINTS))
     return Shutter(
-        opens=_OPENINGS[render.motion_blur_position] * length, length=length, curve=tuple(points)
+        opens=_OPENINGS[render.motion_blur_position] * length,
+        length=length,
+        curve=tuple(points),
+        row=_row_of(scene),
     )
+
+
+def _row_of(scene: bpy.types.Scene) -> float | None:
+    """`Shutter.row` by Cycles' settings; of composites, where Cycles draws the meshes."""
+    main = main_scene(scene)
+    settings = getattr(main or scene, "cycles", None)
+    if settings is None or (main is not None and main.render.engine != "CYCLES"):
+        return None
+    rolls = settings.rolling_shutter_type == "TOP"
+    return float(settings.rolling_shutter_duration) if rolls else None
 
 
 def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, write_splats
-from addon.render import film, panels
+from addon.render import compositor, film, panels, stage
 from addon.render.samples import Aperture, Shutter, samples
 from addon.timeline import importing, mesh
 from tests.addon import splat_scenes as lab
@@ -142,6 +142,89 @@ def test_a_shutter_curve_gives_moments_their_share():
     rising = Shutter(opens=0.0, length=1.0, curve=tuple(np.linspace(0, 1, 65)))
     times = [rising.time(s) for s in samples(64)]
     np.testing.assert_allclose(times, np.sqrt((np.arange(64) + 0.5) / 64), atol=2e-3)
+
+
+def column(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle and standard deviation of the light of each row, pixels."""
+    light = picture[..., 3].astype(np.float64)
+    x = np.arange(light.shape[1]) + 0.5
+    middle = (light * x).sum(1) / light.sum(1)
+    return middle, np.sqrt((light * (x - middle[:, None]) ** 2).sum(1) / light.sum(1))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
+def test_a_rolling_shutter_leans_like_that_of_cycles(scene, tmp_path, share):
+    """Oracle: a thin bar that Cycles renders, row by row; and a lean by the speed."""
+    camera = lab.prepare(scene, size=(120, 60))
+    scene.render.film_transparent = True
+    places = np.stack([np.zeros(81), np.linspace(-1.2, 1.2, 81), np.zeros(81)], 1)
+    dots = point((0.0, 0.0, 0.0))
+    names = ("quats", "scales", "opacities", "sh0", "shN")
+    fields = {name: np.repeat(getattr(dots, name), 81, axis=0) for name in names}
+    fields["scales"] = fields["scales"] + 5
+    splats = lab.add(scene, Splats(means=places.astype(np.float32), **fields))
+    mesh = bpy.data.meshes.new("bar")
+    corners = [(-0.02, -1.2, 0), (0.02, -1.2, 0), (0.02, 1.2, 0), (-0.02, 1.2, 0)]
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    bar = bpy.data.objects.new("bar", mesh)
+    scene.collection.objects.link(bar)
+    for ob in (splats, bar):
+        lab.moving(ob, 0.6)
+    scene.frame_set(5)
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+    curve = scene.render.motion_blur_shutter_curve
+    curve.curves[0].points[0].location.y = 0.2
+    curve.update()
+    scene.cycles.rolling_shutter_type, scene.cycles.rolling_shutter_duration = "TOP", share
+    scene.gscore_render.blur_samples = 240
+    bar.hide_render = True
+    ours, width = column(lab.render_exr(tmp_path, "ours"))
+    bar.hide_render, splats.hide_render = False, True
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 512, False
+    scene.cycles.use_adaptive_sampling, scene.cycles.pixel_filter_type = False, "BOX"
+    theirs, spread = column(lab.render_exr(tmp_path, "theirs"))
+    assert np.abs(ours - theirs).max() < 0.35
+    assert np.abs(width - spread).max() < 0.5  # splats are wider than the bar
+    speed = 0.6 * camera.data.lens / camera.data.sensor_width * 120 / 4
+    lean = (1 - share) * speed * 59 / 60
+    assert ours[-1] - ours[0] == pytest.approx(lean, abs=0.3)
+
+
+def test_mattes_and_borders_roll_too(scene, tmp_path):
+    """Oracle: the rows of the whole picture; the alpha of the only object."""
+    lab.prepare(scene, size=(60, 40))
+    scene.render.film_transparent = True
+    lab.moving(lab.add(scene, lab.wall(0.0, (0.9, 0.2, 0.1)), "only"), 0.5)
+    scene.frame_set(5)
+    scene.render.use_motion_blur = True
+    scene.cycles.rolling_shutter_type, scene.cycles.rolling_shutter_duration = "TOP", 0.2
+    scene.gscore_render.blur_samples = 8
+    whole = lab.render_exr(tmp_path, "whole")
+    layer = scene.view_layers[0]
+    layer.use_pass_cryptomatte_object = True
+    np.testing.assert_allclose(
+        lab.render_pass(scene, tmp_path, "CryptoObject00") != 0, whole[..., 3] > 0
+    )
+    layer.use_pass_cryptomatte_object, scene.render.use_compositing = False, False
+    scene.render.use_border = scene.render.use_crop_to_border = True
+    scene.render.border_min_y, scene.render.border_max_y = 0.5, 0.75
+    part = lab.render_exr(tmp_path, "part")
+    np.testing.assert_allclose(part, whole[10:20], atol=1e-5)
+
+
+def test_composites_roll_where_cycles_draws_the_meshes(scene):
+    """Oracle: the share of Cycles; none where another engine draws, or none rolls."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    scene.render.engine = "CYCLES"
+    scene.render.use_motion_blur = True
+    other = compositor.set_up(scene)
+    assert stage.shutter_of(other).row is None
+    scene.cycles.rolling_shutter_type, scene.cycles.rolling_shutter_duration = "TOP", 0.25
+    assert stage.shutter_of(other).row == 0.25
+    scene.render.engine = "BLENDER_WORKBENCH"
+    assert stage.shutter_of(other).row is None
 
 
 @pytest.mark.parametrize("what", ["splats", "camera"])

@@ -65,12 +65,6 @@ def mirror_ball(scene: bpy.types.Scene) -> None:
     compat.panorama_settings(data).panorama_type = "MIRRORBALL"
 
 
-def rolling(scene: bpy.types.Scene) -> None:
-    """Rows that are exposed one after the other, of what stands still."""
-    scene.render.use_motion_blur, scene.gscore_render.blur_samples = True, 1
-    scene.cycles.rolling_shutter_type = "TOP"
-
-
 def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
     """One property of the scene's rendering, the layer, or the camera."""
 
@@ -92,7 +86,6 @@ WITHOUT_EFFECT = {
     "Shadow Catcher of splats": setting("splats.is_shadow_catcher", True),
     "Material Override clay": override,
     "there is no Mist": setting("layer.use_pass_mist", True),
-    "Rolling Shutter": rolling,
     "Freestyle": setting("render.use_freestyle", True),
     "Simplify": setting("render.use_simplify", True),
     "Threads": setting("render.threads_mode", "FIXED"),
