@@ -4,7 +4,7 @@ An object that is held out hides with all instances that it makes, whatever they
 collection that is instanced, an object that is held out does by itself too.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -93,14 +93,23 @@ class HeldMeshes:
             if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
                 self._known.pop(update.id.original.session_uid, None)
 
-    def of(self, depsgraph: bpy.types.Depsgraph) -> tuple[HeldMesh, ...]:
-        """All that a depsgraph holds out, with the instances that it makes."""
+    def of(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        wanted: Callable[[bpy.types.Object, bpy.types.Object], bool] = lambda ob, shown_by: True,
+    ) -> tuple[HeldMesh, ...]:
+        """All that a depsgraph holds out, with the instances that it makes.
+
+        Args:
+            depsgraph: What shows.
+            wanted: Whether an evaluated object that another one shows, or itself, counts.
+        """
         found, uids = [], set()
         walkers: set[grown.Walker] = set()
         paths: set[grown.Walker] = set()
         for shown_by, is_shown in _owners(depsgraph):
             for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
-                if not _is_held(ob, shown_by, depsgraph):
+                if not (_is_held(ob, shown_by, depsgraph) and wanted(ob, shown_by)):
                     continue
                 uid = ob.original.session_uid
                 uids.add(uid)

@@ -11,6 +11,7 @@ from ..splats.objects import is_native, is_splats
 from ..timeline.settings import plays
 from . import ignored
 from .engine import NAME
+from .held_meshes import may_hide
 from .operators import changes_colors
 from .stage import blurs
 
@@ -125,8 +126,10 @@ class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rul
     def poll(cls, context: bpy.types.Context) -> bool:
         """For this engine, of what it draws or looks through."""
         ob = context.object
-        drawn = ob is not None and (ob.type == "CAMERA" or is_splats(ob) or is_native(ob))
-        return context.engine in cls.COMPAT_ENGINES and drawn and hasattr(ob, "cycles")
+        if ob is None or context.engine not in cls.COMPAT_ENGINES:
+            return False
+        counts = ob.type == "CAMERA" or is_splats(ob) or is_native(ob) or may_hide(ob)
+        return counts and hasattr(ob, "cycles")
 
     def draw_header(self, context: bpy.types.Context) -> None:
         """The switch."""

@@ -81,6 +81,7 @@ class Stage:
         self._frozen: dict[int, Frozen] = {}
         self._resting: list[Placed] | None = None
         """Objects without motion blur, as they are at the frame itself; None: not yet known."""
+        self._resting_held: tuple[HeldMesh, ...] | None = None
         self._own_lens: tuple[RenderCamera | Panorama, Aperture | None] | None = None
         """Of the frame itself, where the camera has no motion blur."""
 
@@ -140,8 +141,7 @@ class Stage:
         placed = self._placed()
         if not placed:
             return None
-        held = HeldMeshes().of(self._depsgraph)
-        return View(model=self._cache.model(placed), camera=camera, held=held)
+        return View(model=self._cache.model(placed), camera=camera, held=self._held())
 
     def _placed(self) -> list[Placed]:
         """What shows now, but objects without motion blur as they were when this was asked first:
@@ -160,6 +160,16 @@ class Stage:
         if self._resting is None:
             self._resting = resting
         return moving + self._resting
+
+    def _held(self) -> tuple[HeldMesh, ...]:
+        """What hides splats now; in the same way."""
+        if self._shutter is None:
+            return HeldMeshes().of(self._depsgraph)
+        if self._resting_held is None:
+            self._resting_held = HeldMeshes().of(
+                self._depsgraph, lambda *owners: not _moves(*owners)
+            )
+        return HeldMeshes().of(self._depsgraph, _moves) + self._resting_held
 
     def _changes(self, source: Source) -> bool:
         """Whether what an object shows may be something else at another moment of the exposure."""

@@ -30,7 +30,8 @@ _DISPLAYS = [
         "SOFT",
         "Soft Splats",
         "Ellipsoids that fade out like the splats they stand for, in Material Preview and "
-        "Rendered shading. In Cycles, raise Light Paths > Transparent to 256",
+        "Rendered shading, in the colors that the scene's camera sees: from elsewhere they are "
+        "not right. In Cycles, raise Light Paths > Transparent to 256",
         2,
     ),
 ]

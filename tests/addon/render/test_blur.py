@@ -13,6 +13,7 @@ from addon.render.samples import Aperture, Shutter, samples
 from addon.timeline import importing, mesh
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout
+from tests.addon.render import test_mesh_holdout as meshes
 
 LEVEL = 1 / 255
 
@@ -334,7 +335,7 @@ def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
     np.testing.assert_allclose(got, alone[0], atol=1e-5)
 
 
-@pytest.mark.parametrize("what", ["object", "camera", "instancer", "layer"])
+@pytest.mark.parametrize("what", ["object", "camera", "instancer", "held", "layer"])
 def test_what_has_no_motion_blur_rests(scene, tmp_path, what):
     """Oracle: the picture of the frame itself; and a streak where one switch is on again."""
     camera = lab.prepare(scene)
@@ -349,6 +350,9 @@ def test_what_has_no_motion_blur_rests(scene, tmp_path, what):
         scene.collection.objects.link(ob)
         ob.instance_type, ob.instance_collection = "COLLECTION", group
     moved = camera if what == "camera" else ob
+    if what == "held":
+        moved = meshes.plane(scene, z=0.3, right=0.1)
+        moved.is_holdout = True
     lab.moving(moved, 0.3)
     scene.frame_set(5)
     sharp = lab.render_exr(tmp_path, "sharp")
