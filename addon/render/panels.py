@@ -36,7 +36,7 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         if hasattr(scene, "cycles"):
             column.prop(scene.cycles, "rolling_shutter_type", text="Rolling Shutter")
             if scene.cycles.rolling_shutter_type != "NONE":
-                column.prop(scene.cycles, "rolling_shutter_duration", text="Row's Share")
+                column.prop(scene.cycles, "rolling_shutter_duration", text="Duration")
     if scene.camera is not None and blurs(scene, scene.camera):
         column.prop(scene.gscore_render, "blur_samples")
     changes = changes_colors(scene)
@@ -88,7 +88,7 @@ class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
         column.prop(layer, "use_pass_z", text="Depth")
         column.prop(layer, "use_pass_object_index", text="Object Index")
         if layer.use_pass_object_index:
-            column.prop(layer, "pass_alpha_threshold", text="From a Share of")
+            column.prop(layer, "pass_alpha_threshold", text="Alpha Threshold")
         column = layout.column(heading="Cryptomatte")
         column.prop(layer, "use_pass_cryptomatte_object", text="Object")
         column.prop(layer, "use_pass_cryptomatte_asset", text="Asset")
