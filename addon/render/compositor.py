@@ -42,6 +42,7 @@ _SHARED = (
     "frame_map_old",
     "frame_map_new",
     "use_multiview",
+    "views_format",
 )
 
 
@@ -194,6 +195,9 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
         wanted = getattr(scene.render, name)
         if getattr(other.render, name) != wanted:
             setattr(other.render, name, wanted)
+    for view, own in zip(scene.render.stereo_views, other.render.stereo_views, strict=True):
+        if own.use != view.use:
+            own.use = view.use
     _follow_curve(*(s.render.motion_blur_shutter_curve for s in (scene, other)))
     # Markers that change the camera: the render looks for them in the scene that it draws.
     cuts, own = (

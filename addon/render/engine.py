@@ -29,6 +29,7 @@ from .scene import (
     sources,
 )
 from .stage import Stage
+from .stereo import eye_of, refusal, views_of
 from .viewport import (
     EXACT,
     STAND_INS,
@@ -177,13 +178,22 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self.report({"ERROR"}, message)
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        camera = self._camera(depsgraph.scene)
+        scene, layer = depsgraph.scene, depsgraph.view_layer_eval
+        self._warn(ignored.Shown(scene=scene, layer=layer, camera=camera))
+        for view in views_of(scene.render):
+            self._render_view(depsgraph, camera, view)
+
+    def _render_view(
+        self, depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object, view: str
+    ) -> None:
+        """Draw the picture of an eye, or the only one."""
         scene, layer = depsgraph.scene, depsgraph.view_layer_eval
         size = self.resolution_x, self.resolution_y
-        camera = self._camera(scene)
         self.update_stats("", "Reading splats")
-        stage = Stage(depsgraph, camera, size, final_cache, self.frame_set)
+        eye = eye_of(self, view)
+        stage = Stage(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = stage.view()
-        self._warn(ignored.Shown(scene=scene, layer=layer, camera=camera))
         asked = asked_of(layer)
         film = self._film(depsgraph, depths=asked.depth)
         self.update_progress(0.1)
@@ -198,7 +208,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             covered = film.coverage(still, self.test_break) if asked.mattes else {}
         passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
-        self._deliver(passes, layer.name, scene.render, film.options.window)
+        self._deliver(passes, layer.name, view, scene.render, film.options.window)
         asked.stamp(self.get_result(), layer.name, covered)
 
     def _film(self, depsgraph: bpy.types.Depsgraph, *, depths: bool) -> Film:
@@ -260,16 +270,15 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 f"Scene {scene.name} looks through {ob.name}, scene {main.name} through "
                 f"{main.camera.name}: run Composite Splats with Meshes again in {main.name}."
             )
-        if scene.render.use_multiview:
-            raise ValueError(
-                "Splats are not rendered in stereo: turn off Stereoscopy in the output properties."
-            )
+        if problem := refusal(scene, ob):
+            raise ValueError(problem)
         return ob
 
     def _deliver(
         self,
         passes: dict[str, np.ndarray],
         layer: str,
+        view: str,
         render: bpy.types.RenderSettings,
         window: tuple[int, int, int, int] | None,
     ) -> None:
@@ -279,7 +288,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         if window is not None:
             corner = border_corner(render, *full)
             left, bottom = corner[0] - window[0], corner[1] - (full[1] - window[1] - window[3])
-        result = self.begin_result(0, 0, *full, layer=layer)
+        result = self.begin_result(0, 0, *full, layer=layer, view=view)
         size = result.resolution_x, result.resolution_y
         for name, values in passes.items():
             part = picture.crop(values, left, bottom, *size)

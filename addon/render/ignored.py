@@ -15,6 +15,7 @@ from ..splats.objects import is_native, is_splats
 from .apart import SPLAT_SCENE, main_scene
 from .held_meshes import is_held_by, may_hide, not_taken_over
 from .passes import SWITCHES
+from .stereo import refusal
 from .world import world_light, world_of
 
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
@@ -174,11 +175,7 @@ CHECKS = (
         _no_camera_type,
         refused=True,
     ),
-    Check(
-        "Splats are not rendered in stereo: turn off Stereoscopy in the output properties.",
-        lambda s: _if(s.scene.render.use_multiview),
-        refused=True,
-    ),
+    Check("{}", lambda s: refusal(s.scene, s.camera), refused=True),
     Check(
         "Depth of Field of {} has no effect: panoramas are sharp at every distance.",
         _sharp_panorama,

@@ -17,7 +17,7 @@ from .stage import blurs
 
 _OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
 """Panels that say of themselves that they are for other engines, but show what this one reads."""
-_UNUSED = ("freestyle", "gpencil", "grease", "simplify", "stereoscopy")
+_UNUSED = ("freestyle", "gpencil", "grease", "simplify")
 """Parts of the names of panels for every engine that offer what this one does not do."""
 
 

@@ -20,6 +20,7 @@ from .held_meshes import HeldMesh, HeldMeshes, same_meshes
 from .mesh_holdout import Hidden, hidden
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Model, Placed, Source, SplatCache, place, sources
+from .stereo import Eye, seen_by
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
 """When the shutter opens, in lengths of the exposure after the frame, by Blender's names."""
@@ -63,6 +64,7 @@ class Stage:
         size: Width and height, pixels.
         cache: Keeps decoded splats.
         frame_set: Evaluates the depsgraph at a frame and a fraction of one.
+        eye: Whose picture of a pair it is; None: there is one.
     """
 
     def __init__(
@@ -72,7 +74,9 @@ class Stage:
         size: tuple[int, int],
         cache: SplatCache,
         frame_set: Callable[[int, float], None],
+        eye: Eye | None = None,
     ) -> None:
+        self._eye = eye
         self._depsgraph, self._camera, self._size = depsgraph, camera, size
         self._cache, self._frame_set = cache, frame_set
         self._frame = float(depsgraph.scene.frame_current_final)
@@ -194,13 +198,11 @@ class Stage:
         own = self._camera.evaluated_get(self._depsgraph)
         if own.type == "CAMERA" and own.data.type == "PANO":
             return panorama_of(own, self._depsgraph.scene, width=width, height=height)
-        return render_camera(
-            self._camera,
-            self._depsgraph.scene,
-            depsgraph=self._depsgraph,
-            width=width,
-            height=height,
+        scene = self._depsgraph.scene
+        camera = render_camera(
+            self._camera, scene, depsgraph=self._depsgraph, width=width, height=height
         )
+        return camera if self._eye is None else seen_by(self._eye, camera, own, scene)
 
     def _go(self, frame: float) -> None:
         whole = math.floor(frame)

@@ -322,14 +322,14 @@ def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
 
 
-def test_stereo_is_refused_by_name(mixed, capfd):
+def test_views_of_several_cameras_are_refused_by_name(mixed, capfd):
     """Oracle: what Blender prints: the sentence of the engine of the splats, and no other."""
     compositor.set_up(mixed)
     bpy.ops.render.render()
-    assert "stereo" not in capfd.readouterr().out
-    mixed.render.use_multiview = True
+    assert "several cameras" not in capfd.readouterr().out
+    mixed.render.use_multiview, mixed.render.views_format = True, "MULTIVIEW"
     bpy.ops.render.render()
-    assert "Splats are not rendered in stereo: turn off" in capfd.readouterr().out
+    assert "Views of several cameras are not rendered" in capfd.readouterr().out
 
 
 def paint_world(scene: bpy.types.Scene, *color: float) -> None:

@@ -384,8 +384,8 @@ def no_attribute(scene):
     attributes.remove(attributes["scale"])
 
 
-def stereo(scene):
-    scene.render.use_multiview = True
+def many_cameras(scene):
+    scene.render.use_multiview, scene.render.views_format = True, "MULTIVIEW"
 
 
 def two_minds(scene):
@@ -400,7 +400,7 @@ def two_minds(scene):
         (panorama, "Camera is mirrorball; panoramas"),
         (stretched, "splats cannot be rendered.*unevenly"),
         (no_attribute, "scale"),
-        (stereo, "stereo"),
+        (many_cameras, "Views of several cameras"),
         (two_minds, "Anti-Aliasing"),
     ],
 )
@@ -469,7 +469,9 @@ def test_stopping(scene):
     assert picture.draw(model, part, picture.Options()).alpha.mean() > 0.5
 
 
-@pytest.mark.parametrize("panel", ["RENDER_PT_format", "RENDER_PT_output", "DATA_PT_lens"])
+@pytest.mark.parametrize(
+    "panel", ["RENDER_PT_format", "RENDER_PT_output", "RENDER_PT_stereoscopy", "DATA_PT_lens"]
+)
 def test_blenders_panels_are_shown(panel, switch):
     """Oracle: the panels' own lists of engines, with the add-on and without it."""
     engines = getattr(bpy.types, panel).COMPAT_ENGINES

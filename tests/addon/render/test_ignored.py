@@ -65,6 +65,11 @@ def mirror_ball(scene: bpy.types.Scene) -> None:
     compat.panorama_settings(data).panorama_type = "MIRRORBALL"
 
 
+def many_cameras(scene: bpy.types.Scene) -> None:
+    """Views by other cameras."""
+    scene.render.use_multiview, scene.render.views_format = True, "MULTIVIEW"
+
+
 def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
     """One property of the scene's rendering, the layer, or the camera."""
 
@@ -96,7 +101,7 @@ ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes", "Apply", "Join
 splats/test_mending.py."""
 REFUSED = {
     "mirrorball": mirror_ball,
-    "stereo": setting("render.use_multiview", True),
+    "Views of several cameras": many_cameras,
 }
 
 
