@@ -25,6 +25,7 @@ MODULES: tuple[str, ...] = (
     "splats.edit_operators",
     "splats.mend_operators",
     "splats.watch",
+    "splats.held",
     "job.properties",
     "job.follow",
     "job.operators",

@@ -15,6 +15,7 @@ back with an error growing to 1e-3 at logit 10, and those above 16.6 as 16.6 (an
 """
 
 from dataclasses import replace
+from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ _COPIED = {
 """The same for everything that follows when points are deleted."""
 _BLOCK = 1 << 12
 """Splats rearranged at once."""
-_SELECTION = ".select_vert"
+_SELECTION, _HIDDEN = ".select_vert", ".hide_vert"
 _POINT_SELECTION = ".selection"
 _DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
 _TINY = float(np.finfo(np.float32).tiny)
@@ -112,48 +113,49 @@ def declare(datablock: Any, name: str, kind: str) -> None:
 
 
 def fill(datablock: Any, name: str, kind: str, values: np.ndarray) -> None:
-    """Set a declared attribute from flat contiguous float32."""
-    datablock.attributes[name].data.foreach_set(_KINDS[kind][0], values)
+    """Set a declared attribute from flat contiguous numbers of its type."""
+    datablock.attributes[name].data.foreach_set(_COPIED[kind][0], values)
 
 
-def column(
-    datablock: Any, name: str, *, called: str = "", memory: np.ndarray | None = None
-) -> np.ndarray:
+def column(datablock: Any, name: str, *, called: str = "") -> np.ndarray:
     """[N, 3] or [N, 4] float32 copy of one attribute.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
         name: Of the attribute.
         called: What users know the datablock by, where it has another name.
-        memory: As many float32 as `floats` says, for the copy; None: new ones.
 
     Raises:
         ValueError: the attribute is missing, is no point attribute of a known type, or holds
             numbers that are not finite.
     """
-    attribute = _vectors(datablock, name, called)
+    attribute = check_vectors(datablock, name, called=called)
     key, width = _KINDS[attribute.data_type]
-    size = len(attribute.data) * width
-    values = np.empty(size, np.float32) if memory is None else memory
+    values = np.empty(len(attribute.data) * width, np.float32)
     attribute.data.foreach_get(key, values)
     values = values.reshape(-1, width)
-    if not np.isfinite(values).all():
-        bad = ~np.isfinite(values).all(axis=1)
-        raise ValueError(
-            f"{called or datablock.name} has {int(bad.sum())} splats whose {name} is not finite, "
-            f"the first is number {int(bad.argmax())}: delete them in Edit Mode."
-        )
+    check_finite(values, name, called or datablock.name)
     return values
 
 
-def floats(datablock: Any, name: str, *, called: str = "") -> int:
-    """How many numbers `column` copies; arguments and ValueError as there."""
-    attribute = _vectors(datablock, name, called)
-    return len(attribute.data) * _KINDS[attribute.data_type][1]
+def check_finite(values: np.ndarray, name: str, called: str) -> None:
+    """Raise ValueError unless all values [N, K] of an attribute are finite.
+
+    Args:
+        values: They.
+        name: Of the attribute.
+        called: What users know the splats by.
+    """
+    if not np.isfinite(values).all():
+        bad = ~np.isfinite(values).all(axis=1)
+        raise ValueError(
+            f"{called} has {int(bad.sum())} splats whose {name} is not finite, "
+            f"the first is number {int(bad.argmax())}: delete them in Edit Mode."
+        )
 
 
-def _vectors(datablock: Any, name: str, called: str) -> Any:
-    """The attribute; ValueError unless it is one of points, of a known type."""
+def check_vectors(datablock: Any, name: str, *, called: str = "") -> Any:
+    """The attribute; ValueError unless it is one of points, of vectors; `called` as `column`."""
     attribute = datablock.attributes.get(name)
     wanted = attribute is not None and attribute.domain == "POINT"
     if not wanted or attribute.data_type not in _KINDS:
@@ -286,19 +288,9 @@ def is_splats(name: str) -> bool:
     return name in (POSITION, SCALE, ROTATION, BASE) or name.startswith(SH)
 
 
-def keep(mesh: Any, mask: np.ndarray) -> None:
-    """Delete the vertices of a mesh of points that are not in `mask` [N] bool.
-
-    Attributes of numbers and vectors follow to the bit; selection, hiding and vertex groups go.
-    """
-    rows = np.flatnonzero(mask)  # whose numbers are found once, and not for each attribute
-    kept, tells = table(mesh, rows), _POINT_SELECTION in mesh.attributes
-    # Blender has no other way to take vertices away without a copy of everything in its editor.
-    mesh.clear_geometry()
-    add_points(mesh, len(rows))
-    put(mesh, kept)
-    if tells:
-        leave_points_unselected(mesh)
+def kind_of(name: str) -> str:
+    """The data type that `write` gives an attribute of splats."""
+    return {BASE: "FLOAT_COLOR", ROTATION: "QUATERNION"}.get(name, "FLOAT_VECTOR")
 
 
 def add_points(mesh: Any, count: int) -> None:
@@ -312,6 +304,11 @@ def add_points(mesh: Any, count: int) -> None:
         select(mesh, chosen)
     elif (selection := mesh.attributes.get(_SELECTION)) is not None:
         mesh.attributes.remove(selection)
+
+
+def tells_selection(mesh: Any) -> bool:
+    """Whether `leave_points_unselected` was called of a mesh."""
+    return _POINT_SELECTION in mesh.attributes
 
 
 def leave_points_unselected(mesh: Any) -> None:
@@ -336,10 +333,9 @@ def selected(mesh: Any) -> np.ndarray:
 
 def select(mesh: Any, chosen: np.ndarray) -> None:
     """Select the vertices `chosen` [N] bool of a mesh of points, and no others."""
-    if (selection := mesh.attributes.get(_SELECTION)) is not None:
-        selection.data.foreach_set("value", chosen)  # a hundred times as fast as the vertices
-    else:
-        mesh.vertices.foreach_set("select", chosen)
+    if _SELECTION not in mesh.attributes:  # which is a hundred times as fast as the vertices
+        mesh.attributes.new(_SELECTION, "BOOLEAN", "POINT")
+    mesh.attributes[_SELECTION].data.foreach_set("value", chosen)
 
 
 class Column(NamedTuple):
@@ -352,49 +348,9 @@ class Column(NamedTuple):
     """[N, width]"""
 
 
-def table(mesh: Any, rows: np.ndarray | None = None) -> list[Column]:
-    """Copies of all attributes of points of numbers and vectors, those of others among them.
-
-    Args:
-        mesh: A mesh that is not in Edit Mode.
-        rows: [K], numbers of the points that are wanted; None: all.
-    """
-    if rows is None:
-        return [Column(n, k, _values(mesh.attributes[n])) for n, k in _kinds(mesh).items()]
-    found, read_into = [], {}
-    for name, kind in _kinds(mesh).items():
-        values = _values(mesh.attributes[name], read_into)
-        found.append(Column(name, kind, values.take(rows, axis=0)))
-    return found
-
-
-def append(mesh: Any, tables: list[list[Column]]) -> None:
-    """Add the points of some tables to a mesh of points; 0 where the mesh or a table lacks an
-    attribute. What the mesh has stays to the bit.
-
-    Raises:
-        ValueError: an attribute has two data types; nothing is changed then.
-    """
-    kinds = _kinds(mesh)
-    for column_ in (c for columns in tables for c in columns):
-        if kinds.setdefault(column_.name, column_.kind) != column_.kind:
-            raise ValueError(
-                f"The attribute {column_.name} has another type in each object: rename one."
-            )
-    at = np.cumsum([len(mesh.vertices), *(len(columns[0].values) for columns in tables)])
-    add_points(mesh, int(at[-1] - at[0]))
-    for name, kind in kinds.items():
-        if name not in mesh.attributes:
-            mesh.attributes.new(name, kind, "POINT")
-    for name, kind in kinds.items():
-        values = _values(mesh.attributes[name])
-        for columns, begin, end in zip(tables, at[:-1], at[1:], strict=True):
-            values[begin:end] = next((c.values for c in columns if c.name == name), 0)
-        mesh.attributes[name].data.foreach_set(_COPIED[kind][0], values.reshape(-1))
-
-
-def _kinds(mesh: Any) -> dict[str, str]:
-    """Data types by name of the attributes that `table` copies."""
+def kinds(mesh: Any) -> dict[str, str]:
+    """Data types by name of all attributes of points of numbers and vectors, those of others among
+    them: what follows where points are deleted or joined."""
     return {
         a.name: a.data_type
         for a in mesh.attributes
@@ -402,41 +358,60 @@ def _kinds(mesh: Any) -> dict[str, str]:
     }
 
 
-def _values(attribute: Any, read_into: dict[str, np.ndarray] | None = None) -> np.ndarray:
-    """[N, width] copy of an attribute.
+def empty_values(kind: str, count: int) -> np.ndarray:
+    """[N, width] for an attribute of this data type, not yet set."""
+    return np.empty((count, _COPIED[kind][1]), _DTYPES.get(kind, np.float32))
 
-    Args:
-        attribute: Of points.
-        read_into: By data type, arrays for copies that are only needed until the next one of their
-            type; others are added. New memory takes the system longer than a copy.
+
+def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
+    """Copy an attribute into what `empty_values` made; the mesh is not in Edit Mode."""
+    attribute = mesh.attributes[name]
+    attribute.data.foreach_get(_COPIED[attribute.data_type][0], values.reshape(-1))
+
+
+def marks(mesh: Any) -> list[Column]:
+    """What is selected and hidden of a mesh of points, as far as anything is."""
+    found = []
+    for name in (_SELECTION, _HIDDEN):
+        if name in mesh.attributes:
+            values = empty_values("BOOLEAN", len(mesh.vertices))
+            copy_values(mesh, name, values)
+            found.append(Column(name, "BOOLEAN", values))
+    return found
+
+
+def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray]:
+    """The attributes of a table that `as_splats` takes, not copied; `rest` as `read`."""
+    found = {column.name: column.values for column in table}
+    harmonics = (f"{SH}{k}" for k in range(SH_COUNTS[-1] if rest else 0))
+    wanted = [BASE, SCALE, ROTATION, POSITION, *takewhile(found.__contains__, harmonics)]
+    return {name: found[name] for name in wanted if name in found}
+
+
+def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
+    """A table of those rows [K] alone."""
+    return [Column(name, kind, values.take(rows, axis=0)) for name, kind, values in table]
+
+
+def joined(tables: list[list[Column]]) -> list[Column]:
+    """The points of some tables, one after the other; 0 where one lacks an attribute.
+
+    Raises:
+        ValueError: an attribute has two data types.
     """
-    key, width = _COPIED[attribute.data_type]
-    dtype = _DTYPES.get(attribute.data_type, np.float32)
-    values = None if read_into is None else read_into.get(attribute.data_type)
-    if values is None:
-        values = np.empty((len(attribute.data), width), dtype)
-    if read_into is not None:
-        read_into[attribute.data_type] = values
-    attribute.data.foreach_get(key, values.reshape(-1))
-    return values
-
-
-def as_table(splats: Splats) -> list[Column]:
-    """The attributes that `write` gives a mesh."""
-    return [
-        Column(name, kind, values.reshape(-1, _KINDS[kind][1]))
-        for name, kind, values in columns(splats)
-    ]
-
-
-def put(mesh: Any, columns: list[Column]) -> None:
-    """Give a mesh that has exactly N points the attributes of a table."""
-    # All first: adding an attribute moves the others' memory.
-    for name, kind, _ in columns:
-        if name not in mesh.attributes:
-            mesh.attributes.new(name, kind, "POINT")
-    for name, kind, values in columns:
-        mesh.attributes[name].data.foreach_set(_COPIED[kind][0], values.reshape(-1))
+    found: dict[str, str] = {}
+    for name, kind, _ in (column for table in tables for column in table):
+        if found.setdefault(name, kind) != kind:
+            raise ValueError(f"The attribute {name} has another type in each object: rename one.")
+    counts = [len(table[0].values) for table in tables]
+    made = []
+    for name, kind in found.items():
+        values, at = empty_values(kind, sum(counts)), 0
+        for table, count in zip(tables, counts, strict=True):
+            own = next((c.values for c in table if c.name == name), 0)
+            values[at : at + count], at = own, at + count
+        made.append(Column(name, kind, values))
+    return made
 
 
 def _by_coefficient(shN: np.ndarray) -> np.ndarray:

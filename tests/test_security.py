@@ -79,7 +79,7 @@ WRITES = {
     "addon/steer/masks.py:save ..core.atomic_write": "the capture's folder of masks",
     "addon/steer/start.py:Start._write ..core.write_region": "a new folder beside the output",
     "addon/steer/start.py:Start._write ..core.write_splat_file": "a new folder beside the output",
-    "addon/splats/exporting.py:Export._write ..core.write_splat_file": "the user's choice",
+    "addon/splats/exporting.py:exporting.write ..core.write_splat_file": "the user's choice",
     "addon/python/installer.py:make shutil.rmtree": "Blender's folder of it",
     "addon/python/installer.py:_make_venv folder.parent.mkdir": "Blender's folder of it",
     "addon/python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",

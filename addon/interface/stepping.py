@@ -1,43 +1,34 @@
 """Operators that take long: bit by bit where a user waits in a window, at once for scripts."""
 
-from typing import Any, Protocol
-
 import bpy
 
 from ..core import GsError
+from ..process.pieces import Going, Pieces, at_once
 from . import writable
 from .operators import Acting
 from .waiting import Waiting
 
 
-class Steps(Protocol):
-    """What is under way."""
+class Stepping(Acting):
+    """They say what is done in pieces; Esc cancels. Scripts, and the redo panel, wait for it."""
 
-    @property
-    def sentence(self) -> str:
-        """How far it is."""
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Do it; returns what to tell the user.
 
-    def step(self) -> Any:
-        """Do a small piece; what came of it once all is done, until then None.
+        Between two pieces anything may happen in Blender: objects are looked up anew.
 
         Raises:
             GsError, ValueError, OSError: it cannot be done; the message is for the user.
         """
-
-    def cancel(self) -> None:
-        """Leave nothing."""
-
-
-class Stepping(Acting):
-    """They say what is done bit by bit, besides what is done at once; Esc cancels."""
-
-    def begin(self, context: bpy.types.Context) -> Steps:
-        """Begin; GsError, ValueError or OSError where it cannot be done."""
         raise NotImplementedError
 
-    def complete(self, context: bpy.types.Context, steps: Any, result: Any) -> str:
-        """Take care of what came of it; what to tell the user."""
-        raise NotImplementedError
+    def act(self, context: bpy.types.Context) -> str:
+        """Do it at once."""
+        return at_once(self.pieces(context))
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Of a button: without this, Blender does not tell that a user pressed it."""
+        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """For a user in a window bit by bit, for a script or once more at once."""
@@ -46,10 +37,13 @@ class Stepping(Acting):
             return super().execute(context)
         try:
             writable.check(*self.changes(context))
-            self._steps = self.begin(context)
+            self._going = Going(self.pieces(context))
+            done = self._going.step()
         except (GsError, ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        if done:
+            return self._finished()
         self._waiting = Waiting(context, "Esc cancels")
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -63,11 +57,7 @@ class Stepping(Acting):
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}
         try:
-            result = self._steps.step()
-            if result is None:
-                self._waiting.tell(self._steps.sentence)
-                return {"PASS_THROUGH"}
-            told = self.complete(context, self._steps, result)
+            done = self._going.step()
         except (GsError, ValueError, OSError) as error:
             self.cancel(context)
             self.report({"ERROR"}, str(error))
@@ -75,12 +65,19 @@ class Stepping(Acting):
         except Exception:
             self.cancel(context)  # or its timer would go on
             raise
+        if not done:
+            self._waiting.tell(self._going.sentence)
+            return {"PASS_THROUGH"}
         self._waiting.end()
-        self.report({"INFO"}, told)
-        return {"FINISHED"}
+        return self._finished()
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender calls this where another file is opened, or it ends: leave nothing."""
-        if (steps := getattr(self, "_steps", None)) is not None:  # else it was the file browser
-            steps.cancel()
+        if (going := getattr(self, "_going", None)) is not None:  # else it was the file browser
+            going.cancel()
             self._waiting.end()
+
+    def _finished(self) -> set[str]:
+        if self._going.result:
+            self.report({"INFO"}, self._going.result)
+        return {"FINISHED"}

@@ -4,7 +4,7 @@ import time
 
 import bpy
 
-INTERVAL = 0.02
+INTERVAL = 0.01
 """Seconds between two steps."""
 REDRAW = 0.25
 """Seconds between two changes of what the status bar says."""

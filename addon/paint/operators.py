@@ -12,7 +12,9 @@ from bpy.props import (
 )
 
 from ..cameras.captures import RenderCamera, render_camera
+from ..process.pieces import Pieces
 from ..splats.edit_operators import Editing
+from ..splats.held import Held
 from . import painted
 from .settings import FRONT_ONLY, BrushProperties
 
@@ -68,11 +70,12 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         name="Inverted", description="Paint the opposite opacity, or deselect", default=False
     )
 
-    def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
+    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
         """Paint."""
         if not self.stroke:
             raise ValueError("The stroke has no points: give it one or more.")
-        context.view_layer.update()
+        yield self.bl_label
+        ob = held.to_change()
         view = self._view(context) if self.way == _CAMERA else None
         count = painted.paint(
             ob,

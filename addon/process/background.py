@@ -25,6 +25,8 @@ class Task:
         self.result: Any = None
         self.problem = ""
         """Why it failed, a sentence."""
+        self.error: Exception | None = None
+        """What it raised."""
         self.cancelled = False
         self._function = function
         self._cancel = threading.Event()
@@ -65,7 +67,7 @@ class Task:
     def _run(self) -> None:
         try:
             self.result = self._function(self)
-        except Cancelled:
-            self.cancelled, self.problem = True, "Cancelled."
+        except Cancelled as error:
+            self.cancelled, self.problem, self.error = True, "Cancelled.", error
         except Exception as error:  # whatever it is, the panel has to show it
-            self.problem = str(error) or type(error).__name__
+            self.problem, self.error = str(error) or type(error).__name__, error

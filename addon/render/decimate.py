@@ -7,10 +7,14 @@ import numpy as np
 from bpy.props import IntProperty
 
 from .. import attributes, compat
+from ..attributes import Column
 from ..cameras.objects import cameras_of, rigid_viewmat, root_of, stated
 from ..core import Splats, importance_of, most_important, psnr, render
-from ..splats import objects
+from ..process.pieces import Check, Pieces, aside
+from ..splats import objects, parts
 from ..splats.edit_operators import Editing
+from ..splats.held import Held
+from ..splats.leaving import Leaving
 from .show import frame_of
 
 _VIEWS, _WIDTH = 4, 256
@@ -58,15 +62,23 @@ def _around(ob: bpy.types.Object) -> list[View]:
     return found
 
 
-def likeness(before: Splats, after: Splats, views: list[View], *, antialias: bool) -> float:
-    """Mean PSNR, dB, of pictures of `after` against those of `before`, over black."""
-    values = []
+def likeness(
+    before: Splats,
+    after: Splats,
+    views: list[View],
+    *,
+    antialias: bool,
+    check: Check = lambda: None,
+) -> float:
+    """Mean PSNR, dB, of pictures of `after` against those of `before`, over black; `check` is
+    called before each."""
+    values, how = [], {"antialias": antialias, "depths": False}
     for K, viewmat, width, height in views:
-        one, other = (
-            render(s, K, viewmat, width, height, antialias=antialias, depths=False).rgb.clip(0, 1)
-            for s in (before, after)
-        )
-        values.append(psnr(one, other))
+        pictures = []
+        for splats in (before, after):
+            check()
+            pictures.append(render(splats, K, viewmat, width, height, **how).rgb.clip(0, 1))
+        values.append(psnr(*pictures))
     return float(np.mean(values))
 
 
@@ -79,23 +91,36 @@ class DecimateSplats(Editing, bpy.types.Operator):
 
     count: IntProperty(name="Splats", description="How many stay", default=100_000, min=1)
 
-    def edit(self, context: bpy.types.Context, ob: bpy.types.Object) -> str:
+    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
         """Delete the others."""
-        # Without what turns with the view: that is half of the time, and changes
-        # the figure by 0.1 to 0.5 dB.
-        splats = objects.read(ob, rest=False)
-        if len(splats) <= self.count:
-            return f"{ob.name} has {len(splats):,} splats; none were deleted."
-        context.view_layer.update()
-        views = views_of(ob)
-        keep = most_important(importance_of(splats), self.count)
-        same = likeness(
-            splats, splats.subset(keep), views, antialias=bool(ob.get(objects.ANTIALIAS))
-        )
-        attributes.keep(ob.data, keep)
-        ob.data.update()
-        left = len(splats) - self.count
+        ob, count = held.there(), self.count
+        total = len(ob.data.vertices)
+        if total <= count:
+            return f"{ob.name} has {total:,} splats; none were deleted."
+        views, antialias = views_of(ob), bool(ob.get(objects.ANTIALIAS))
+        table = yield from Leaving(ob).table()
+
+        def compare(check: Check) -> tuple[np.ndarray, float]:
+            splats = _splats(table, held.name)
+            check()
+            keep = most_important(importance_of(splats), count)
+            after = splats.subset(keep)
+            same = likeness(splats, after, views, antialias=antialias, check=check)
+            return np.flatnonzero(keep), same
+
+        rows, same = yield from aside(compare, f"Comparing {len(views)} pictures")
+        yield from parts.kept(held, table, rows)
+        left = total - count
         return f"Deleted {left:,} splats; {len(views)} pictures are alike to {same:.1f} dB."
+
+
+def _splats(table: list[Column], name: str) -> Splats:
+    """The splats of a table, which stays as it is, without what turns with the view: that is half
+    of the time, and changes the figure by 0.1 to 0.5 dB."""
+    columns = attributes.of_splats(table, rest=False)
+    for one, values in columns.items():
+        attributes.check_finite(values, one, name)
+    return attributes.as_splats({one: values.copy() for one, values in columns.items()})
 
 
 CLASSES = (DecimateSplats,)

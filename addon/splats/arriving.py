@@ -1,21 +1,13 @@
 """What operators share that bring files of splats: bit by bit in a window, at once for scripts."""
 
-from typing import Protocol
-
 import bpy
 
 from ..core import GsError, collected_warnings
 from ..interface.operators import OnScene
-from ..interface.stepping import Stepping, Steps
+from ..interface.stepping import Stepping
+from ..process.pieces import Pieces, stepped
 from . import files
 from .arrival import Arrival
-
-
-class Coming(Steps, Protocol):
-    """Objects on their way; of `step` come the objects."""
-
-    warnings: list[str]
-    """What the user should know besides."""
 
 
 class Arriving(Stepping, OnScene):
@@ -25,21 +17,17 @@ class Arriving(Stepping, OnScene):
         """Which files; ValueError where there is nothing to bring."""
         raise NotImplementedError
 
-    def begin(self, context: bpy.types.Context) -> Coming:
-        """What comes bit by bit: the files, unless an operator says otherwise."""
-        return Arrival(context, self.wanted(context))
-
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
         """Take care of the objects, one a file; what to tell the user."""
         raise NotImplementedError
 
-    def complete(
-        self, context: bpy.types.Context, steps: Coming, result: list[bpy.types.Object]
-    ) -> str:
-        """Show them."""
-        return self.show(context, result, steps.warnings)
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read in a thread, then hand over."""
+        coming = Arrival(context, self.wanted(context))
+        made = yield from stepped(coming)
+        return self.show(context, made, coming.warnings)
 
     def act(self, context: bpy.types.Context) -> str:
         """Import one or several files; none of them where one cannot be read."""

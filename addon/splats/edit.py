@@ -1,6 +1,7 @@
 """Editing of splat objects: count, select, delete what is hidden, crop, apply the transform."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
@@ -10,8 +11,14 @@ from .. import attributes, compat
 from ..cameras.objects import local_matrix
 from ..interface import writable
 from ..nodes import display
-from . import filters, lag, objects, places
+from ..process.pieces import Pieces, aside
+from . import filters, lag, objects, parts, places
 from . import settings as splat_settings
+from .filling import Filling, filled, swap
+from .held import Held
+from .leaving import Leaving
+from .ready import points_of
+from .turning import moved
 
 _QUICK = 200_000
 """Splats whose filters run in a few milliseconds."""
@@ -68,43 +75,31 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
     return 0 if points is None else len(points.points)
 
 
-def apply_filters(ob: bpy.types.Object) -> int:
+def apply_filters(held: Held) -> Pieces[int]:
     """Delete what the filters hide and reset them; other attributes of the mesh follow.
 
     Returns:
         Number of splats deleted.
 
     Raises:
-        ValueError: Edit Mode, missing attributes, a mesh that cannot be written, or nothing would
-            be left.
+        ValueError: missing attributes, nothing would be left, or as `Held.to_change`; nothing is
+            changed then.
     """
-    objects.check_writable(ob)
-    objects.catch_up(ob)
-    keep = filters.visible_mask(ob)
+    ob = held.there()
+    limits = filters.filters_of(ob)
+    table = yield from Leaving(ob).table()
+    columns = {column.name: column.values for column in table}
+    keep = yield from aside(
+        lambda check: filters.passing(columns, limits), f"Looking through {held.name}"
+    )
     if len(keep) and not keep.any():
-        raise ValueError(f"{ob.name}: the filters hide every splat; relax them before applying.")
-    if not keep.all():
-        attributes.keep(ob.data, keep)
-        ob.data.update()
+        raise ValueError(f"{held.name}: the filters hide every splat; relax them before applying.")
+    if keep.all():
+        ob = held.to_change()
+    else:
+        ob = yield from parts.kept(held, table, np.flatnonzero(keep))
     splat_settings.reset_filters(ob)
     return int((~keep).sum())
-
-
-def select(ob: bpy.types.Object, *, hidden: bool) -> int:
-    """Select the vertices that the filters hide (or show), and no others, in Object Mode's data.
-
-    Returns:
-        Number of vertices selected.
-
-    Raises:
-        ValueError: Edit Mode or missing attributes.
-    """
-    objects.check_writable(ob)
-    objects.catch_up(ob)
-    chosen = filters.visible_mask(ob) != hidden
-    attributes.select(ob.data, chosen)
-    ob.data.update()
-    return int(chosen.sum())
 
 
 def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:
@@ -138,20 +133,29 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     return box
 
 
-def apply_transform(ob: bpy.types.Object) -> None:
+def apply_transform(held: Held) -> Pieces[None]:
     """Apply the object's own location, rotation and scale to its splats, exactly.
 
     Blender's own Apply moves the points alone and leaves ellipsoids and colours as they were.
 
     Raises:
-        ValueError: the scale is uneven, Edit Mode, or a mesh that cannot be written.
+        ValueError: the scale is uneven, or as `Held.to_change`; nothing is changed then.
     """
-    objects.check_writable(ob)
+    ob = held.there()
     matrix = local_matrix(ob)
+    objects.moved(attributes.NO_SPLATS, matrix, held.name)  # refuses what cannot be
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)
-    objects.refresh(ob, objects.transformed(ob, matrix))
+    table = yield from Leaving(ob).table()
+    changed = yield from aside(
+        partial(moved, table, matrix, held.name), f"Turning splats of {held.name}"
+    )
+    [mesh] = yield from filled([Filling(points_of(changed), held.copied_mesh)], held.to_change)
+    ob = held.there()
+    lag.forget(mesh)
+    attributes.leave_points_unselected(mesh)
+    swap(ob.data, mesh)
     if len(numbers):  # what lagged does so still, as seen from the new axes
         turn = matrix[:3, :3]
-        lag.note(ob.data, turn @ lags @ np.linalg.inv(turn), numbers)
+        lag.note(mesh, turn @ lags @ np.linalg.inv(turn), numbers)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)

@@ -1,6 +1,6 @@
 """Splat objects as one file: at once for scripts, bit by bit where a user waits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from .. import attributes
 from ..compat import matrix_to_numpy
 from ..core import GsError, Splats, given_up_by, join_splats, write_splat_file
-from ..process.background import Task
+from ..process.pieces import Check, Pieces, aside, at_once
 from . import filters, objects
 from .files import BLENDER, SOURCE, note_of_up, source_matrix, source_matrix_of_data
 from .filters import Filters
@@ -33,19 +33,10 @@ class _Part:
 
     def made(self, columns: dict[str, np.ndarray]) -> Splats:
         """The splats of the file, of columns that `Leaving` read; ValueError as `objects.moved`."""
-        keep = None if self.filters is None else _kept(columns, self.filters)
+        keep = None if self.filters is None else filters.passing(columns, self.filters)
         splats = attributes.as_splats(columns)
         splats = splats if keep is None else splats.subset(keep)
         return objects.moved(splats, self.matrix, self.name)
-
-
-def _kept(columns: dict[str, np.ndarray], limits: Filters) -> np.ndarray:
-    """[N] bool: which splats filters let pass."""
-    base = columns[attributes.BASE]
-    if not len(base):
-        return np.zeros(0, bool)
-    means, scales = columns[attributes.POSITION], columns[attributes.SCALE]
-    return filters.mask(means, scales, base[:, 3], limits)
 
 
 def export_splats(
@@ -68,127 +59,62 @@ def export_splats(
         ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
         GsError: the file cannot be written.
     """
-    export = Export(obs, path, world=world, filtered=filtered, at_once=True)
+    return at_once(exporting(obs, path, world=world, filtered=filtered))
+
+
+def exporting(
+    obs: Sequence[bpy.types.Object], path: str | Path, *, world: str, filtered: bool
+) -> Pieces[Written]:
+    """The same: the splats of objects as they are at the first piece are read, then turned into the
+    file's world and written in a thread. Given up, the file is untouched."""
+    if not obs:
+        raise ValueError("There is nothing to export: select a splat object.")
+    path = Path(bpy.path.abspath(str(path)))
+    parts = _parts(obs, world, filtered)
+    antialiased = all(ob.get(objects.ANTIALIAS) for ob in obs)
+    comments = note_of_up(obs[0], world)
+    taken: list[Leaving] = []
     try:
-        while not export.read():
-            pass
-        return export.write(lambda: None)
+        for ob in obs:
+            taken.append(Leaving(ob))
+        read = []
+        for one in taken:
+            read.append((yield from one.read()))
     finally:
-        export.cancel()
+        for one in taken:
+            one.drop()
 
-
-class Export:
-    """One file on its way: the splats of objects as they are when this is made are read bit by bit,
-    then turned into the file's world and written in a thread."""
-
-    def __init__(
-        self,
-        obs: Sequence[bpy.types.Object],
-        path: str | Path,
-        *,
-        world: str,
-        filtered: bool,
-        at_once: bool = False,
-    ) -> None:
-        """Take the splats.
-
-        Args:
-            As `export_splats`, and `Leaving`.
-
-        Raises:
-            ValueError: as `export_splats`, but for what is wrong with the splats themselves.
-        """
-        if not obs:
-            raise ValueError("There is nothing to export: select a splat object.")
-        self._path = Path(bpy.path.abspath(str(path)))
-        self._parts = _parts(obs, world, filtered)
-        self._antialiased = all(ob.get(objects.ANTIALIAS) for ob in obs)
-        self._comments = note_of_up(obs[0], world)
-        self._columns: list[dict[str, np.ndarray]] = []
-        self._leaving: list[Leaving] = []
-        self._task: Task | None = None
+    def write(check: Check) -> Written:
         try:
-            for ob in obs:
-                self._leaving.append(Leaving(ob, at_once=at_once))
-        except ValueError:
-            self.cancel()
-            raise
-
-    @property
-    def sentence(self) -> str:
-        """How far it is."""
-        if self._task is not None:
-            return f"Writing {self._path.name}"
-        share = len(self._columns) + sum(leaving.share for leaving in self._leaving)
-        return f"Reading splats: {share / len(self._parts):.0%}"
-
-    def step(self) -> Written | None:
-        """Do a small piece; what was written once the file is there.
-
-        Raises:
-            ValueError: the splats cannot be read, or the file not be written; it is untouched.
-        """
-        if self._task is None:
-            if self.read():
-                self._task = Task(lambda task: self.write(task.check))
-            return None
-        if self._task.running:
-            return None
-        if self._task.problem:
-            raise ValueError(self._task.problem)
-        return self._task.result
-
-    def cancel(self) -> None:
-        """Leave the file untouched, and nothing of ours."""
-        for leaving in self._leaving:
-            leaving.drop()
-        if self._task is not None:
-            self._task.cancel()
-
-    def read(self) -> bool:
-        """Read some more; whether that is all. ValueError as `Leaving.step`."""
-        found = self._leaving[0].step()
-        if found is not None:
-            self._columns.append(found)
-            self._leaving.pop(0)
-        return not self._leaving
-
-    def write(self, check: Callable[[], None]) -> Written:
-        """Write what was read; in any thread, once.
-
-        Args:
-            check: Raises where the file is no longer wanted.
-
-        Raises:
-            As `export_splats`.
-        """
-        try:
-            return self._write(check)
+            splats, total = _together(parts, read, check)
+            with given_up_by(check):
+                made = write_splat_file(path, splats, antialiased=antialiased, comments=comments)
         except MemoryError as error:
             raise GsError(
                 "The splats do not fit into memory twice; close other programs and export again."
             ) from error
-
-    def _write(self, check: Callable[[], None]) -> Written:
-        total, parts = 0, []
-        for part in self._parts:
-            columns = self._columns.pop(0)
-            total += len(columns[attributes.BASE])
-            parts.append(part.made(columns))
-            check()
-        splats = join_splats(parts)
-        if not len(splats):
-            names = ", ".join(part.name for part in self._parts)
-            raise ValueError(
-                f"{names}: no splats left to export; relax the filters or undo deletions."
-            )
-        with given_up_by(check):
-            made = write_splat_file(
-                self._path, splats, antialiased=self._antialiased, comments=self._comments
-            )
         hidden = total - len(splats)
         left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
         return len(splats), (*made.notes, *left)
+
+    return (yield from aside(write, f"Writing {path.name}"))
+
+
+def _together(
+    parts: list[_Part], read: list[dict[str, np.ndarray]], check: Check
+) -> tuple[Splats, int]:
+    """All splats of a file, and how many there were before filters; `read` is emptied."""
+    total, made = 0, []
+    for part in parts:
+        columns = read.pop(0)
+        total += len(columns[attributes.BASE])
+        made.append(part.made(columns))
+        check()
+    splats = join_splats(made)
+    if not len(splats):
+        names = ", ".join(part.name for part in parts)
+        raise ValueError(f"{names}: no splats left to export; relax the filters or undo deletions.")
+    return splats, total
 
 
 def _parts(obs: Sequence[bpy.types.Object], world: str, filtered: bool) -> list[_Part]:

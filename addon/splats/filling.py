@@ -6,11 +6,13 @@ place of the old one at once.
 
 import time
 import uuid
-from typing import Generic
+from collections.abc import Callable, Sequence
+from typing import Any, Generic
 
 import bpy
 
 from .. import attributes
+from ..process.pieces import Pieces
 from . import objects
 from .ready import ReadyT
 
@@ -19,11 +21,23 @@ BUDGET = 0.008
 _MARK = "gs_filling"
 
 
+def _new() -> bpy.types.Mesh:
+    return bpy.data.meshes.new("splats")
+
+
 class Filling(Generic[ReadyT]):
     """A mesh on its way. It is looked up anew at each step: undo, or another file, may take it."""
 
-    def __init__(self, loaded: ReadyT) -> None:
+    # Quoted: see ready.py.
+    def __init__(self, loaded: ReadyT, make: "Callable[[], bpy.types.Mesh]" = _new) -> None:
+        """Begin.
+
+        Args:
+            loaded: What fills it.
+            make: Makes the mesh, which lacks points if it has not as many.
+        """
         self.loaded = loaded
+        self._make = make
         self._mark = uuid.uuid4().hex
         self._name = ""
         self._next = 0
@@ -61,7 +75,7 @@ class Filling(Generic[ReadyT]):
         return mesh
 
     def drop(self) -> None:
-        """Remove what was filled so far."""
+        """Remove what was filled so far; nothing happens once it is the caller's."""
         mesh = bpy.data.meshes.get(self._name)
         if mesh is not None and mesh.get(_MARK) == self._mark:
             bpy.data.meshes.remove(mesh)
@@ -69,11 +83,32 @@ class Filling(Generic[ReadyT]):
     def _mesh(self) -> bpy.types.Mesh:
         mesh = bpy.data.meshes.get(self._name)
         if mesh is None or mesh.get(_MARK) != self._mark:
-            mesh = bpy.data.meshes.new("splats")
+            mesh = self._make()
             mesh[_MARK] = self._mark
-            attributes.add_points(mesh, self.loaded.count)
+            if missing := self.loaded.count - len(mesh.vertices):
+                attributes.add_points(mesh, missing)
             self._name, self._next = mesh.name, 0
         return mesh
+
+
+def filled(
+    fillings: Sequence[Filling[Any]], check: Callable[[], object] = lambda: None
+) -> Pieces[list[bpy.types.Mesh]]:
+    """Meshes that were filled, which are the caller's; where this fails, none is left.
+
+    Args:
+        fillings: All of them are complete at the same moment, right before this returns.
+        check: Called at that moment; may raise.
+    """
+    try:
+        while not all(filling.fill() for filling in fillings):
+            share = sum(filling.share for filling in fillings) / len(fillings)
+            yield f"Handing splats to Blender: {share:.0%}"
+        check()
+        return [filling.take() for filling in fillings]
+    finally:
+        for filling in fillings:
+            filling.drop()
 
 
 def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
@@ -83,10 +118,15 @@ def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
         ValueError: the object's mesh is being edited, or is linked.
     """
     objects.check_writable(ob)
-    old = ob.data
-    name = old.name
-    for material in old.materials:
+    for material in ob.data.materials:
         mesh.materials.append(material)
+    swap(ob.data, mesh)
+
+
+def swap(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
+    """Let a mesh take the place of another one, which goes, and its name."""
+    name = old.name
+    mesh.use_fake_user = old.use_fake_user
     old.user_remap(mesh)
     bpy.data.meshes.remove(old)
     mesh.name = name

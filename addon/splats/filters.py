@@ -10,6 +10,8 @@ from ..core import at_least_opaque, in_unit_shape, of_size
 
 SPHERE = "SPHERE"
 BOX = "BOX"
+LOOKED_AT = (attributes.BASE, attributes.POSITION, attributes.SCALE)
+"""Attributes that tell which splats pass."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +57,20 @@ def mask(
     return keep
 
 
+def passing(columns: dict[str, np.ndarray], limits: Filters) -> np.ndarray:
+    """[N] bool: which splats pass.
+
+    Args:
+        columns: Copies of the attributes `LOOKED_AT`, as `attributes.column`.
+        limits: As `mask`.
+    """
+    base = columns[attributes.BASE]
+    if not len(base):
+        return np.zeros(0, bool)
+    means, scales = columns[attributes.POSITION], columns[attributes.SCALE]
+    return mask(means, scales, base[:, 3], limits)
+
+
 def filters_of(ob: Any) -> Filters:
     """The filters that a splat object's settings and crop object say."""
     settings = ob.gscore
@@ -85,15 +101,9 @@ def visible_mask(ob: Any, data: Any = None) -> np.ndarray:
         ValueError: attributes are missing or out of reach in Edit Mode.
     """
     data = ob.data if data is None else data
-    base = attributes.column(data, attributes.BASE)
-    if not len(base):
-        return np.zeros(0, bool)
-    return mask(
-        attributes.column(data, attributes.POSITION),
-        attributes.column(data, attributes.SCALE),
-        base[:, 3],
-        filters_of(ob),
-    )
+    # Blender drops `position` from a mesh without vertices.
+    names = LOOKED_AT if attributes.point_count(data) else (attributes.BASE,)
+    return passing({name: attributes.column(data, name) for name in names}, filters_of(ob))
 
 
 def crop_matrix(ob: Any, crop: Any) -> np.ndarray:

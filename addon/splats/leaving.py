@@ -1,20 +1,20 @@
 """Takes splats out of Blender bit by bit, so that no single step is long."""
 
-import math
 import time
 import uuid
+from collections.abc import Sequence
+from functools import partial
 
 import bpy
 import numpy as np
 
 from .. import attributes
-from ..process.memory import Memory
+from ..attributes import Column
+from ..process.pieces import Check, Pieces, aside
 from . import objects
 
 BUDGET = 0.008
-"""Seconds of a beat in which attributes are begun; the last one may take as long again."""
-AHEAD = 1 << 21
-"""Numbers, 8 MB, whose memory takes the main thread too long to get."""
+"""Seconds of a step in which attributes are begun; the last one may take as long again."""
 _MARK = "gs_leaving"
 
 
@@ -25,18 +25,17 @@ class Leaving:
     not changed. The copy is looked up anew at each step: undo, or another file, may take it.
     """
 
-    def __init__(self, ob: bpy.types.Object, *, at_once: bool = False) -> None:
+    def __init__(self, ob: bpy.types.Object, names: Sequence[str] | None = None) -> None:
         """Take the copy.
 
         Args:
             ob: With splats of its own, in any mode.
-            at_once: Nobody sees to other things meanwhile: the first step reads everything.
+            names: Attributes of vectors that are wanted; None: all of splats.
 
         Raises:
             ValueError: attributes are missing, or as `objects.catch_up`.
         """
         objects.catch_up(ob)
-        self._columns: dict[str, np.ndarray] = {}
         self._mark = uuid.uuid4().hex
         self._is_cloud = ob.type == "POINTCLOUD"
         if ob.mode == "EDIT":
@@ -44,52 +43,91 @@ class Leaving:
         copy = ob.data.copy()
         copy[_MARK] = self._mark
         self._name, self._of, self._data = copy.name, ob.name, ob.data.name
-        self._budget = math.inf if at_once else BUDGET
         try:  # of the copy: in Edit Mode attributes are out of reach
-            self._wanted = attributes.names(copy, called=self._data)
-            sizes = [attributes.floats(copy, name, called=self._data) for name in self._wanted]
+            known = attributes.names(copy, called=self._data)
+            self._names = known if names is None else [n for n in names if n in known]
+            for one in self._names:
+                attributes.check_vectors(copy, one, called=self._data)
         except ValueError:
             self.drop()
             raise
-        self._memory = Memory(sizes) if sum(sizes) >= AHEAD and not at_once else None
 
-    def step(self) -> dict[str, np.ndarray] | None:
-        """Read some more; what `attributes.as_splats` takes once it is complete.
+    def read(self) -> Pieces[dict[str, np.ndarray]]:
+        """Read them; what `attributes.as_splats` takes, where all are wanted.
 
         Raises:
             ValueError: the copy is gone, or holds numbers that are not finite.
         """
-        mesh = self._mesh()
-        if mesh is None:
-            raise ValueError(f"{self._of} was taken away before its splats were read.")
-        until = time.perf_counter() + self._budget
-        for name in self._wanted[len(self._columns) :]:
-            if self._memory is not None and not self._memory.ready:
-                break
-            memory = None if self._memory is None else self._memory.take()
-            self._columns[name] = attributes.column(mesh, name, called=self._data, memory=memory)
-            if time.perf_counter() > until:
-                break
-        if len(self._columns) < len(self._wanted):
-            return None
-        self.drop()
-        return self._columns
+        copy = self._copy()
+        kinds = {name: copy.attributes[name].data_type for name in self._names}
+        found = yield from self._read(kinds)
+        yield from aside(partial(_check_finite, found, self._data), self._sentence(1.0))
+        return {column.name: column.values for column in found}
+
+    def table(self) -> Pieces[list[Column]]:
+        """Read all attributes of numbers and vectors, those of others among them.
+
+        Raises:
+            ValueError: the copy is gone.
+        """
+        return (yield from self._read(attributes.kinds(self._copy())))
+
+    def _read(self, kinds: dict[str, str]) -> Pieces[list[Column]]:
+        try:
+            count = attributes.point_count(self._copy())
+            columns = yield from aside(partial(_made, kinds, count), self._sentence(0.0))
+            until = time.perf_counter() + BUDGET
+            for done, (name, _, values) in enumerate(columns):
+                if time.perf_counter() > until:
+                    yield self._sentence(done / len(columns))
+                    until = time.perf_counter() + BUDGET
+                copy = self._copy()
+                attributes.copy_values(copy, name, values)
+                if name != attributes.POSITION:  # a little at a time: all at once takes long
+                    copy.attributes.remove(copy.attributes[name])
+            return columns
+        finally:
+            self.drop()
 
     def drop(self) -> None:
         """Remove the copy."""
-        mesh = self._mesh()
-        if mesh is not None:
-            self._all.remove(mesh)
+        copy = self._all.get(self._name)
+        if copy is not None and copy.get(_MARK) == self._mark:
+            self._all.remove(copy)
 
-    @property
-    def share(self) -> float:
-        """How much of it is read, 0 to 1."""
-        return len(self._columns) / len(self._wanted)
+    def _sentence(self, share: float) -> str:
+        return f"Reading splats of {self._of}: {share:.0%}"
 
     @property
     def _all(self) -> bpy.types.bpy_prop_collection:
         return bpy.data.pointclouds if self._is_cloud else bpy.data.meshes
 
-    def _mesh(self) -> bpy.types.Mesh | bpy.types.PointCloud | None:
-        mesh = self._all.get(self._name)
-        return mesh if mesh is not None and mesh.get(_MARK) == self._mark else None
+    def _copy(self) -> bpy.types.Mesh | bpy.types.PointCloud:
+        copy = self._all.get(self._name)
+        if copy is None or copy.get(_MARK) != self._mark:
+            raise ValueError(f"{self._of} was taken away before its splats were read.")
+        return copy
+
+
+def _made(kinds: dict[str, str], count: int, check: Check) -> list[Column]:
+    """Memory for attributes of so many points, written to: the system gives a page of it out then,
+    which for a million splats takes longer than to copy them."""
+    made = []
+    for name, kind in kinds.items():
+        check()
+        made.append(Column(name, kind, attributes.empty_values(kind, count)))
+        made[-1].values.fill(0)
+    return made
+
+
+def _check_finite(columns: list[Column], called: str, check: Check) -> None:
+    for name, _, values in columns:
+        check()
+        attributes.check_finite(values, name, called)
+
+
+def leaving(
+    ob: bpy.types.Object, names: Sequence[str] | None = None
+) -> Pieces[dict[str, np.ndarray]]:
+    """The splats of an object as they are at the first piece; arguments and errors as `Leaving`."""
+    return (yield from Leaving(ob, names).read())

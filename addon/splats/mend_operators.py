@@ -5,11 +5,13 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface.operators import Acting
-from . import mending
+from ..interface.stepping import Stepping
+from ..process.pieces import Pieces
+from . import mending, objects
+from .held import Held
 
 
-class MendSplats(Acting, bpy.types.Operator):
+class MendSplats(Stepping, bpy.types.Operator):
     """Turn and scale shapes and colors of the splats along, where Apply or Join of Blender has
     moved their places alone; what was stretched gets its places and its scale of before"""
 
@@ -29,16 +31,24 @@ class MendSplats(Acting, bpy.types.Operator):
         """Their points, and where they stand."""
         return [block for ob in mending.behind(context) for block in (ob.data, ob)]
 
-    def act(self, context: bpy.types.Context) -> str:
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Mend each mesh once."""
-        stretched = []
         found = {ob.data: ob for ob in reversed(mending.behind(context))}.values()
-        for ob in found:
-            stretched += mending.mend(ob)
+        names = ", ".join(ob.name for ob in found)
+        context.view_layer.update()  # what was done until now is no change
+        helds = []
+        try:
+            for ob in found:
+                objects.catch_up(ob)
+                helds.append(Held(ob))
+            stretched = yield from mending.mended(helds)
+        finally:
+            for held in helds:
+                held.close()
         if stretched:
             names = ", ".join(ob.name for ob in stretched)
             return f"Stretched as before: {names}. Make Scale Even gives one scale for all axes."
-        return f"Shapes and colors follow in {', '.join(ob.name for ob in found)}."
+        return f"Shapes and colors follow in {names}."
 
 
 CLASSES = (MendSplats,)

@@ -1,14 +1,22 @@
 """Shapes and colors of splats brought after their places, and stretching taken back: see `lag`."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from .. import attributes
+from ..attributes import Column
 from ..interface import writable
+from ..process.pieces import Check, Pieces, aside
 from . import lag, objects, parts
+from .filling import Filling, filled, swap
 from .fitted import is_similarity
-from .turning import turn_along
+from .held import Held
+from .leaving import Leaving
+from .ready import Points, points_of
+from .turning import turned
 
 APPLIED = (
     "The places of the splats of {} were turned or scaled alone, as Apply of Blender does: their "
@@ -40,8 +48,93 @@ def behind(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [ob for ob in obs if objects.is_splats(ob) and lag.is_behind(ob.data)]
 
 
-def mend(ob: bpy.types.Object) -> list[bpy.types.Object]:
-    """Turn and scale shapes and colors along with the places that are there.
+class Mend:
+    """What lags in one object, put right: prepared bit by bit, then done at once."""
+
+    def __init__(self, held: Held) -> None:
+        """Find out what there is to do.
+
+        Raises:
+            ValueError: what happened cannot be undone so.
+        """
+        ob = held.there()
+        self._held, self._lags, self._numbers = held, lag.of(ob.data), lag.parts(ob.data)
+        self._there = np.flatnonzero(np.bincount(self._numbers, minlength=1))
+        self._odd = [int(k) for k in self._there if not is_similarity(self._lags[k])]
+        for k in self._odd:
+            for user in _users(ob):
+                writable.check(user)
+                _with_lag(user, self._lags[k])
+        # One part stays where it is; others become objects of their own.
+        every = self._odd and len(self._odd) == len(self._there)
+        self._own = self._odd[0] if every else None
+        self._apart = [k for k in self._odd if k != self._own]
+
+    def filling(self) -> "Pieces[list[Filling[Points]]]":
+        """Look what its meshes will be: its own, then those of parts that leave it.
+
+        Raises:
+            ValueError: attributes are missing or not finite.
+        """
+        table = yield from Leaving(self._held.there()).table()
+        tables = yield from aside(
+            partial(self._mended, table), f"Turning splats of {self._held.name}"
+        )
+        make = self._held.emptied_mesh if self._apart else self._held.copied_mesh
+        own, *others = tables
+        emptied = self._held.emptied_mesh
+        return [
+            Filling(points_of(own), make),
+            *(Filling(points_of(other), emptied) for other in others),
+        ]
+
+    def _mended(self, table: list[Column], check: Check) -> list[list[Column]]:
+        for name, values in attributes.of_splats(table).items():
+            attributes.check_finite(values, name, self._held.name)
+        check()
+        numbers, changed = self._numbers, []
+        if len(self._odd) < len(self._there):
+            turning = np.where(np.isin(numbers, self._odd), -1, numbers)
+            changed = turned(table, self._lags, turning)
+        places = next(c for c in table if c.name == attributes.POSITION)
+        for k in self._odd:
+            check()
+            rows = np.flatnonzero(numbers == k)
+            back = np.linalg.inv(self._lags[k])
+            places.values[rows] = (places.values[rows].astype(np.float64) @ back.T).astype(
+                np.float32
+            )
+        if self._odd:
+            changed.append(places)
+        if not self._apart:
+            return [changed]
+        stays = np.flatnonzero(~np.isin(numbers, self._apart))
+        rows = [stays, *(np.flatnonzero(numbers == k) for k in self._apart)]
+        return [attributes.picked(table, some) for some in rows]
+
+    def check(self) -> None:
+        """Raise ValueError where it can no longer be done."""
+        self._held.to_change()
+
+    def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
+        """Put what `filling` made, filled, in its place; the objects that are stretched now."""
+        ob, (own, *others) = self._held.there(), meshes
+        for mesh in meshes:
+            lag.forget(mesh)
+        swap(ob.data, own)
+        taken = [] if self._own is None else [ob]
+        for user in _users(ob) if taken else ():
+            _take_back(user, self._lags[self._own])
+        for k, mesh in zip(self._apart, others, strict=True):
+            taken.append(parts.split_off(ob, mesh))
+            _take_back(taken[-1], self._lags[k])
+        for mesh in meshes:
+            lag.follow(mesh)
+        return taken
+
+
+def mended(helds: list[Held]) -> Pieces[list[bpy.types.Object]]:
+    """Turn and scale shapes and colors of objects along with the places that are there.
 
     What was stretched gets the places of before instead, and its object that matrix; a part that
     was joined becomes an object of its own for that.
@@ -50,32 +143,23 @@ def mend(ob: bpy.types.Object) -> list[bpy.types.Object]:
         The objects that are stretched now, as before Apply or Join.
 
     Raises:
-        ValueError: Edit Mode, a mesh that cannot be written, or what happened cannot be undone so;
-            nothing is changed then.
+        ValueError: a mesh cannot be written, or what happened cannot be undone so; nothing is
+            changed then.
     """
-    objects.check_writable(ob)
-    objects.catch_up(ob)
-    lags, numbers = lag.of(ob.data), lag.parts(ob.data)
-    there = np.unique(numbers)
-    odd = [k for k in there if not is_similarity(lags[k])]
-    for k in odd:
-        for user in _users(ob):
-            writable.check(user)
-            _with_lag(user, lags[k])
-    if len(odd) < len(there):
-        turn_along(ob.data, lags, np.where(np.isin(numbers, odd), -1, numbers))
-    own = odd[:1] if len(odd) == len(there) else []  # one part stays where it is
-    taken = [ob] * len(own) + [_apart(ob, k) for k in odd[len(own) :]]
-    for one, k in zip(taken, odd, strict=True):
-        _take_back(one, lags[k])
-    for one in {ob, *taken}:
-        lag.forget(one.data)
-        lag.follow(one.data)
+    mends = [Mend(held) for held in helds]
+    fillings = []
+    for mend in mends:
+        fillings.append((yield from mend.filling()))
+
+    def check() -> None:
+        for mend in mends:
+            mend.check()
+
+    meshes = yield from filled([one for some in fillings for one in some], check)
+    taken, left = [], iter(meshes)
+    for mend, some in zip(mends, fillings, strict=True):
+        taken += mend.finish([next(left) for _ in some])
     return taken
-
-
-def _apart(ob: bpy.types.Object, part: int) -> bpy.types.Object:
-    return parts.separate(ob, lag.parts(ob.data) == part)
 
 
 def _users(ob: bpy.types.Object) -> list[bpy.types.Object]:
@@ -100,17 +184,12 @@ def _with_lag(ob: bpy.types.Object, turn: np.ndarray) -> Matrix:
 
 
 def _take_back(ob: bpy.types.Object, turn: np.ndarray) -> None:
-    """Give splats the places of before, and the objects that show them the lag as their own; what
-    hangs from these stays."""
+    """Give an object, whose splats have the places of before again, the lag as its own; what hangs
+    from it stays."""
     back = np.linalg.inv(turn)
-    places = attributes.column(ob.data, attributes.POSITION).astype(np.float64) @ back.T
-    kind = ob.data.attributes[attributes.POSITION].data_type
-    attributes.fill(ob.data, attributes.POSITION, kind, places.astype(np.float32).ravel())
-    ob.data.update()
-    for user in _users(ob):
-        for child in user.children:
-            child.matrix_parent_inverse = _matrix(back) @ child.matrix_parent_inverse
-        user.matrix_basis = _with_lag(user, turn)
+    for child in ob.children:
+        child.matrix_parent_inverse = _matrix(back) @ child.matrix_parent_inverse
+    ob.matrix_basis = _with_lag(ob, turn)
 
 
 def _matrix(turn: np.ndarray) -> Matrix:

@@ -18,6 +18,7 @@ from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.operators import Acting, make_active
 from ..interface.stepping import Stepping
+from ..process.pieces import Pieces
 from . import edit, even_scale, exporting, files, native, settings
 from .arriving import Arriving
 from .objects import can_export, is_native, is_splats, meant
@@ -207,32 +208,14 @@ class ExportSplats(Stepping, bpy.types.Operator, ExportHelper):
             return {"CANCELLED"}
         return ExportHelper.invoke(self, context, event)
 
-    def begin(self, context: bpy.types.Context) -> exporting.Export:
-        """The file."""
-        return exporting.Export(*self._wanted(context), world=self.world, filtered=self.filtered)
-
-    def complete(
-        self, context: bpy.types.Context, steps: exporting.Export, result: exporting.Written
-    ) -> str:
-        """Tell of it."""
-        return self._told(result)
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Write the file at once."""
-        wanted = self._wanted(context)
-        return self._told(
-            exporting.export_splats(*wanted, world=self.world, filtered=self.filtered)
-        )
-
-    def _wanted(self, context: bpy.types.Context) -> tuple[list[bpy.types.Object], str]:
-        """Which objects, and the file; ValueError as `_chosen`."""
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Write the file."""
         context.view_layer.update()
-        return _chosen(context, self.collection), self.filepath
-
-    def _told(self, written: exporting.Written) -> str:
-        count, notes = written
+        obs, path = _chosen(context, self.collection), self.filepath
+        how = {"world": self.world, "filtered": self.filtered}
+        count, notes = yield from exporting.exporting(obs, path, **how)
         self.warn(notes)
-        return f"Wrote {count:,} splats to {self.filepath}."
+        return f"Wrote {count:,} splats to {path}."
 
 
 def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Object]:
@@ -251,24 +234,6 @@ def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Objec
     return list(dict.fromkeys(ob for ob in obs if can_export(ob)))
 
 
-class ApplyFilters(OnSplats, bpy.types.Operator):
-    """Delete the splats that the display filters hide, then reset the filters"""
-
-    bl_idname = "gscore.apply_filters"
-    bl_label = "Delete Hidden Splats"
-
-    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points, and its filters."""
-        ob = meant(context)
-        return ob.data, ob
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Delete."""
-        ob = meant(context)
-        count = edit.apply_filters(ob)
-        return f"Deleted {count:,} splats, {len(ob.data.vertices):,} left."
-
-
 class ResetFilters(OnSplats, bpy.types.Operator):
     """Show all splats again"""
 
@@ -281,35 +246,6 @@ class ResetFilters(OnSplats, bpy.types.Operator):
         return ""
 
 
-class SelectSplats(OnSplats, bpy.types.Operator):
-    """Select splats by what the display filters hide, in Edit Mode"""
-
-    bl_idname = "gscore.select_splats"
-    bl_label = "Select Splats"
-
-    which: EnumProperty(
-        name="Which",
-        description="Splats to select; all others are deselected",
-        items=[
-            ("HIDDEN", "Hidden", "Splats that the filters hide"),
-            ("VISIBLE", "Visible", "Splats that the filters show"),
-        ],
-    )
-
-    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points."""
-        return (meant(context).data,)
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Select, and enter Edit Mode on vertices."""
-        ob = meant(context)
-        if ob.mode == "EDIT":
-            bpy.ops.object.mode_set(mode="OBJECT")
-        count = edit.select(ob, hidden=self.which == "HIDDEN")
-        edit_vertices(context, ob)
-        return f"Selected {count:,} splats."
-
-
 class AddCropBox(OnSplats, bpy.types.Operator):
     """Add a wire box around most of the splats and show only those inside; move and scale it"""
 
@@ -319,23 +255,6 @@ class AddCropBox(OnSplats, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Add."""
         make_active(context, edit.add_crop_box(context, meant(context)))
-        return ""
-
-
-class ApplySplatTransform(OnSplats, bpy.types.Operator):
-    """Apply location, rotation and even scale to the splats, with their orientations and colors"""
-
-    bl_idname = "gscore.apply_splat_transform"
-    bl_label = "Apply Splat Transform"
-
-    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points, and where it stands."""
-        ob = meant(context)
-        return ob.data, ob
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Apply."""
-        edit.apply_transform(meant(context))
         return ""
 
 
@@ -368,7 +287,7 @@ class ResetDisplay(OnSplats, bpy.types.Operator):
         return ""
 
 
-class TakeNativeSplats(Arriving, bpy.types.Operator):
+class TakeNativeSplats(Stepping, bpy.types.Operator):
     """Make a splat object of Blender's own Gaussian splats, which filters, tools and training know.
     Those stay, hidden"""
 
@@ -388,24 +307,12 @@ class TakeNativeSplats(Arriving, bpy.types.Operator):
         """The scene, and the cloud, which is hidden."""
         return (context.scene, context.object)
 
-    def begin(self, context: bpy.types.Context) -> native.Taking:
-        """The cloud's splats."""
-        return native.Taking(context.object)
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Make it at once."""
-        taking = native.Taking(context.object, at_once=True)
-        while (made := taking.step()) is None:
-            pass
-        return self.show(context, made, taking.warnings)
-
-    def show(
-        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
-    ) -> str:
-        """Make the object the active one."""
-        if context.mode == "OBJECT" and made[0].name in context.view_layer.objects:
-            make_active(context, made[0])
-        return f"{made[0].name} has {len(made[0].data.vertices):,} splats."
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Make it."""
+        made = yield from native.taking(context.object)
+        if context.mode == "OBJECT" and made.name in context.view_layer.objects:
+            make_active(context, made)
+        return f"{made.name} has {len(made.data.vertices):,} splats."
 
 
 class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
@@ -426,11 +333,8 @@ class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
 CLASSES = (
     ImportSplats,
     ExportSplats,
-    ApplyFilters,
     ResetFilters,
-    SelectSplats,
     AddCropBox,
-    ApplySplatTransform,
     MakeScaleEven,
     ResetDisplay,
     TakeNativeSplats,

@@ -1,36 +1,75 @@
 """Splat objects taken apart and put together, with all that their points carry."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 
 from .. import attributes, compat
+from ..attributes import Column
 from ..interface import writable
+from ..process.pieces import Check, Pieces, aside
 from . import lag, objects, settings
+from .filling import Filling, filled, swap
+from .held import Held
+from .leaving import Leaving
+from .ready import points_of
+from .turning import moved
 
 
-def separate(ob: bpy.types.Object, chosen: np.ndarray) -> bpy.types.Object:
+def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
     """Move splats into an object of their own, with the same place, display and filters.
 
     Args:
-        ob: A splat object.
+        held: A splat object.
         chosen: [N] bool.
 
     Raises:
-        ValueError: Edit Mode, a mesh that cannot be written, or none or all are chosen.
+        ValueError: none or all are chosen, or as `Held.to_change`; nothing is changed then.
     """
-    objects.check_writable(ob)
     if chosen.all() or not chosen.any():
         many = "all" if len(chosen) and chosen.all() else "none"
-        raise ValueError(f"{ob.name}: select some splats to separate; {many} of them are.")
+        raise ValueError(f"{held.name}: select some splats to separate; {many} of them are.")
+    table = yield from Leaving(held.there()).table()
+    tables = yield from aside(partial(_split, table, chosen), f"Separating splats of {held.name}")
+    fillings = [Filling(points_of(one), held.emptied_mesh) for one in tables]
+    own, other = yield from filled(fillings, held.to_change)
+    ob = held.there()
+    swap(ob.data, own)
+    return split_off(ob, other)
+
+
+def _split(table: list[Column], chosen: np.ndarray, check: Check) -> list[list[Column]]:
+    return [attributes.picked(table, np.flatnonzero(mask)) for mask in (~chosen, chosen)]
+
+
+def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
+    """An object like another one, for a mesh with some of its splats."""
     other = ob.copy()
-    other.data = ob.data.copy()
-    other.name = other.data.name = f"{ob.name} part"
+    other.data = mesh
+    other.name = mesh.name = f"{ob.name} part"
     writable.link_beside(other, ob)
-    for one, keep in ((ob, ~chosen), (other, chosen)):
-        attributes.keep(one.data, keep)
-        one.data.update()
     settings.apply(other)
     return other
+
+
+def kept(held: Held, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.Object]:
+    """Delete the splats of an object but for some; all that these carry follows to the bit, but
+    selection, hiding and vertex groups go.
+
+    Args:
+        held: It.
+        table: Of its mesh, as `Leaving.table`.
+        rows: [K], numbers of those that stay.
+
+    Raises:
+        ValueError: as `Held.to_change`; nothing is changed then.
+    """
+    wanted = yield from aside(lambda check: attributes.picked(table, rows), "Deleting splats")
+    [mesh] = yield from filled([Filling(points_of(wanted), held.emptied_mesh)], held.to_change)
+    ob = held.there()
+    swap(ob.data, mesh)
+    return ob
 
 
 def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
@@ -51,35 +90,56 @@ def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None
         )
 
 
-def join(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
+def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     """Take the splats of other objects into one, where and as they are seen; the others go.
 
     SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
-    that name, they are 0.
+    that name, they are 0. What the first has stays to the bit, selected or hidden.
 
     Raises:
-        ValueError: as `check_joinable`, or a matrix is no similarity; nothing is changed then.
+        ValueError: as `check_joinable` or `Held.to_change`, or a matrix is no similarity; nothing
+            is changed then.
     """
-    check_joinable(ob, others)
+    ob, obs = held.there(), [other.there() for other in others]
+    check_joinable(ob, obs)
     world = compat.matrix_to_numpy(ob.matrix_world)
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
         raise ValueError(f"{ob.name} is scaled to nothing: set its scale to 1 first.")
     to_own = np.linalg.inv(world)
-    matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in others]
-    attributes.check(ob.data)
-    tables = [_moved(one, m) for one, m in zip(others, matrices, strict=True)]
-    attributes.append(ob.data, tables)
-    lag.forget(ob.data)
-    ob.data.update()
+    matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in obs]
+    for one, matrix in zip(obs, matrices, strict=True):
+        objects.moved(attributes.NO_SPLATS, matrix, one.name)  # refuses what cannot be
+    marks, tables = attributes.marks(ob.data), []
+    for one in (held, *others):
+        tables.append((yield from Leaving(one.there()).table()))
+    tables[0] += marks
+    names = [other.name for other in others]
+    table = yield from aside(
+        partial(_together, tables, matrices, names), f"Joining splats with {held.name}"
+    )
+
+    def check() -> None:
+        for one in (*others, held):
+            one.to_change()
+
+    [mesh] = yield from filled([Filling(points_of(table), held.emptied_mesh)], check)
+    lag.forget(mesh)
+    ob = held.there()
+    swap(ob.data, mesh)
     for one in others:
-        data = one.data
-        bpy.data.objects.remove(one)
+        gone = one.there()
+        data = gone.data
+        bpy.data.objects.remove(gone)
         if not data.users:
             bpy.data.meshes.remove(data)
+    return ob
 
 
-def _moved(ob: bpy.types.Object, matrix: np.ndarray) -> list[attributes.Column]:
-    """All that the points of an object carry, after a 4x4 similarity; ValueError as `join`."""
-    splats = objects.transformed(ob, matrix)
-    rest = [c for c in attributes.table(ob.data) if not attributes.is_splats(c.name)]
-    return [*attributes.as_table(splats), *rest]
+def _together(
+    tables: list[list[Column]], matrices: list[np.ndarray], names: list[str], check: Check
+) -> list[Column]:
+    """The points of all, those of all but the first moved in place."""
+    for table, matrix, name in zip(tables[1:], matrices, names, strict=True):
+        check()
+        moved(table, matrix, name, check)
+    return attributes.joined(tables)

@@ -1,11 +1,13 @@
-"""Shapes and colors of the splats of a mesh turned, mirrored and scaled, places as they are."""
+"""Shapes and colors of splats turned, mirrored and scaled, places as they are; no bpy."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import attributes
+from ..attributes import Column
 from ..core import Splats, transform_splats
+from ..process.pieces import Check
 
 Rows = slice | np.ndarray
 _BLOCK = 1 << 12
@@ -24,35 +26,62 @@ class _Linear(NamedTuple):
     """[K, K] float32, of coefficients."""
 
 
-def turn_along(mesh: Any, turns: np.ndarray, numbers: np.ndarray) -> None:
+def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[Column]:
     """Turn quaternions, scales and SH coefficients; all else, and splats that no turn changes, stay
     to the bit.
 
     Args:
-        mesh: Has the attributes of N splats.
+        table: Attributes of N points, those of splats among them; what is turned is turned in
+            place.
         turns: [P, 3, 3], linear parts of similarities.
         numbers: [N] int, the turn of each splat; negative: none.
 
+    Returns:
+        What was turned.
+
     Raises:
-        ValueError: attributes are missing or not finite, or a turn stretches; nothing is changed.
+        ValueError: a turn stretches; nothing is changed.
     """
-    attributes.check(mesh)
-    count = attributes.sh_count(mesh)
+    found = attributes.of_splats(table)
+    names = [n for n in found if n not in (attributes.BASE, attributes.POSITION)]
+    names.sort(key=lambda name: name != attributes.ROTATION)  # then scales, then coefficients
+    columns = [found[name] for name in names]
     steps: list[tuple[np.ndarray, _Linear]] = []
     for number, turn in enumerate(turns):
         chosen = numbers == number
         if chosen.any() and not np.array_equal(turn, np.eye(3)):
-            steps.append((np.flatnonzero(chosen), _linear(turn, count)))
-    names = [attributes.ROTATION, attributes.SCALE, *(f"{attributes.SH}{k}" for k in range(count))]
-    columns = [attributes.column(mesh, name) for name in names]
+            steps.append((np.flatnonzero(chosen), _linear(turn, len(names) - 2)))
     for rows, linear in steps:
         at = _range(rows)
         columns[0][at] = columns[0][at] @ linear.quats.T
         columns[1][at] *= linear.factor
         _turn_harmonics(columns[2:], rows, linear.harmonics)
-    for name, values in zip(names, columns, strict=True):
-        attributes.fill(mesh, name, mesh.attributes[name].data_type, values.reshape(-1))
-    mesh.update()
+    return [column for column in table if column.name in names]
+
+
+def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> list[Column]:
+    """Move, turn and scale the splats of a table in place; what was changed of it.
+
+    Args:
+        table: As `turned`.
+        matrix: [4, 4], a similarity.
+        name: What messages shall call the splats.
+        check: Called now and then.
+
+    Raises:
+        ValueError: numbers are not finite.
+    """
+    columns = attributes.of_splats(table)
+    for one, values in columns.items():
+        attributes.check_finite(values, one, name)
+    check()
+    changed = turned(table, matrix[None, :3, :3], np.zeros(len(columns[attributes.BASE]), np.int32))
+    for column in table:
+        if column.name == attributes.POSITION:
+            places = column.values.astype(np.float64)
+            column.values[:] = places @ matrix[:3, :3].T + matrix[:3, 3]
+            changed.append(column)
+    return changed
 
 
 def _linear(turn: np.ndarray, count: int) -> _Linear:

@@ -1,5 +1,6 @@
 """The files that the training of a region begins with, made while Blender goes on."""
 
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -7,7 +8,7 @@ import numpy as np
 
 from .. import attributes
 from ..core import write_region, write_splat_file
-from ..process.background import Task
+from ..process.pieces import Check, Going, Pieces, aside
 from ..splats import objects
 from ..splats.files import source_matrix_of_data
 from ..splats.leaving import Leaving
@@ -37,39 +38,28 @@ class Start:
         self._name, self._matrix = ob.name, source_matrix_of_data(ob)
         objects.moved(attributes.NO_SPLATS, self._matrix, self._name)  # refuses what cannot be
         self._antialiased = bool(ob.get(objects.ANTIALIAS))
-        self._leaving: Leaving | None = Leaving(ob)
-        self._columns: dict[str, np.ndarray] = {}
-        self._task: Task | None = None
+        self._going = Going(self._made(Leaving(ob)))
+        self._going.step()  # from now on it leaves no copy where it is dropped
 
     def step(self) -> bool:
         """Do some more; whether both files are there.
 
         Raises:
-            ValueError: the splats cannot be read, or a file cannot be written.
+            ValueError: the splats cannot be read.
+            GsError: a file cannot be written.
         """
-        if self._leaving is not None:
-            found = self._leaving.step()
-            if found is not None:
-                self._leaving, self._columns = None, found
-                self._task = Task(self._write)
-            return False
-        assert self._task is not None
-        if self._task.running:
-            return False
-        if self._task.problem:
-            raise ValueError(self._task.problem)
-        return True
+        return self._going.step()
 
     def drop(self) -> None:
         """Leave it."""
-        if self._leaving is not None:
-            self._leaving.drop()
-        if self._task is not None:
-            self._task.cancel()
+        self._going.cancel()
 
-    def _write(self, task: Task) -> None:
-        splats = attributes.as_splats(self._columns)
-        splats = objects.moved(splats, self._matrix, self._name)
-        task.check()
+    def _made(self, taken: Leaving) -> Pieces[None]:
+        columns = yield from taken.read()
+        yield from aside(partial(self._write, columns), "Writing the region's splats")
+
+    def _write(self, columns: dict[str, np.ndarray], check: Check) -> None:
+        splats = objects.moved(attributes.as_splats(columns), self._matrix, self._name)
+        check()
         write_splat_file(self._splats_file, splats, antialiased=self._antialiased)
         write_region(self._region_file, self._box)

@@ -9,6 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, preferences
+from ..core import GsError
 from ..interface import undo
 from ..job import guides, options, training
 from ..job.launch import begin, follow, launch
@@ -114,7 +115,7 @@ def proceed(job: RegionJob) -> bool:
             return False
         else:
             begin(job.python, job.begin)
-    except ValueError as error:
+    except (GsError, ValueError) as error:
         job.fail(str(error))
     job.start = None
     return True

@@ -13,6 +13,7 @@ from ..core import SPLAT_ENDINGS, collected_warnings
 from ..interface.operators import Acting, OnScene, make_active
 from ..interface.stepping import Stepping
 from ..process import beat
+from ..process.pieces import Pieces, stepped
 from ..splats.objects import is_splats, meant
 from ..splats.operators import AXIS_ITEMS
 from . import follow, importing
@@ -93,16 +94,12 @@ class ImportSequence(Stepping, OnScene, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def begin(self, context: bpy.types.Context) -> SequenceComing:
-        """The object, with its first frame."""
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Find the frames and read the first in a thread, then hand it over."""
         folder, options = self._options(context)
-        return SequenceComing(context, folder, **options)
-
-    def complete(
-        self, context: bpy.types.Context, steps: SequenceComing, result: list[bpy.types.Object]
-    ) -> str:
-        """Take care of the object."""
-        return self._settle(context, result[0], steps.series, steps.warnings)
+        coming = SequenceComing(context, folder, **options)
+        made = yield from stepped(coming)
+        return self._settle(context, made[0], coming.series, coming.warnings)
 
     def act(self, context: bpy.types.Context) -> str:
         """Import at once."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Quaternion
 
-from addon import attributes, compat
+from addon import compat
 from addon.core import Splats, sh0_to_rgb
 from addon.nodes import display, filters
 from addon.nodes.colors import _VIRIDIS
@@ -16,6 +16,7 @@ from addon.splats import objects
 from addon.splats import settings as splat_settings
 from addon.splats.edit import stats
 from addon.splats.filters import visible_mask
+from tests.addon import points
 
 Make = Callable[..., Splats]
 COUNT = 800
@@ -100,7 +101,7 @@ def test_points_are_not_selected_by_themselves(ob: bpy.types.Object) -> None:
     ob.data.attributes.remove(ob.data.attributes[".selection"])  # as files from before have it
     ob.gscore.display = "POINTS"
     objects.refresh(ob, objects.read(ob).subset(np.arange(COUNT) % 2 == 0))
-    attributes.keep(ob.data, np.arange(COUNT // 2) % 2 == 0)
+    points.keep(ob.data, np.arange(COUNT // 2) % 2 == 0)
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.context.view_layer.update()

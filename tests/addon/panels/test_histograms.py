@@ -8,6 +8,7 @@ from addon import attributes
 from addon.panels import histogram_icons
 from addon.panels.result import FiltersPanel
 from addon.splats.histogram import of_opacities, of_sizes
+from tests.addon import points
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -57,7 +58,7 @@ def test_meshes_are_counted_when_they_have_changed(scene, monkeypatch):
     first = icons.histograms(ob)[histogram_icons.OPACITY]
     assert first.counts.sum() == 400
     assert icons.histograms(ob)[histogram_icons.OPACITY] is first
-    attributes.keep(ob.data, np.arange(400) < 150)
+    points.keep(ob.data, np.arange(400) < 150)
     ob.data.update()
     bpy.context.view_layer.update()
     opacities = attributes.column(ob.data, attributes.BASE)[:, 3]

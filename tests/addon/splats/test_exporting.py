@@ -3,24 +3,26 @@
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 import pytest
 
 from addon import attributes
-from addon.core import Splats, read_splats
+from addon.core import GsError, Splats, read_splats
+from addon.process.pieces import Going
 from addon.splats import exporting, leaving, objects
-from addon.splats.exporting import Export, export_splats
+from addon.splats.exporting import export_splats
+from tests.addon import points
 
 Make = Callable[..., Splats]
 
 
 @pytest.fixture(autouse=True)
 def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One attribute a step, its memory made ahead."""
+    """One attribute a step."""
     monkeypatch.setattr(leaving, "BUDGET", 0.0)
-    monkeypatch.setattr(leaving, "AHEAD", 0)
 
 
 @pytest.fixture
@@ -34,13 +36,19 @@ def obs(scene: bpy.types.Scene, make_splats: Make) -> list[bpy.types.Object]:
     return [one, other]
 
 
+class Export(Going):
+    """An export that has begun."""
+
+    def __init__(self, *what: Any, **how: Any) -> None:
+        super().__init__(exporting.exporting(*what, **how))
+        assert not self.step()
+
+
 def finished(export: Export) -> exporting.Written:
     """What was written."""
     for _ in range(10_000):
-        if export._task is not None:
-            assert export._task.wait(20)
-        if (written := export.step()) is not None:
-            return written
+        if export.step():
+            return export.result
         threading.Event().wait(0.001)
     raise AssertionError("it never ends")
 
@@ -58,8 +66,8 @@ def test_as_at_once(obs: list, tmp_path: Path, ending: str, world: str, filtered
     wanted, got = tmp_path / f"at once{ending}", tmp_path / f"bit by bit{ending}"
     told = export_splats(obs, wanted, world=world, filtered=filtered)
     export = Export(obs, got, world=world, filtered=filtered)
-    assert "Reading splats: 0%" in export.sentence
-    assert export.step() is None and not got.exists()
+    assert export.sentence == "Reading splats of chair: 0%"
+    assert not export.step() and not got.exists()
     assert finished(export) == told
     assert got.name in export.sentence
     assert got.read_bytes() == wanted.read_bytes()
@@ -70,8 +78,8 @@ def test_as_it_was(obs: list, tmp_path: Path) -> None:
     """Oracle: the file before the object was edited, moved and filtered otherwise."""
     export_splats(obs, tmp_path / "before.ply", filtered=True)
     export = Export(obs, tmp_path / "after.ply", world="SOURCE", filtered=True)
-    assert export.step() is None
-    attributes.keep(obs[0].data, np.arange(300) < 100)
+    assert not export.step()
+    points.keep(obs[0].data, np.arange(300) < 100)
     obs[0].gscore.opacity_min = 0.0
     bpy.data.objects.remove(obs[1])
     finished(export)
@@ -98,7 +106,7 @@ def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     out = tmp_path / "out.ply"
     out.write_bytes(b"earlier")
     export = Export(obs, out, world="SOURCE", filtered=False)
-    assert export.step() is None
+    assert not export.step()
     export.cancel()
     nothing_left(tmp_path, "out.ply")
 
@@ -113,10 +121,11 @@ def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(exporting, "write_splat_file", slow)
     export = Export(obs, out, world="SOURCE", filtered=False)
     while not began.is_set():
-        assert export.step() is None
+        assert not export.step()
+    task = export._task
     export.cancel()
     go_on.set()
-    assert export._task.wait(20) and export._task.cancelled
+    assert task.wait(20) and task.cancelled
     assert out.read_bytes() == b"earlier"
     nothing_left(tmp_path, "out.ply")
 
@@ -134,7 +143,7 @@ def test_refuses(obs: list, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"chair: no splats left"):
         finished(Export(obs[:1], out, **options))
     obs[0].gscore.opacity_min = 0.0
-    with pytest.raises(ValueError, match="Cannot write"):
+    with pytest.raises(GsError, match="Cannot write"):
         finished(Export(obs[:1], out / "below_a_file.ply", **options))
     scales = attributes.column(obs[0].data, attributes.SCALE)
     scales[7] = np.nan

@@ -18,6 +18,7 @@ from addon.render import ignored
 from addon.splats import even_scale, fitted, lag, objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout
+from tests.addon.points import keep as keep_points
 
 BUTTON, BACK = "(Turn Shapes and Colors Along)", "(Take Stretching Back)"
 
@@ -119,7 +120,7 @@ def test_applied_twice(ob: bpy.types.Object, tmp_path: Path) -> None:
     apply()
     ob.rotation_euler = (0, 0.7, 0.1)
     keep = np.arange(400) % 7 != 0
-    attributes.keep(ob.data, keep)
+    keep_points(ob.data, keep)
     ob.data.update()
     bpy.context.view_layer.update()
     apply(location=False)
@@ -315,7 +316,7 @@ def test_join_is_mended(scene: bpy.types.Scene, tmp_path: Path, active: int, few
     assert np.abs(lab.render_exr(tmp_path, "wrong") - before).max() > 0.05
     if fewer:
         wide = np.abs(attributes.column(ob.data, attributes.POSITION)[:, 0]) < 0.3
-        attributes.keep(ob.data, wide)
+        keep_points(ob.data, wide)
         ob.data.update()
         bpy.context.view_layer.update()
         seen = lag.parts(ob.data)

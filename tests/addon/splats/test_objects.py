@@ -7,10 +7,10 @@ import bpy
 import numpy as np
 import pytest
 
-from addon import attributes
 from addon.core import Splats, read_splats, transform_splats, write_splats
 from addon.render.frozen import read_marks
 from addon.splats import objects
+from tests.addon import points
 
 Make = Callable[..., Splats]
 RAW = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -133,14 +133,19 @@ def test_new_splats_are_not_selected(scene: bpy.types.Scene, make_splats: Make) 
     assert read_marks(ob.data) is None
     objects.refresh(ob, make_splats(count=40))
     assert len(ob.data.vertices) == 40 and read_marks(ob.data) is None
-    attributes.keep(ob.data, np.arange(40) < 30)
+    points.keep(ob.data, np.arange(40) < 30)
     assert len(ob.data.vertices) == 30 and read_marks(ob.data) is None
-    other = attributes.table(objects.create(make_splats(count=5), "Other").data)
-    attributes.append(ob.data, [other])
-    assert len(ob.data.vertices) == 35 and read_marks(ob.data) is None
-    ob.data.vertices[7].select = True
-    attributes.append(ob.data, [other])
-    assert np.flatnonzero(read_marks(ob.data)).tolist() == [7]
+    for count, chosen in ((35, []), (40, [7])):
+        other = objects.create(make_splats(count=5), "Other")
+        for vertex in chosen:
+            ob.data.vertices[vertex].select = True
+        bpy.context.view_layer.objects.active = ob
+        for one in (ob, other):
+            one.select_set(True)
+        bpy.ops.gscore.join_splats()
+        marks = read_marks(ob.data)
+        assert len(ob.data.vertices) == count
+        assert ([] if marks is None else np.flatnonzero(marks).tolist()) == chosen
 
 
 def test_delete_in_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:

@@ -205,11 +205,9 @@ def test_no_step_of_the_start_is_long(
     ob = cropped(studio, tmp_path / "a.ply")
     expected = objects.transformed(ob, files.source_matrix_of_data(ob))
     read, writers, meshes = [], [], len(bpy.data.meshes)
-    column, write = attributes.column, start.write_splat_file
+    copy, write = attributes.copy_values, start.write_splat_file
     monkeypatch.setattr(leaving, "BUDGET", 0.0)
-    monkeypatch.setattr(
-        attributes, "column", lambda *a, **k: (read.append(a[1]), column(*a, **k))[1]
-    )
+    monkeypatch.setattr(attributes, "copy_values", lambda *a: (read.append(a[1]), copy(*a))[1])
     monkeypatch.setattr(
         start,
         "write_splat_file",

@@ -8,7 +8,6 @@ import bpy
 import numpy as np
 import pytest
 
-from addon import attributes
 from addon.core import Splats, read_splats, sh0_to_rgb, write_splats
 from addon.panels.sequence import SequencePanel
 from addon.process import beat
@@ -19,6 +18,7 @@ from addon.splats import objects
 from addon.timeline import follow, importing, mesh
 from addon.timeline.coming import SequenceComing
 from addon.timeline.library import LIBRARY
+from tests.addon import points
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -216,7 +216,7 @@ def test_edits_make_it_stand_still(scene, playing) -> None:
     """Data are never lost: what was deleted stays deleted, is drawn so, and can be dropped."""
     scene.frame_set(3)
     keep = np.arange(320) < 100
-    attributes.keep(playing.data, keep)
+    points.keep(playing.data, keep)
     playing.data.update()
     bpy.context.view_layer.update()
     assert playing.gscore_sequence.edited and "(Drop Edits and Play)" in drawn(SequencePanel)
@@ -367,7 +367,7 @@ def test_an_export_of_a_frame_that_cannot_be_read_says_so(scrubbed, folder, tmp_
 
 def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
     """Oracle: the splats that a script left, exported before the scene was evaluated."""
-    attributes.keep(scrubbed.data, np.arange(300) < 120)
+    points.keep(scrubbed.data, np.arange(300) < 120)
     assert len(objects.read(scrubbed)) == 120
 
 

@@ -1,0 +1,127 @@
+"""Splat objects that must stay as they are while an edit of them is under way."""
+
+from weakref import WeakSet
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .. import attributes
+from . import objects
+
+_HELD: "WeakSet[Held]" = WeakSet()
+
+
+class Held:
+    """An object whose splats are looked at, then changed, with time between for whoever else may
+    change them. It is looked up anew each time: undo replaces objects."""
+
+    def __init__(self, ob: bpy.types.Object) -> None:
+        """Watch it from now on, until `close`; what was done before is to be known to its scene.
+
+        Raises:
+            ValueError: as `objects.check_writable`.
+        """
+        objects.check_writable(ob)
+        self.name = ob.name
+        self.mesh_uid = ob.data.session_uid
+        self.is_changed = False
+        """Whether somebody has changed the splats, or may have."""
+        self._uid, self._count = ob.session_uid, len(ob.data.vertices)
+        self._mode = bpy.context.mode
+        _HELD.add(self)
+
+    def there(self) -> bpy.types.Object:
+        """The object.
+
+        Raises:
+            ValueError: it is gone, or its splats are others now.
+        """
+        ob = self.found()
+        same = ob is not None and ob.data.session_uid == self.mesh_uid
+        if self.is_changed or not same or len(ob.data.vertices) != self._count:
+            raise ValueError(
+                f"{self.name} was changed while this was under way, so nothing was done: begin "
+                "again."
+            )
+        return ob
+
+    def to_change(self) -> bpy.types.Object:
+        """The object, whose splats are changed now: others that watch them begin again.
+
+        Raises:
+            ValueError: as `there`, or Blender would not keep it now.
+        """
+        ob = self.there()
+        objects.check_writable(ob)
+        if bpy.context.mode != self._mode:  # another object's, whose undo steps hold nothing else
+            raise ValueError(
+                f"The mode was changed while this was under way, so nothing was done to "
+                f"{self.name}: begin again in Object Mode."
+            )
+        for other in _HELD:
+            other.is_changed |= other is not self and other.mesh_uid == self.mesh_uid
+        return ob
+
+    def copied_mesh(self, *, empty: bool = False) -> bpy.types.Mesh:
+        """A copy of its mesh, to be filled and put in its place; it shares memory until then.
+
+        Args:
+            empty: Without its points.
+
+        Raises:
+            ValueError: as `there`.
+        """
+        mesh = self.there().data
+        copy = mesh.copy()
+        if empty:
+            # Blender has no other way to take vertices away without a copy of all in its editor.
+            copy.clear_geometry()
+            if attributes.tells_selection(mesh):
+                attributes.leave_points_unselected(copy)
+        return copy
+
+    def emptied_mesh(self) -> bpy.types.Mesh:
+        """The same without its points."""
+        return self.copied_mesh(empty=True)
+
+    def found(self) -> bpy.types.Object | None:
+        """The object, whatever became of it; None: it is gone."""
+        return next((ob for ob in bpy.data.objects if ob.session_uid == self._uid), None)
+
+    def close(self) -> None:
+        """Watch no more."""
+        _HELD.discard(self)
+
+
+@persistent
+def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if not _HELD:
+        return
+    changed = {
+        update.id.original.session_uid
+        for update in depsgraph.updates
+        if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh)
+    }
+    for held in _HELD:
+        held.is_changed |= held.mesh_uid in changed
+
+
+@persistent
+def _undone(*_: object) -> None:
+    for held in _HELD:
+        held.is_changed = True
+
+
+_HANDLERS = {"depsgraph_update_post": _changed, "undo_post": _undone, "redo_post": _undone}
+
+
+def on_register() -> None:
+    """Follow changes."""
+    for name, function in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(function)
+
+
+def on_unregister() -> None:
+    """Follow no more."""
+    for name, function in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(function)
