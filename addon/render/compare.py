@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
@@ -9,11 +10,16 @@ import numpy as np
 from ..cameras import formulas as cm
 from ..cameras.captures import RenderCamera
 from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
+from ..cameras.pictures import levels_of
 from ..compat import matrix_to_numpy
-from ..core import colorize, psnr
+from ..core import colorize, psnr, rgba_png
+from ..process.background import Cancelled
+from ..process.pieces import Check, Pieces, aside
 from . import picture
-from .engine import collect, final_cache
+from .engine import final_cache
 from .photo import Target, load_target
+from .scene import Placed
+from .snapshot import Snapshot
 from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
@@ -26,7 +32,7 @@ KINDS = ("Photo", "Render", "Error", "Comparison")
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What `compare` found."""
+    """What came of a comparison."""
 
     psnr: float
     """dB, of the splats' picture against the photo, on sRGB values; inf if they are equal. Where a
@@ -37,52 +43,104 @@ class Comparison:
     """By the names in `KINDS`."""
 
 
-def compare(
-    scene: bpy.types.Scene, camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph
-) -> Comparison:
-    """Render from an imported camera and compare with its photo.
+class Comparing:
+    """A camera, the splats that it sees and the scene's settings as they are when this is made."""
 
-    The picture has the photo's size times the scene's resolution percentage, whatever the scene's
-    resolution; the photo is scaled to that as it is for training. Masks are heeded as the scene's
-    settings for training say; what they make transparent is put over the world's colour. Photos of
-    lenses that bend lines are straightened as for training.
+    def __init__(
+        self, scene: bpy.types.Scene, camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph
+    ) -> None:
+        """Look at all of it.
 
-    Args:
-        scene: Gives percentage, world and settings, and receives nothing.
-        camera: Of an imported capture; it is where it stands now. Receives `PSNR`.
-        depsgraph: What is visible in it is drawn.
+        Args:
+            scene: Gives percentage, world and settings, and receives nothing.
+            camera: Of an imported capture; it is where it stands now.
+            depsgraph: What is visible in it is drawn.
 
-    Raises:
-        ValueError: no such camera, one that is not made for straightened photos, no splats, or no
-            photo.
-        GsError: the native library is missing.
-    """
-    if not is_camera(camera):
-        raise ValueError(
-            f"{camera.name} is no camera of a photo: choose one that Import Capture made."
+        Raises:
+            ValueError: no such camera, or no splats.
+        """
+        if not is_camera(camera):
+            raise ValueError(
+                f"{camera.name} is no camera of a photo: choose one that Import Capture made."
+            )
+        own = stated(camera)
+        self._camera, self._name = camera.session_uid, camera.name
+        background = background_of(world_light(scene.world)[0])
+        size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
+        width, height = max(size[0], 1), max(size[1], 1)
+        self._target = load_target(
+            camera,
+            width,
+            height,
+            background=background,
+            mask_mode=scene.gscore.mask_mode if scene.gscore.use_masks else "none",
+            invert_masks=scene.gscore.invert_masks,
         )
-    own = stated(camera)
-    background = background_of(world_light(scene.world)[0])
-    size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
-    width, height = max(size[0], 1), max(size[1], 1)
-    masks = scene.gscore.mask_mode if scene.gscore.use_masks else "none"
-    target = load_target(
-        camera,
-        width,
-        height,
-        background=background,
-        mask_mode=masks,
-        invert_masks=scene.gscore.invert_masks,
-    )
-    rendered = picture.draw(
-        collect(depsgraph, final_cache),
-        photo_view(camera, own, depsgraph, width, height),
-        picture.Options(background=background, antialias=scene.gscore_render.antialias),
-    )
-    return _judged(np.clip(rendered.rgb, 0, 1), target, camera)
+        self._view = photo_view(camera, own, depsgraph, width, height)
+        self._options = picture.Options(
+            background=background, antialias=scene.gscore_render.antialias
+        )
+        self._snapshot = Snapshot(depsgraph)
+
+    def judged(self) -> Pieces[Comparison]:
+        """Render from it and compare with its photo.
+
+        The picture has the photo's size times the scene's resolution percentage, whatever the
+        scene's resolution; the photo is scaled to that as it is for training. Masks are heeded as
+        the scene's settings for training say; what they make transparent is put over the world's
+        colour. Photos of lenses that bend lines are straightened as for training. The camera
+        receives `PSNR`.
+
+        Raises:
+            ValueError: no photo, one that is not made for straightened photos, or the camera is
+                gone meanwhile; nothing is changed.
+            GsError: the native library is missing.
+        """
+        try:
+            target = yield from self._target
+            placed = yield from self._snapshot.read()
+        finally:
+            self._snapshot.drop()
+        found = yield from aside(partial(self._drawn, placed, target), "Drawing the splats")
+        camera = next((o for o in bpy.data.objects if o.session_uid == self._camera), None)
+        if camera is None:
+            raise ValueError(f"The camera {self._name} was taken away meanwhile.")
+        camera[PSNR] = found.psnr
+        if found.psnr_masked is not None:
+            camera[PSNR_MASKED] = found.psnr_masked
+        elif PSNR_MASKED in camera:
+            del camera[PSNR_MASKED]
+        images = {}
+        for kind, png in found.pictures.items():
+            images[kind] = store(kind, png, camera.name)
+        return Comparison(psnr=found.psnr, psnr_masked=found.psnr_masked, images=images)
+
+    def _drawn(self, placed: list[Placed], target: Target, check: Check) -> "_Judged":
+        model = final_cache.model(placed)
+        check()
+
+        def unwanted() -> bool:
+            try:
+                check()
+            except Cancelled:
+                return True
+            return False
+
+        rendered = picture.draw(model, self._view, self._options, stop=unwanted)
+        return _judged(np.clip(rendered.rgb, 0, 1), target, check)
 
 
-def _judged(shown: np.ndarray, target: Target, camera: bpy.types.Object) -> Comparison:
+@dataclass(frozen=True, kw_only=True)
+class _Judged:
+    """A comparison before its pictures are Blender's."""
+
+    psnr: float
+    psnr_masked: float | None
+    pictures: dict[str, bytes]
+    """PNGs, by the names in `KINDS`."""
+
+
+def _judged(shown: np.ndarray, target: Target, check: Check) -> _Judged:
     photo, masked = target.pixels, None
     if target.weight is not None:
         weight = target.weight[..., None]
@@ -91,16 +149,16 @@ def _judged(shown: np.ndarray, target: Target, camera: bpy.types.Object) -> Comp
         masked = -10 * math.log10(squares / counted) if squares and counted else math.inf
         shown, photo = shown * weight, photo * weight
     error = np.abs(shown - photo).mean(axis=2)
-    pictures = {"Photo": photo, "Render": shown, "Error": colorize(error * ERROR_GAIN) / 255.0}
-    pictures["Comparison"] = np.concatenate(list(pictures.values()), axis=1)
-    value = psnr(shown, photo)
-    camera[PSNR] = value
-    if masked is not None:
-        camera[PSNR_MASKED] = masked
-    elif PSNR_MASKED in camera:
-        del camera[PSNR_MASKED]
-    images = {kind: _store(kind, pictures[kind], camera.name) for kind in KINDS}
-    return Comparison(psnr=value, psnr_masked=masked, images=images)
+    found = {"Photo": photo, "Render": shown, "Error": colorize(error * ERROR_GAIN) / 255.0}
+    found["Comparison"] = np.concatenate(list(found.values()), axis=1)
+    value, pictures = psnr(shown, photo), {}
+    for kind in KINDS:
+        check()
+        levels = levels_of(found[kind])
+        opaque = np.full((*levels.shape[:2], 1), 255, np.uint8)
+        # Not made small, which would take long, and Blender longer to decode.
+        pictures[kind] = rgba_png(np.concatenate([levels, opaque], axis=2), packed=False)
+    return _Judged(psnr=value, psnr_masked=masked, pictures=pictures)
 
 
 def photo_view(
@@ -126,19 +184,18 @@ def photo_view(
     )
 
 
-def _store(kind: str, pixels: np.ndarray, camera: str) -> bpy.types.Image:
-    """Put [H, W, 3] sRGB values into the image for a kind of picture."""
+def store(kind: str, png: bytes, camera: str) -> bpy.types.Image:
+    """Put a picture into the image for its kind.
+
+    The image is a packed file: else Blender asks whether to save it, and a file that shows it loses
+    it. Blender decodes it when it is shown, in a third of the time that it would take to pack it.
+    """
     name = f"GS {kind}"
-    height, width = pixels.shape[:2]
     image = bpy.data.images.get(name)
     if image is None:
-        image = bpy.data.images.new(name, width, height)
-    if tuple(image.size) != (width, height):
-        image.scale(width, height)
-    rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = pixels[::-1]
-    image.pixels.foreach_set(rgba.ravel())
+        image = bpy.data.images.new(name, 1, 1)
+    image.pack(data=png, data_len=len(png))
+    image.source = "FILE"
+    image.buffers_free()  # of the picture before
     image["gs_image"] = camera
-    image.update()
-    image.pack()  # else Blender asks whether to save it, and a file that shows it loses it
     return image

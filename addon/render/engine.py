@@ -18,16 +18,7 @@ from .apart import main_scene
 from .film import Film
 from .passes import asked_of
 from .samples import Mean
-from .scene import (
-    NO_SPLATS,
-    NONE_IN_VIEW,
-    Identity,
-    Model,
-    Placed,
-    SplatCache,
-    place,
-    sources,
-)
+from .scene import Identity, Placed, SplatCache, sources
 from .stage import Stage
 from .stereo import eye_of, refusal, views_of
 from .viewport import (
@@ -295,18 +286,6 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             # Flat, and never assigned: rect = array converts every number by itself.
             result.layers[0].passes[name].rect.foreach_set(part.ravel())
         self.end_result(result)
-
-
-def collect(depsgraph: bpy.types.Depsgraph, cache: SplatCache) -> Model:
-    """The model of everything a depsgraph shows.
-
-    Raises:
-        ValueError: there is nothing to draw, or an object cannot be drawn; it is named.
-    """
-    placed = [place(source) for source in sources(depsgraph)]
-    if not placed:
-        raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
-    return cache.model(placed)
 
 
 def _light(depsgraph: bpy.types.Depsgraph) -> np.ndarray:

@@ -104,6 +104,22 @@ class FrozenMesh:
         """[N] uint8 of SELECTED and HIDDEN; None: no point has any. Not in the fingerprint, because
         splats stay what they are."""
 
+    @classmethod
+    def of(cls, name: str, columns: dict[str, np.ndarray]) -> "FrozenMesh":
+        """The splats of copies of attributes, which belong to it from now on; without marks.
+
+        Args:
+            name: What messages shall call them.
+            columns: As `attributes.as_splats` takes them.
+        """
+        made = cls(name, len(columns[BASE]))
+        for one in sorted(columns):  # as `Freezer` does, so that the fingerprint is the same
+            kind = attributes.kind_of(one)
+            dict.__setitem__(
+                made.attributes, one, _Attribute(one, "POINT", kind, columns[one].reshape(-1))
+            )
+        return made
+
     @property
     def fingerprint(self) -> tuple[Any, ...]:
         """Differs wherever a value does, but for one case in 2^32 an attribute."""

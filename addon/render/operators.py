@@ -6,7 +6,9 @@ from typing import ClassVar
 import bpy
 
 from ..interface.images import show_image
-from ..interface.operators import Acting, OnScene, make_active
+from ..interface.operators import OnScene, make_active
+from ..interface.stepping import Stepping
+from ..process.pieces import Pieces
 from ..splats.error_maps import splats_in_view
 from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
@@ -76,7 +78,7 @@ class UsePhotoColors(OnScene, bpy.types.Operator):
         return ""
 
 
-class ComparePhoto(Acting, bpy.types.Operator):
+class ComparePhoto(Stepping, bpy.types.Operator):
     """Render from an imported camera and show it beside its photo, with the error and the PSNR"""
 
     bl_idname = "gscore.compare_photo"
@@ -88,12 +90,12 @@ class ComparePhoto(Acting, bpy.types.Operator):
         description="Name of an imported camera; empty: the active object, or the scene's camera",
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Compare, show the pictures in an image editor, in a new window if need be, and report."""
-        return compared(context, chosen_camera(context, self.camera))
+        return (yield from compared(context, chosen_camera(context, self.camera)))
 
 
-class CompareWorstPhoto(Acting, bpy.types.Operator):
+class CompareWorstPhoto(Stepping, bpy.types.Operator):
     """Compare with the photo that the splats meet worst of those that were measured"""
 
     bl_idname = "gscore.compare_worst_photo"
@@ -108,25 +110,29 @@ class CompareWorstPhoto(Acting, bpy.types.Operator):
         cls.poll_message_set("Select splats that were trained here")
         return False
 
-    def act(self, context: bpy.types.Context) -> str:
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Find the camera, compare from it, and make it the active object."""
         found = worst_of(context.scene, meant(context))
-        told = compared(context, found.camera)
-        make_active(context, found.camera)
+        name = found.camera.name
+        told = yield from compared(context, found.camera)
+        if context.mode == "OBJECT" and (camera := context.view_layer.objects.get(name)):
+            make_active(context, camera)
         return f"Worst of {found.among} photos, {found.psnr:.2f} dB when measured. {told}"
 
 
-def compared(context: bpy.types.Context, camera: bpy.types.Object) -> str:
+def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str]:
     """Compare from a camera and show it; what to tell the user."""
     with splats_in_view():
-        found = comparing.compare(context.scene, camera, context.evaluated_depsgraph_get())
+        begun = comparing.Comparing(context.scene, camera, context.evaluated_depsgraph_get())
+    name = camera.name
+    found = yield from begun.judged()
     shown = show_image(context, found.images["Comparison"], new_window=True)
     where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
-    name, psnr = "PSNR", found.psnr
+    kind, psnr = "PSNR", found.psnr
     if found.psnr_masked is not None:
-        name, psnr = "PSNR inside the mask", found.psnr_masked
+        kind, psnr = "PSNR inside the mask", found.psnr_masked
     value = "infinite" if math.isinf(psnr) else f"{psnr:.2f} dB"
-    return f"{camera.name}: {name} {value}{where}."
+    return f"{name}: {kind} {value}{where}."
 
 
 class SetUpCompositing(OnScene, bpy.types.Operator):

@@ -1,19 +1,24 @@
 """The photo of an imported camera, with its mask, as training sees it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..cameras.objects import cameras_of, root_of, stated
-from ..cameras.pictures import levels_of, read_picture
+from ..cameras.objects import PhotoCamera, cameras_of, root_of, stated
+from ..cameras.pictures import Decoded, decode, levels_of
 from ..cameras.straight import undistortion_of
 from ..core import Folder, Undistortion, are_mattes, downscale
+from ..process.pieces import Check, Pieces, aside
 
 MASKS = "masks"
 """Folder of masks in a capture, where the capture names no others."""
+
+
+_READING = "Reading the photo"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +39,7 @@ def load_target(
     background: tuple[float, float, float],
     mask_mode: str,
     invert_masks: bool = False,
-) -> Target:
+) -> Pieces[Target]:
     """A camera's photo and mask at another size, scaled as for training.
 
     Args:
@@ -50,25 +55,57 @@ def load_target(
         ValueError: photo or mask cannot be decoded or have other shapes than the camera.
     """
     own = stated(camera)
-    plan = undistortion_of(own)
-    rgba = read_picture(own.photo, own)
     place = None if mask_mode == "none" else mask_folder(camera)
     file = None if place is None else Folder(place).find_mask(own.image)
-    opacity, mode = rgba[..., 3], mask_mode
+    masks = _masks_of(camera) if file is not None and mask_mode == "auto" else []
+    wanted = _Wanted(
+        own=own,
+        size=(width, height),
+        background=background,
+        mode=mask_mode,
+        inverted=invert_masks,
+    )
+    photo = decode(own.photo)
+    yield _READING
+    mask = None
     if file is not None:
-        mask = read_picture(str(file), own)
-        if mask.shape != rgba.shape:
+        mask = decode(str(file))
+        yield _READING
+    if masks:
+        cut_out = yield from _cut_out(masks, invert_masks)
+        wanted = replace(wanted, mode="composite" if cut_out else "ignore")
+    return (yield from aside(lambda check: _target(wanted, photo, mask), _READING))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wanted:
+    """What a photo is made to."""
+
+    own: PhotoCamera
+    size: tuple[int, int]
+    background: tuple[float, float, float]
+    mode: str
+    inverted: bool
+
+
+def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
+    """As `load_target`; touches no bpy."""
+    own, (width, height), mode = wanted.own, wanted.size, wanted.mode
+    plan = undistortion_of(own)
+    rgba = photo.arranged(own)
+    opacity = rgba[..., 3]
+    if mask is not None:
+        values = mask.arranged(own)
+        if values.shape != rgba.shape:
             raise ValueError(
-                f"The mask {file} is {mask.shape[1]} x {mask.shape[0]} pixels, its photo "
+                f"The mask {mask.path} is {values.shape[1]} x {values.shape[0]} pixels, its photo "
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
-        opacity = kept_of(mask, invert_masks)
-        if mask_mode == "auto":
-            mode = "composite" if _cut_out(camera, invert_masks) else "ignore"
-    elif mask_mode == "auto":
+        opacity = kept_of(values, wanted.inverted)
+    elif mode == "auto":
         mode = "composite"
     if plan is not None:
-        cuts_out = file is None and mask_mode != "none"
+        cuts_out = mask is None and mode != "none"
         rgba, opacity = _straightened(rgba[..., :3], opacity, plan, cut_out=cuts_out)
     if width > rgba.shape[1] or height > rgba.shape[0]:
         raise ValueError(
@@ -80,7 +117,7 @@ def load_target(
     if mode == "composite" and opacity.min() < 1:
         # Averaged with the colours multiplied, so that hidden ones do not bleed in.
         colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
-        pixels = colors + np.array(background, np.float32) * (1 - weight[..., None])
+        pixels = colors + np.array(wanted.background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
     return Target(pixels=pixels, weight=weight if ignores else None)
 
@@ -116,21 +153,34 @@ def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
     return 1 - opacity if inverted else opacity
 
 
-def _cut_out(camera: bpy.types.Object, inverted: bool) -> bool:
-    """Whether the masks of a camera's capture cut a subject out, as training sees that."""
+def _masks_of(camera: bpy.types.Object) -> list[tuple[str, PhotoCamera]]:
+    """The files of masks of a camera's capture, and their cameras."""
     root = root_of(camera)
     place = mask_folder(camera)
     if root is None or place is None:
-        return False
+        return []
     folder = Folder(place)
     own = [stated(other) for other in cameras_of(root)]
-    masks = [(file, one) for one in own if (file := folder.find_mask(one.image)) is not None]
+    return [(str(f), one) for one in own if (f := folder.find_mask(one.image)) is not None]
 
-    def levels(i: int) -> np.ndarray:
-        file, one = masks[i]
-        return levels_of(kept_of(read_picture(str(file), one), inverted))
 
-    return are_mattes(len(masks), levels)
+def _cut_out(masks: list[tuple[str, PhotoCamera]], inverted: bool) -> Pieces[bool]:
+    """Whether masks cut a subject out, as training sees that."""
+    asked: list[int] = []
+    blank = np.zeros((8, 8), np.uint8)
+    are_mattes(len(masks), lambda i: (asked.append(i), blank)[1])  # which it will look at
+    levels = {}
+    for done, i in enumerate(asked):
+        file, own = masks[i]
+        mask = decode(file)
+        levels[i] = yield from aside(
+            partial(_levels, mask, own, inverted), f"Reading masks: {done / len(asked):.0%}"
+        )
+    return are_mattes(len(masks), levels.__getitem__)
+
+
+def _levels(mask: Decoded, own: PhotoCamera, inverted: bool, check: Check) -> np.ndarray:
+    return levels_of(kept_of(mask.arranged(own), inverted))
 
 
 def _yes_or_no(opacity: np.ndarray) -> np.ndarray:

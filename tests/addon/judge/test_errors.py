@@ -17,6 +17,7 @@ from addon.job import facts, lookups, verb_job
 from addon.judge import colors, work
 from addon.judge.registry import JOBS
 from addon.panels.judge import ErrorsPanel
+from addon.process.pieces import at_once
 from addon.render import compare
 from addon.render.compare import PSNR
 from addon.splats import objects
@@ -154,7 +155,8 @@ def test_photos_are_compared_with_splats_and_never_with_errors(
     write_splats(map_path, replace(other, means=other.means + 0.3, shN=other.shN[:, :0]))
     bpy.ops.gscore.measure_errors(wait=True)
     shown = bpy.context.object
-    seen = compare.compare(bpy.context.scene, camera, bpy.context.evaluated_depsgraph_get())
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    seen = at_once(compare.Comparing(bpy.context.scene, camera, depsgraph).judged())
     assert abs(seen.psnr - before) > 1e-3  # the map is another picture
     bpy.ops.gscore.compare_photo(camera=camera.name)
     assert camera[PSNR] == pytest.approx(before, abs=1e-6)

@@ -16,6 +16,7 @@ from addon.cameras.objects import stated
 from addon.cameras.straight import lens_of
 from addon.core import downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
+from addon.process.pieces import at_once
 from addon.render import compare
 from addon.render import photo as photo_module
 from addon.splats import objects
@@ -41,6 +42,11 @@ def studio(scene):
     return capture, splats
 
 
+def compared(scene, camera, depsgraph) -> compare.Comparison:
+    """At once, as scripts have it."""
+    return at_once(compare.Comparing(scene, camera, depsgraph).judged())
+
+
 def pixels(image: bpy.types.Image) -> np.ndarray:
     """[H, W, 3], the top row first."""
     values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
@@ -54,7 +60,7 @@ def test_psnr_and_pictures(studio, scene, percentage):
     capture, splats = studio
     camera = capture.cameras[9]
     scene.render.resolution_percentage, scene.gscore.use_masks = percentage, False
-    found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
     own = stated(camera)
     width, height = own.width * percentage // 100, own.height * percentage // 100
     K = np.diag([width / own.width, height / own.height, 1]) @ own.K
@@ -82,10 +88,10 @@ def test_masks_of_the_capture_count(studio, scene):
     camera = studio[0].cameras[9]
     depsgraph = bpy.context.evaluated_depsgraph_get()
     scene.gscore.use_masks = False
-    whole = compare.compare(scene, camera, depsgraph)
+    whole = compared(scene, camera, depsgraph)
     photo, shown = (pixels(whole.images[kind]) for kind in ("Photo", "Render"))
     scene.gscore.use_masks, scene.gscore.mask_mode = True, "ignore"
-    masked = compare.compare(scene, camera, depsgraph)
+    masked = compared(scene, camera, depsgraph)
     file = next((STUDIO / "masks").glob(f"{Path(camera['gs_image']).stem}*"))
     mask = lab.read_image(file)[..., :1].astype(np.float64)
     assert 0.05 < mask.mean() < 0.6
@@ -96,13 +102,13 @@ def test_masks_of_the_capture_count(studio, scene):
     assert camera["gs_psnr_masked"] == masked.psnr_masked
     assert not pixels(masked.images["Photo"])[mask[..., 0] == 0].any()
     scene.gscore.invert_masks = True
-    outside = compare.compare(scene, camera, depsgraph)
+    outside = compared(scene, camera, depsgraph)
     rest = ((1 - mask) * (shown.astype(np.float64) - photo) ** 2).sum() / (3 * (1 - mask).sum())
     assert outside.psnr_masked == pytest.approx(-10 * np.log10(rest), abs=0.05)
     scene.gscore.invert_masks = False
     for mode in ("composite", "auto"):  # they cut the figure out
         scene.gscore.mask_mode = mode
-        composite = compare.compare(scene, camera, depsgraph)
+        composite = compared(scene, camera, depsgraph)
         assert composite.psnr_masked is None and "gs_psnr_masked" not in camera
         corner = pixels(composite.images["Photo"])[mask[..., 0] == 0]
         np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
@@ -217,7 +223,7 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
         labels[: own.height // 2] = white
         write_png(tmp_path / "in" / "masks" / f"{Path(own.photo).stem}.png", labels)
         options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
-        found.append(photo_module.load_target(camera, own.width, own.height, **options))
+        found.append(at_once(photo_module.load_target(camera, own.width, own.height, **options)))
     np.testing.assert_array_equal(found[0].weight, found[1].weight)
     assert set(np.unique(found[0].weight).tolist()) == {0, 1}
 
@@ -269,7 +275,7 @@ def test_colours_of_the_photos_in_one_click(scene):
 def test_pictures_are_kept_and_nothing_is_unsaved(studio, scene, tmp_path):
     """Oracle: Blender's own mark of images to be saved, and the pictures in the file after it."""
     for camera in studio[0].cameras[9:11]:  # the second time over the same images
-        found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+        found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
         assert not any(image.is_dirty for image in bpy.data.images)
     before = pixels(found.images["Comparison"])
     found.images["Comparison"].use_fake_user = True  # as if an editor showed it
@@ -326,7 +332,7 @@ def test_photos_of_lenses_that_bend_are_straightened_as_for_training(scene, bent
     lab.add(scene, lab.blob())
     scene.gscore.use_masks = False
     camera = capture.cameras[0]
-    found = compare.compare(scene, camera, bpy.context.evaluated_depsgraph_get())
+    found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
     own, shown = stated(camera), pixels(found.images["Photo"])
     plan = plan_undistortion(lens_of(own))
     assert shown.shape == (own.height, own.width, 3) == (plan.height, plan.width, 3)
@@ -352,7 +358,7 @@ def test_masks_of_lenses_that_bend_are_straightened_too(scene, bent):
     folder = Path(own.photo).parents[1]
     write_png(folder / "masks" / f"{own.image}.png", mask)
     options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
-    found = photo_module.load_target(camera, own.width, own.height, **options)
+    found = at_once(photo_module.load_target(camera, own.width, own.height, **options))
     y, x = np.mgrid[0 : own.height, 0 : own.width] + 0.5
     ray = (np.stack([x, y], axis=-1) - own.K[:2, 2]) / own.K[0, 0]
     f, _, cy, k = own.params

@@ -1,0 +1,57 @@
+"""The splats that a depsgraph shows, copied out of Blender bit by bit."""
+
+from dataclasses import replace
+from functools import partial
+
+import bpy
+import numpy as np
+
+from ..process.pieces import Check, Pieces, aside
+from ..splats.leaving import Leaving
+from .frozen import Frozen, FrozenMesh
+from .scene import NO_SPLATS, NONE_IN_VIEW, Placed, place, sources
+
+
+class Snapshot:
+    """Splats as they are when this is made, whatever is done to them meanwhile."""
+
+    def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Take them.
+
+        Raises:
+            ValueError: there is nothing to draw, or attributes are missing.
+        """
+        self._placed: list[Placed] = []
+        self._frozen: dict[int, Frozen] = {}
+        self._leaving: dict[int, tuple[str, Leaving]] = {}
+        try:
+            for source in sources(depsgraph):
+                self._placed.append(place(source, FrozenMesh(source.ob.name, 0)))
+                if source.uid in self._frozen or source.uid in self._leaving:
+                    continue
+                if source.moment is not None:
+                    self._frozen[source.uid] = source.frozen()
+                else:
+                    taken = Leaving(source.ob.original)
+                    self._leaving[source.uid] = (source.ob.name, taken)
+        except ValueError:
+            self.drop()
+            raise
+        if not self._placed:
+            raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
+
+    def read(self) -> Pieces[list[Placed]]:
+        """Copy them; errors as `Leaving.read`."""
+        for uid, (name, taken) in self._leaving.items():
+            columns = yield from taken.read()
+            self._frozen[uid] = yield from aside(partial(_frozen, name, columns), "Reading splats")
+        return [replace(one, frozen=self._frozen[one.uid]) for one in self._placed]
+
+    def drop(self) -> None:
+        """Leave no copy of a mesh."""
+        for _, taken in self._leaving.values():
+            taken.drop()
+
+
+def _frozen(name: str, columns: dict[str, np.ndarray], check: Check) -> FrozenMesh:
+    return FrozenMesh.of(name, columns)
