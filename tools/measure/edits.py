@@ -1,12 +1,17 @@
-"""How long the buttons of *Edit Splats* hold Blender, of a million splats.
+"""How long the buttons that edit and judge splats take, and hold Blender, of a million splats.
 
-    python tools/measure/edits.py [--cameras CAPTURE] [--splats N]    (a Python with bpy)
+    python tools/measure/edits.py [--capture CAPTURE] [--splats N]    (a Python with bpy)
 
 Splats of SH degree 3 lie on spheres, as those of captures lie on surfaces, with some floating
-around. Prints the seconds of two calls of each operator, with entering Edit Mode where it ends in
-it, and without the undo step. *Separate* takes half of them away, *Join* brings as many back,
-turned, *Turn Shapes and Colors Along* comes after Blender's Apply, *Decimate* keeps half, and
-compares pictures from around the splats or, with a capture, from its cameras.
+around. Each operator goes on bit by bit as in a window. Prints, of two calls of each: the seconds
+to its end; the processor milliseconds of the longest step of the main thread, without what Blender
+does in it by itself (entering Edit Mode; the scene was evaluated before), and those of Blender; and
+the most milliseconds that the main thread woke later than it asked to while it had nothing to do,
+as when a thread keeps Python's lock, or other programs the processor.
+
+*Separate* takes half of them away, *Join* brings as many back, turned, *Turn Shapes and Colors
+Along* comes after Blender's Apply, *Decimate* keeps half, and compares pictures from the capture's
+cameras. *Compare with Photo* is of a camera of the capture.
 """
 
 import argparse
@@ -14,11 +19,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
 SPHERES, RADII = 5, (1.0, 0.5, 0.3)
 FLOATING = 200
 """Of so many splats one floats."""
@@ -27,7 +34,7 @@ FLOATING = 200
 def parse() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cameras", type=Path, metavar="CAPTURE")
+    parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "studio")
     parser.add_argument("--splats", type=int, default=1_000_000)
     return parser.parse_args()
 
@@ -55,12 +62,51 @@ def surfaces(count: int) -> dict[str, np.ndarray]:
     }
 
 
-def timed(name: str, act: Callable[[], object]) -> None:
-    """Print the seconds of one call from Object Mode, and end there."""
+class Blenders:
+    """Processor seconds that calls of Blender's own take."""
+
+    def __init__(self) -> None:
+        self.spent = 0.0
+
+    def timed(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        """The same call, whose time is added up."""
+
+        def timed(*args: Any, **options: Any) -> Any:
+            began = time.thread_time()
+            try:
+                return call(*args, **options)
+            finally:
+                self.spent += time.thread_time() - began
+
+        return timed
+
+
+def timed(name: str, operator: str, **settings: Any) -> None:
+    """Print what one call of an operator takes, from Object Mode, and end there."""
+    from addon.process.pieces import Going
+    from addon.splats import edit_operators, operators
+    from tools.measure.stand_in import stand_in, steps
+
+    bpy.context.view_layer.update()
     bpy.ops.ed.undo_push(message=name)
+    blenders = Blenders()
+    enter = operators.edit_vertices
+    edit_operators.edit_vertices = blenders.timed(enter)
+    own, theirs, late = 0.0, 0.0, 0.0
     began = time.perf_counter()
-    act()
-    print(f"{name}: {time.perf_counter() - began:.2f} s", flush=True)
+    try:
+        going = Going(stand_in(operator, **settings).pieces(bpy.context))
+        for step, waited in steps(going):
+            own, theirs = max(own, step - blenders.spent), max(theirs, blenders.spent)
+            late, blenders.spent = max(late, waited), 0.0
+    finally:
+        edit_operators.edit_vertices = enter
+    took = time.perf_counter() - began
+    print(
+        f"{name:30} {took:6.2f} s {own * 1e3:6.0f} ms {theirs * 1e3:6.0f} ms {late * 1e3:6.0f} ms"
+        f"   {going.result}",
+        flush=True,
+    )
     if bpy.context.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
 
@@ -68,45 +114,53 @@ def timed(name: str, act: Callable[[], object]) -> None:
 def main() -> None:
     """Measure and print."""
     options = parse()
-    sys.path.insert(0, str(ROOT))
     import addon
     from addon import attributes
-    from addon.cameras.objects import root_of
+    from addon.cameras.objects import is_camera, root_of
     from addon.core import Splats
     from addon.splats import objects
 
     addon.register()
     try:
         bpy.ops.wm.read_homefile(use_empty=True)
-        scene, parent = bpy.context.scene, None
-        if options.cameras:
-            bpy.ops.gscore.import_cameras(directory=str(options.cameras.resolve()))
-            parent = root_of(next(ob for ob in bpy.data.objects if ob.type == "CAMERA"))
-        act = bpy.ops.gscore
+        scene = bpy.context.scene
+        bpy.ops.gscore.import_cameras(directory=str(options.capture.resolve()))
+        camera = next(filter(is_camera, scene.objects))
         splats = Splats(**surfaces(options.splats))
+        numbers = np.arange(options.splats)
+        print(f"{'':30} {'whole':>8} {'ours':>9} {'Blender':>9} {'late':>9}")
         for _ in range(2):
             ob = objects.create(splats, "splats", collection=scene.collection)
-            ob.parent = parent
+            ob.parent = root_of(camera)
             bpy.context.view_layer.objects.active = ob
-            attributes.select(ob.data, np.arange(options.splats) == 1)
-            timed("Color", act.select_by_color)
-            attributes.select(ob.data, np.arange(options.splats) == 1)
-            timed("Flood", act.select_flood)
-            timed("Grade", lambda: act.grade_splats(saturation=0.5))
-            timed("Floaters", act.select_floaters)
-            attributes.select(ob.data, np.arange(options.splats) % 2 == 0)
-            timed("Separate", act.separate_splats)
+            timed("Compare with Photo", "compare_photo", camera=camera.name)
+            timed("Compare with Photo, again", "compare_photo", camera=camera.name)
+            attributes.select(ob.data, numbers == 1)
+            timed("Color", "select_by_color")
+            attributes.select(ob.data, numbers == 1)
+            timed("Flood", "select_flood")
+            timed("Floaters", "select_floaters")
+            timed("Opacity", "select_by_opacity")
+            timed("Size", "select_by_size", high=0.01)
+            timed("Hidden", "select_splats", which="HIDDEN")
+            timed("Grade", "grade_splats", saturation=0.5)
+            attributes.select(ob.data, numbers % 2 == 0)
+            timed("Separate", "separate_splats")
             part = next(o for o in scene.objects if objects.is_splats(o) and o is not ob)
             part.rotation_euler = (0.1, 0.2, 0.3)
             for one in (part, ob):
                 one.select_set(True)
-            timed("Join", act.join_splats)
+            timed("Join", "join_splats")
+            ob.rotation_euler = (0.1, 0.2, 0.3)
+            timed("Apply Splat Transform", "apply_splat_transform")
             ob.rotation_euler = (0.1, 0.2, 0.3)
             bpy.ops.object.select_all(action="DESELECT")
             ob.select_set(True)
             bpy.ops.object.transform_apply()
-            timed("Turn Shapes and Colors Along", act.mend_splats)
-            timed("Decimate", lambda: act.decimate_splats(count=options.splats // 2))
+            timed("Turn Shapes and Colors Along", "mend_splats")
+            timed("Decimate", "decimate_splats", count=options.splats // 2)
+            ob.gscore.opacity_min = 0.5
+            timed("Delete Hidden Splats", "apply_filters")
             bpy.data.objects.remove(ob)
     finally:
         addon.unregister()

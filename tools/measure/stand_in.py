@@ -1,0 +1,49 @@
+"""Operators of the add-on that go on bit by bit, where there is no window in which they would."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+
+INTERVAL = 0.01
+"""Seconds between two steps in a window."""
+
+
+def stand_in(name: str, **settings: Any) -> Any:
+    """What an operator is in Python, with its settings, but none of Blender's: its `pieces` can be
+    had, and `said` has what it reported.
+
+    Args:
+        name: As in `bpy.ops.gscore`.
+        settings: Those that differ from the defaults.
+    """
+    cls = getattr(bpy.types, f"GSCORE_OT_{name}")
+    bases = tuple(base for base in cls.__bases__ if base is not bpy.types.Operator)
+    own = {key: value for key, value in vars(cls).items() if key not in ("__dict__", "bl_rna")}
+    made = type(cls.__name__, bases, own)()
+    for prop in getattr(bpy.ops.gscore, name).get_rna_type().properties:
+        if hasattr(prop, "default"):
+            several = getattr(prop, "is_array", False)
+            setattr(made, prop.identifier, prop.default_array[:] if several else prop.default)
+    for key, value in settings.items():
+        setattr(made, key, value)
+    made.said = []
+    made.report = lambda kinds, text: made.said.append(text)
+    return made
+
+
+def steps(going: Any) -> Iterator[tuple[float, float]]:
+    """Do work as a window does: processor seconds of each step on the thread that calls, which
+    other programs do not change, and how much later than asked for it went on after it, seconds."""
+    done = False
+    while not done:
+        began = time.thread_time()
+        done = going.step()
+        ended = time.thread_time()
+        late = 0.0
+        for _ in range(round(INTERVAL / 0.002)):
+            asked = time.perf_counter() + 0.002
+            time.sleep(0.002)
+            late = max(late, time.perf_counter() - asked)
+        yield ended - began, late
