@@ -2,6 +2,8 @@
 
 import bpy
 
+from .overriding import in_a_window
+
 _FILLS = 0.9
 """Of an editor's width and height: its header and the sliders at its edges need the rest."""
 
@@ -11,6 +13,28 @@ def show_image(
 ) -> bool:
     """Show an image in an image editor, if one is open or a window may be opened for it."""
     return editor_of(context, image, new_window=new_window) is not None
+
+
+def show_soon(context: bpy.types.Context, image: bpy.types.Image) -> bool:
+    """Show an image as `show_image` in a new window if need be; whether it is, or soon will be.
+
+    For operators that go on event by event: Blender would not take note of the end of one that has
+    opened a window, so that is done right after it.
+    """
+    if show_image(context, image):
+        return True
+    if bpy.app.background:
+        return False
+    name = image.name
+
+    def show() -> None:
+        found = bpy.data.images.get(name)
+        with in_a_window() as there_is_a_window:
+            if found is not None and there_is_a_window:
+                show_image(bpy.context, found, new_window=True)
+
+    bpy.app.timers.register(show, first_interval=0.0)
+    return True
 
 
 def editor_of(

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface.images import show_image
+from ..interface.images import show_soon
 from ..interface.operators import OnScene, make_active
 from ..interface.stepping import Stepping
 from ..process.pieces import Pieces
@@ -126,7 +126,7 @@ def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str
         begun = comparing.Comparing(context.scene, camera, context.evaluated_depsgraph_get())
     name = camera.name
     found = yield from begun.judged()
-    shown = show_image(context, found.images["Comparison"], new_window=True)
+    shown = show_soon(context, found.images["Comparison"])
     where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
     kind, psnr = "PSNR", found.psnr
     if found.psnr_masked is not None:

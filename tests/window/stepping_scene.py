@@ -1,0 +1,233 @@
+"""Runs inside a Blender with a window: presses buttons that go on bit by bit, ends some with Esc,
+and changes the splats of others meanwhile.
+
+`blender --factory-startup --enable-event-simulate -P tests/window/stepping_scene.py -- FOLDER
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and a
+picture of the screen.
+"""
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+import numpy as np  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon import attributes  # noqa: E402
+from addon.cameras import captures  # noqa: E402
+from addon.core import join_splats  # noqa: E402
+from addon.render import decimate, picture  # noqa: E402
+from addon.splats import choose, objects  # noqa: E402
+from tests.addon import splat_scenes as lab  # noqa: E402
+from tools.window.desk import Teller, area, clear, leaving  # noqa: E402
+
+seen: dict = {"log": []}
+COUNT = 3000
+
+
+def operate(name: str, *how: str, **settings: Any) -> list[str]:
+    """Call an operator of the add-on in the 3D view; with INVOKE_DEFAULT as its button does."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area()):
+        return list(getattr(bpy.ops.gscore, name)(*how, **settings))
+
+
+def invoke(name: str, **settings: Any) -> list[str]:
+    """Press a button."""
+    return operate(name, "INVOKE_DEFAULT", **settings)
+
+
+def rests() -> bool:
+    """Whether nothing of the add-on goes on."""
+    running = bpy.context.window_manager.windows[0].modal_operators
+    return not any(one.bl_idname.startswith("GSCORE") for one in running)
+
+
+def escape() -> None:
+    """Press Esc."""
+    window = bpy.context.window_manager.windows[0]
+    for value in ("PRESS", "RELEASE"):
+        window.event_simulate("ESC", value, x=300, y=300)
+
+
+def undo() -> None:
+    """One step back."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area()):
+        bpy.ops.ed.undo()
+
+
+def push() -> None:
+    """An undo step."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area()):
+        bpy.ops.ed.undo_push(message="before")
+
+
+class Held:
+    """A function that waits in its thread until it is let go."""
+
+    def __init__(self, module: Any, name: str) -> None:
+        self.began, self._go_on = threading.Event(), threading.Event()
+        self._module, self._name, self._function = module, name, getattr(module, name)
+        setattr(module, name, self._call)
+
+    def _call(self, *args: Any, **options: Any) -> Any:
+        self.began.set()
+        assert self._go_on.wait(60)
+        return self._function(*args, **options)
+
+    def let_go(self) -> None:
+        """Go on, and be as before."""
+        self._go_on.set()
+        setattr(self._module, self._name, self._function)
+
+
+def ob() -> bpy.types.Object:
+    """The splats, which undo may have replaced."""
+    return bpy.data.objects["splats"]
+
+
+def mode(name: str) -> None:
+    """Enter a mode."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area()):
+        bpy.ops.object.mode_set(mode=name)
+
+
+def chosen() -> list[int]:
+    """Numbers of the selected splats, in Object Mode afterwards."""
+    mode("OBJECT")
+    return np.flatnonzero(attributes.selected(ob().data)).tolist()
+
+
+def seed() -> None:
+    """Select one splat, in Object Mode."""
+    mode("OBJECT")
+    attributes.select(ob().data, np.arange(COUNT) == 3)
+    ob().data.update()
+
+
+def begin() -> None:
+    """Two balls of splats, the one object of the scene."""
+    clear()
+    balls = [lab.blob(COUNT // 2, size=1.0), lab.blob(COUNT // 2, center=(9, 0, 0), size=1.0)]
+    lab.add(bpy.context.scene, join_splats(balls), "splats")
+    bpy.context.view_layer.objects.active = ob()
+    ob().select_set(True)
+
+
+def as_at_once() -> Iterator[object]:
+    """A button does what a script has at once, as one undo step."""
+    seed()
+    operate("select_flood", gap=1.0)
+    seen["at once"] = chosen()
+    seed()
+    push()
+    yield 0.5
+    seen["begun"] = invoke("select_flood", gap=1.0)
+    seen["under way"] = not rests()
+    yield rests
+    seen["mode"], seen["bit by bit"] = ob().mode, chosen()
+    mode("EDIT")
+    yield 0.5
+    undo()
+    yield 0.5
+    seen["undone"] = chosen()
+
+
+def given_up() -> Iterator[object]:
+    """Esc in Edit Mode, while splats are looked for."""
+    seed()
+    mode("EDIT")
+    yield 0.5
+    held = Held(choose, "flooded")
+    invoke("select_flood", gap=1.0)
+    yield held.began.is_set
+    seen["meanwhile"] = ob().mode
+    escape()
+    yield rests
+    held.let_go()
+    yield 0.5
+    seen["mode after Esc"], seen["after Esc"] = ob().mode, chosen()
+
+
+def disturbed(name: str, act: Callable[[], object]) -> Iterator[object]:
+    """Something happens while splats are compared."""
+    held = Held(decimate, "likeness")
+    invoke("decimate_splats", count=500)
+    yield held.began.is_set
+    act()
+    yield 0.5
+    held.let_go()
+    yield rests
+    seen[name] = len(ob().data.vertices)
+
+
+def paint() -> None:
+    """Change colors."""
+    operate("grade_splats", saturation=0.0)
+
+
+def compared() -> Iterator[object]:
+    """A photo, while the picture of the splats is drawn; then given up."""
+    clear()
+    scene = bpy.context.scene
+    capture = captures.import_capture(scene, ROOT / "examples" / "studio", photos=False)
+    values = np.empty(3 * len(capture.points.data.vertices), np.float32)
+    capture.points.data.attributes["position"].data.foreach_get("vector", values)
+    blob = lab.blob(len(values) // 3)
+    fields = {n: getattr(blob, n) for n in ("quats", "opacities", "sh0", "shN")}
+    means = values.reshape(-1, 3)
+    splats = type(blob)(means=means, scales=blob.scales - 0.5, **fields)
+    objects.create(splats, "splats", collection=capture.collection, parent=capture.root)
+    first, other = (camera.name for camera in capture.cameras[9:11])
+    yield 1.0
+    held = Held(picture, "draw")
+    seen["compare"] = invoke("compare_photo", camera=other)
+    yield held.began.is_set
+    escape()
+    yield rests
+    held.let_go()
+    yield 0.5
+    seen["given up"] = "gs_psnr" in scene.objects[other], len(bpy.data.images)
+    invoke("compare_photo", camera=first)
+    yield rests
+    yield 2.0
+    seen["psnr"] = scene.objects[first]["gs_psnr"]
+    seen["windows"] = len(bpy.context.window_manager.windows)
+    image = bpy.data.images["GS Comparison"]
+    seen["size"], seen["dirty"] = list(image.size), image.is_dirty
+    seen["packed"] = image.packed_file is not None
+    subprocess.run(["import", "-window", "root", str(FOLDER / "compared.png")], check=True)
+
+
+def story() -> Iterator[object]:
+    """All of it, one after the other."""
+    begin()
+    yield 1.0
+    yield from as_at_once()
+    yield from given_up()
+    yield from disturbed("painted", paint)
+    push()
+    paint()
+    push()
+    yield 0.5
+    yield from disturbed("undone meanwhile", undo)
+    yield from disturbed("Esc", escape)
+    seen["meshes"] = [m.name for m in bpy.data.meshes if "gs_leaving" in m or "gs_filling" in m]
+    yield from disturbed("nothing", lambda: None)
+    yield from compared()
+
+
+Teller(story(), leaving(FOLDER, seen))

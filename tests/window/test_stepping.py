@@ -1,0 +1,57 @@
+"""Buttons that go on bit by bit, in a real Blender with a window; needs what `test_live.py` does."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.window.scenes import told
+
+pytestmark = pytest.mark.window
+
+LONGEST = 200
+COUNT = 3000
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    """What `stepping_scene.py` saw, and the folder of its picture."""
+    found, folder, output = told(
+        "stepping", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
+    )
+    assert "Traceback" not in output, output
+    return found, folder
+
+
+def test_a_button_does_what_a_script_has_at_once(seen):
+    """Oracle: the same operator called by a script; undo, with one step."""
+    found, _ = seen
+    assert found["begun"] == ["RUNNING_MODAL"] and found["under way"]
+    assert found["mode"] == "EDIT" and found["bit by bit"] == found["at once"]
+    assert 1000 < len(found["at once"]) < COUNT
+    assert found["undone"] == [3]
+
+
+def test_esc_leaves_all_as_it_was(seen):
+    """Oracle: the selection and the mode of before, counts, and no mesh of ours."""
+    found, _ = seen
+    assert found["meanwhile"] == "OBJECT"
+    assert found["mode after Esc"] == "EDIT" and found["after Esc"] == [3]
+    assert found["Esc"] == COUNT and not found["meshes"]
+
+
+@pytest.mark.parametrize("name", ["painted", "undone meanwhile"])
+def test_what_changes_meanwhile_is_not_lost(seen, name):
+    """Oracle: the count of splats, of which the same button deletes most where nothing happens."""
+    found, _ = seen
+    assert found[name] == COUNT and found["nothing"] == 500
+
+
+def test_a_comparison_goes_on_beside_and_can_be_given_up(seen):
+    """Oracle: what the camera has and which images there are after Esc; then a picture of three
+    photos' width in a window of its own, which Blender would not ask to save."""
+    found, _ = seen
+    assert found["compare"] == ["RUNNING_MODAL"]
+    assert found["given up"][0] is False
+    assert found["windows"] == 2 and 3 < found["psnr"] < 40
+    assert found["size"][0] % 3 == 0
+    assert found["packed"] and not found["dirty"]
