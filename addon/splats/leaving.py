@@ -105,7 +105,7 @@ class Leaving:
     def _copy(self) -> bpy.types.Mesh | bpy.types.PointCloud:
         copy = self._all.get(self._name)
         if copy is None or copy.get(_MARK) != self._mark:
-            raise ValueError(f"{self._of} was taken away before its splats were read.")
+            raise ValueError(f"{self._of} was taken away before its splats were read: begin again.")
         return copy
 
 

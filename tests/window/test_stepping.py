@@ -1,4 +1,4 @@
-"""Buttons that go on bit by bit, in a real Blender with a window; needs what `test_live.py` does."""
+"""Buttons that go on bit by bit, in a Blender with a window; what is needed: `test_live.py`."""
 
 from pathlib import Path
 

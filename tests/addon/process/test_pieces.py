@@ -1,0 +1,130 @@
+"""Work in pieces. Oracle: the order in which things happen, and in which thread."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from addon.process.background import Cancelled
+from addon.process.pieces import Check, Going, Pieces, aside, at_once, stepped
+
+MAIN = threading.main_thread()
+
+
+def work(log: list[Any], raises: Exception | None = None) -> Pieces[str]:
+    """Two pieces, with something beside them."""
+
+    def beside(check: Check) -> int:
+        check()
+        log.append(threading.current_thread() is MAIN)
+        if raises is not None:
+            raise raises
+        return 7
+
+    try:
+        yield "first"
+        number = yield from aside(beside, "beside")
+        yield "last"
+        return f"made {number}"
+    finally:
+        log.append("over")
+
+
+def ended(going: Going) -> list[str]:
+    """What it said on its way."""
+    told = []
+    for _ in range(10_000):
+        done = going.step()
+        if not told or going.sentence != told[-1]:
+            told.append(going.sentence)
+        if done:
+            return told
+        threading.Event().wait(0.001)
+    raise AssertionError("it never ends")
+
+
+def test_pieces_are_done_here_and_the_rest_beside():
+    """At once all is done by the thread that calls: none other may run then."""
+    log: list[Any] = []
+    going = Going(work(log))
+    assert ended(going) == ["first", "beside", "last"]
+    assert going.result == "made 7" and log == [False, "over"]
+    log.clear()
+    assert at_once(work(log)) == "made 7" and log == [True, "over"]
+
+
+@pytest.mark.parametrize("do", [at_once, lambda pieces: ended(Going(pieces))])
+def test_an_error_beside_is_one_of_the_work(do: Callable[[Any], Any]):
+    """Its own kind, and what the work has to take back is taken back."""
+    log: list[Any] = []
+    with pytest.raises(KeyError, match="lost"):
+        do(work(log, KeyError("lost")))
+    assert log[-1] == "over"
+
+
+def test_given_up():
+    """The thread is told, the work takes back what it did, and no step is left."""
+    log: list[Any] = []
+    began, go_on, ends = threading.Event(), threading.Event(), threading.Event()
+
+    def beside(check: Check) -> None:
+        began.set()
+        assert go_on.wait(20)
+        try:
+            check()
+        except Cancelled:
+            ends.set()
+            raise
+
+    def endless() -> Pieces[None]:
+        try:
+            yield from aside(beside, "beside")
+            log.append("went on")
+        finally:
+            log.append("over")
+
+    going = Going(endless())
+    assert not going.step() and began.wait(20) and not going.step()
+    going.cancel()
+    assert log == ["over"]
+    go_on.set()
+    assert ends.wait(20) and log == ["over"]
+
+
+class _Counting:
+    """Work as an object."""
+
+    def __init__(self, last: int) -> None:
+        self.at, self.last, self.cancelled = 0, last, False
+
+    @property
+    def sentence(self) -> str:
+        """How far it is."""
+        return f"{self.at} of {self.last}"
+
+    def step(self) -> str | None:
+        """One more."""
+        self.at += 1
+        if self.at > 2:
+            raise ValueError("too far")
+        return "there" if self.at == self.last else None
+
+    def cancel(self) -> None:
+        """Note it."""
+        self.cancelled = True
+
+
+def test_steps_are_pieces():
+    """What fails or is given up is cancelled, what is done is not."""
+    steps = _Counting(2)
+    assert at_once(stepped(steps)) == "there" and not steps.cancelled
+    steps = _Counting(3)
+    with pytest.raises(ValueError, match="too far"):
+        at_once(stepped(steps))
+    assert steps.cancelled
+    steps = _Counting(9)
+    going = Going(stepped(steps))
+    assert not going.step() and going.sentence == "1 of 9"
+    going.cancel()
+    assert steps.cancelled

@@ -1,0 +1,231 @@
+"""Edits that go on bit by bit. Oracle: the same operator called by a script, on an equal object."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import attributes
+from addon.core import Splats, join_splats
+from addon.process.pieces import Going
+from addon.splats import filling, leaving, objects
+from tests.addon import splat_scenes as lab
+from tools.measure.stand_in import stand_in
+
+COUNT = 400
+EDITS: list[tuple[str, dict[str, Any]]] = [
+    ("select_by_color", {"tolerance": 0.4}),
+    ("select_by_opacity", {"low": 0.2, "high": 0.7}),
+    ("select_by_size", {"low": 0.05, "mode": "ADD"}),
+    ("select_in_crop", {"mode": "TAKE"}),
+    ("select_flood", {"gap": 0.3, "tolerance": 1.0}),
+    ("select_floaters", {"few": 50, "gap": 0.5}),
+    ("select_splats", {"which": "VISIBLE"}),
+    ("grade_splats", {"saturation": 0.25, "only_selected": True}),
+    ("separate_splats", {}),
+    ("join_splats", {}),
+    ("apply_filters", {}),
+    ("apply_splat_transform", {}),
+    ("mend_splats", {}),
+    ("decimate_splats", {"count": 150}),
+]
+IDS = [name for name, _ in EDITS]
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One attribute a step."""
+    monkeypatch.setattr(leaving, "BUDGET", 0.0)
+    monkeypatch.setattr(filling, "BUDGET", 0.0)
+
+
+def prepare(name: str) -> bpy.types.Object:
+    """An empty file with what an operator works on, the active object."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    far = lab.blob(20, center=(30, 0, 0), size=0.1)
+    ob = lab.add(scene, join_splats([lab.blob(COUNT - 20), far]), "splats")
+    own = ob.data.attributes.new("mine", "INT", "POINT")
+    own.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
+    attributes.select(ob.data, np.arange(COUNT) % 3 == 0)
+    bpy.context.view_layer.objects.active = ob
+    ob.select_set(True)
+    if name == "join_splats":
+        other = lab.add(scene, lab.blob(50, seed=3), "other")
+        other.rotation_euler = (0.3, 0.2, 0.1)
+        other.select_set(True)
+    elif name == "select_in_crop":
+        bpy.ops.gscore.add_crop_box()
+        bpy.context.view_layer.objects.active = ob
+    elif name in {"apply_filters", "select_splats"}:
+        ob.gscore.opacity_min = 0.5
+    elif name == "apply_splat_transform":
+        ob.location, ob.rotation_euler = (1, 2, 3), (0.1, 0.2, 0.3)
+    elif name == "mend_splats":
+        ob.rotation_euler = (0.1, 0.2, 0.3)
+        bpy.context.view_layer.update()
+        bpy.ops.object.transform_apply()
+    bpy.context.view_layer.update()
+    return ob
+
+
+def state() -> dict[str, Any]:
+    """All that edits may change: of each object its points to the bit, matrix, mode and users."""
+    found: dict[str, Any] = {}
+    for ob in bpy.context.scene.objects:
+        if not objects.is_splats(ob):
+            continue
+        mode = ob.mode
+        if mode == "EDIT":
+            ob.update_from_editmode()
+        mesh = ob.data.copy()  # attributes are out of reach in Edit Mode
+        for name, kind in attributes.kinds(mesh).items():
+            values = attributes.empty_values(kind, len(mesh.vertices))
+            attributes.copy_values(mesh, name, values)
+            found[f"{ob.name} {name}"] = values.tobytes()
+        found[f"{ob.name} selected"] = attributes.selected(mesh).tobytes()
+        bpy.data.meshes.remove(mesh)
+        found[ob.name] = mode, ob.data.name, [tuple(row) for row in ob.matrix_basis]
+    found["meshes"] = sorted(mesh.name for mesh in bpy.data.meshes)
+    found["active"] = bpy.context.view_layer.objects.active.name
+    return found
+
+
+def begun(name: str, settings: dict[str, Any]) -> Going:
+    """The operator after its first piece."""
+    going = Going(stand_in(name, **settings).pieces(bpy.context))
+    assert not going.step()
+    return going
+
+
+def until(going: Going, ends: Callable[[], bool]) -> bool:
+    """Go on until something holds, or all is done; whether that is so."""
+    for _ in range(10_000):
+        if ends():
+            return False
+        if going.step():
+            return True
+        threading.Event().wait(0.0005)
+    raise AssertionError("it never ends")
+
+
+@pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
+def test_bit_by_bit_as_at_once(name: str, settings: dict[str, Any], capfd: Any) -> None:
+    """To the bit, with the same sentence."""
+    prepare(name)
+    assert getattr(bpy.ops.gscore, name)(**settings) == {"FINISHED"}
+    wanted, said = state(), capfd.readouterr().out
+    prepare(name)
+    before = state()
+    going = begun(name, settings)
+    sentences = set()
+    assert until(going, lambda: sentences.add(going.sentence) is not None)
+    assert state() == wanted != before
+    assert len(sentences) > 1 and (going.result or "") in said
+
+
+@pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
+@pytest.mark.parametrize("doing", ["Reading", "Handing"])
+def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doing: str) -> None:
+    """Whatever it was doing, if it does that: no datablock more, and no value changed."""
+    prepare(name)
+    before = state()
+    going = begun(name, settings)
+    replaces = not name.startswith(("select", "grade"))
+    done = until(going, lambda: going.sentence.startswith(doing))
+    assert done == (doing == "Handing" and not replaces)
+    if not done:
+        going.cancel()
+        assert state() == before
+
+
+@pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
+@pytest.mark.parametrize("what", ["edited", "deleted", "undone", "another mode"])
+def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what: str) -> None:
+    """A sentence; what somebody else did is kept, and nothing else is done."""
+    ob = prepare(name)
+    bpy.ops.ed.undo_push(message="before")
+    ob.gscore.point_size *= 2
+    bpy.ops.ed.undo_push(message="after")
+    going = begun(name, settings)
+    if what == "edited":
+        ob.data.vertices[0].co.x += 1
+        ob.data.update()
+    elif what == "deleted":
+        bpy.data.objects.remove(ob)
+        other = bpy.data.objects.new("something", None)
+        bpy.context.scene.collection.objects.link(other)
+        bpy.context.view_layer.objects.active = other
+    elif what == "undone":
+        bpy.ops.ed.undo()
+    else:
+        mesh = bpy.data.meshes.new("cube")
+        cube = bpy.data.objects.new("cube", mesh)
+        bpy.context.scene.collection.objects.link(cube)
+        bpy.context.view_layer.objects.active = cube
+        bpy.ops.object.mode_set(mode="EDIT")
+    bpy.context.view_layer.update()
+    before = state()
+    before["meshes"] = [m for m in before["meshes"] if not m.startswith("splats.")]
+    with pytest.raises(ValueError, match="begin again"):
+        until(going, lambda: False)
+    assert state() == before
+    if what == "another mode":
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_of_two_at_once_one_is_done() -> None:
+    """The later one to end is told that the splats are others now."""
+    ob = prepare("decimate_splats")
+    first = begun("decimate_splats", {"count": 150})
+    second = begun("separate_splats", {})
+    assert until(first, lambda: False)
+    with pytest.raises(ValueError, match="begin again"):
+        until(second, lambda: False)
+    assert len(ob.data.vertices) == 150 and "splats part" not in bpy.data.objects
+
+
+def test_edit_mode_is_entered_again() -> None:
+    """After the edit, and where it is given up."""
+    ob = prepare("grade_splats")
+    bpy.ops.object.mode_set(mode="EDIT")
+    going = begun("grade_splats", {"saturation": 0.0})
+    assert ob.mode == "OBJECT"
+    going.cancel()
+    assert ob.mode == "EDIT"
+    going = begun("grade_splats", {"saturation": 0.0})
+    assert until(going, lambda: False) and ob.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+@pytest.mark.parametrize("name", ["separate_splats", "join_splats", "decimate_splats"])
+def test_undo_takes_an_edit_back(name: str) -> None:
+    """With the mesh of before, though another took its place; once more it is done again."""
+    prepare(name)
+    bpy.ops.ed.undo_push(message="before")
+    before = state()
+    settings = dict(EDITS)[name]
+    getattr(bpy.ops.gscore, name)(**settings)
+    bpy.ops.ed.undo_push(message="after")
+    after = state()
+    bpy.ops.ed.undo()
+    assert state() == before
+    bpy.ops.ed.redo()
+    assert state() == after != before
+
+
+def test_all_users_of_a_mesh_follow(scene: bpy.types.Scene, make_splats: Callable[..., Splats]):
+    """Oracle: Blender's own sharing of meshes; materials and a fake user stay."""
+    one = lab.add(scene, make_splats(COUNT))
+    other = one.copy()
+    scene.collection.objects.link(other)
+    one.data.use_fake_user = True
+    one.data.materials.append(bpy.data.materials.new("paint"))
+    materials, name = list(one.data.materials), one.data.name
+    bpy.context.view_layer.objects.active = one
+    bpy.ops.gscore.decimate_splats(count=100)
+    assert one.data == other.data and one.data.name == name and one.data.use_fake_user
+    assert len(other.data.vertices) == 100 and list(one.data.materials) == materials
