@@ -8,6 +8,8 @@ import numpy as np
 
 from addon import compat
 from addon.core import Rendered, Splats, render
+from addon.render.engine import final_cache
+from addon.render.scene import Model, place, sources
 from addon.splats import objects
 
 SH_C0 = 0.28209479177387814
@@ -76,6 +78,11 @@ def prepare(
 def add(scene: bpy.types.Scene, splats: Splats, name: str = "splats") -> bpy.types.Object:
     """A splat object in the scene."""
     return objects.create(splats, name, collection=scene.collection)
+
+
+def model_of(depsgraph: bpy.types.Depsgraph) -> Model:
+    """All splats that a depsgraph shows, decoded as for a picture."""
+    return final_cache.model([place(source) for source in sources(depsgraph)])
 
 
 def moving(ob: bpy.types.Object, pace: float) -> None:

@@ -454,7 +454,7 @@ def test_stopping(scene):
     lab.add(scene, lab.veil())
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    model = engine.collect(depsgraph, engine.final_cache)
+    model = lab.model_of(depsgraph)
     part, whole = (
         captures.render_camera(camera, scene, depsgraph=depsgraph, width=side, height=side)
         for side in (1000, 3000)

@@ -6,7 +6,7 @@ import pytest
 
 from addon.core import Splats
 from addon.render import picture
-from addon.render.engine import collect, final_cache
+from addon.render.engine import final_cache
 from addon.render.film import Film
 from addon.render.stage import Stage, View
 from tests.addon import splat_scenes as lab
@@ -94,7 +94,7 @@ def test_the_viewport_cuts_the_same_hole(scene, tmp_path):
     wanted = lab.render_exr(tmp_path)
     depsgraph = bpy.context.evaluated_depsgraph_get()
     stage = Stage(depsgraph, camera, (90, 70), final_cache, lambda *_: None)
-    view = View(model=collect(depsgraph, final_cache), camera=stage.view().camera)
+    view = View(model=lab.model_of(depsgraph), camera=stage.view().camera)
     film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
     got = film.shoot(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=1e-5)

@@ -7,7 +7,6 @@ import pytest
 
 from addon.core import Splats
 from addon.render import held_meshes, mesh_holdout, picture
-from addon.render import scene as render_scene
 from addon.render.engine import final_cache
 from addon.render.film import Film
 from addon.render.stage import Stage, View
@@ -98,9 +97,7 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     stage = Stage(depsgraph, camera, SIZE, final_cache, lambda *_: None)
     view = View(
-        model=final_cache.model(
-            [render_scene.place(source) for source in render_scene.sources(depsgraph)]
-        ),
+        model=lab.model_of(depsgraph),
         camera=stage.view().camera,
         held=shared.of(depsgraph),
     )
