@@ -74,10 +74,9 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         """Paint."""
         if not self.stroke:
             raise ValueError("The stroke has no points: give it one or more.")
-        yield self.bl_label
-        ob = held.to_change()
+        ob = held.there()
         view = self._view(context) if self.way == _CAMERA else None
-        count = painted.paint(
+        count = yield from painted.paint(
             ob,
             [self._point(point, view) for point in self.stroke],
             self.brush(inverted=self.inverted),

@@ -5,19 +5,80 @@ painted, because to write a mesh has Blender evaluate the object and everything 
 """
 
 from collections.abc import Iterable
+from functools import partial
 
 import bpy
 import numpy as np
 
-from .. import attributes, compat
+from .. import attributes
 from ..cameras.captures import RenderCamera
+from ..process.pieces import Check, Pieces, aside
 from ..render import copies
 from ..render.frozen import HIDDEN, SELECTED, read_marks
-from ..splats import filters, live, objects
+from ..splats import live, objects
 from ..timeline.settings import plays
-from . import sight
 from .brush import SELECT, Brush
+from .sight import Sight, looking
 from .stroke import Stroke
+
+
+def beginning(
+    ob: bpy.types.Object,
+    brush: Brush,
+    view: RenderCamera | None,
+    *,
+    front_only: bool = False,
+    only_selected: bool = False,
+) -> "Pieces[PaintedObject]":
+    """Look which splats a stroke can paint; those that are hidden or filtered out it cannot.
+
+    Args:
+        ob: A splat object in Object Mode, whose matrix is up to date.
+        brush: What is done.
+        view: Where the stroke is painted, its points in pixels from the top left. None: its points
+            are places in Blender's world.
+        front_only: Leave out what lies behind the surface that the view shows.
+        only_selected: Leave out what is not selected.
+
+    Raises:
+        ValueError: Edit Mode, attributes are missing or not finite, a mesh that cannot be written,
+            an uneven scale with `front_only`, `front_only` without a view, or none is selected.
+        GsError: the rasterizer cannot draw the view.
+    """
+    objects.check_writable(ob)
+    if view is None and front_only:
+        raise ValueError("Front Only needs a view: turn it off to paint around places.")
+    marks, count = read_marks(ob.data), len(ob.data.vertices)
+    marks = np.zeros(count, np.uint8) if marks is None else marks
+    may = (marks & HIDDEN) == 0
+    if only_selected:
+        may &= (marks & SELECTED) != 0
+        if not may.any():
+            raise ValueError(f"{ob.name}: select some splats, or turn Only Selected off.")
+    uid, name, follows = ob.data.session_uid, ob.name, live.SESSION.works and not plays(ob)
+    shows_live = ob.gscore.display == "SPLATS" and follows
+    seen = yield from looking(ob, view, drawn=front_only)
+    found = yield from aside(partial(_within, seen, may, front_only), "Looking for splats")
+    return PaintedObject(uid, name, brush, marks, *found, shows_live=shows_live)
+
+
+def _within(
+    seen: Sight, may: np.ndarray, front_only: bool, check: Check
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """[N, 4] of `radiance:base`; rows [M] of the splats to paint, of those that may be [N], and
+    their points [M, D]."""
+    base, may = seen.columns[attributes.BASE], may & seen.shown()
+    if seen.view is None:
+        rows = np.flatnonzero(may)
+        means = seen.columns[attributes.POSITION][rows]
+        return base, rows, means @ seen.matrix[:3, :3].T + seen.matrix[:3, 3]
+    at, there = seen.pixels()
+    may &= there
+    check()
+    if front_only and may.any():
+        may &= seen.in_front(at)
+    rows = np.flatnonzero(may)
+    return base, rows, at[rows]
 
 
 class PaintedObject:
@@ -25,71 +86,36 @@ class PaintedObject:
 
     def __init__(
         self,
-        ob: bpy.types.Object,
+        uid: int,
+        name: str,
         brush: Brush,
-        view: RenderCamera | None,
+        marks: np.ndarray,
+        base: np.ndarray,
+        rows: np.ndarray,
+        points: np.ndarray,
         *,
-        front_only: bool = False,
-        only_selected: bool = False,
+        shows_live: bool,
     ) -> None:
-        """Look which splats the stroke can paint; those that are hidden or filtered out it cannot.
+        """Nothing is painted yet.
 
         Args:
-            ob: A splat object in Object Mode, whose matrix is up to date.
+            uid: Session number of the mesh, of N splats.
+            name: Of the object.
             brush: What is done.
-            view: Where the stroke is painted, its points in pixels from the top left. None: its
-                points are places in Blender's world.
-            front_only: Leave out what lies behind the surface that the view shows.
-            only_selected: Leave out what is not selected.
-
-        Raises:
-            ValueError: Edit Mode, attributes are missing or not finite, a mesh that cannot be
-                written, an uneven scale with `front_only`, `front_only` without a view, or none is
-                selected.
-            GsError: the rasterizer cannot draw the view.
+            marks: [N], as `read_marks`.
+            base: [N, 4] of `radiance:base`.
+            rows: [M], splats that can be painted.
+            points: [M, D], where the brush finds them.
+            shows_live: Whether the live display is given what is painted.
         """
-        objects.check_writable(ob)
-        mesh = ob.data
-        self._uid, self._name, self._brush = mesh.session_uid, ob.name, brush
-        self._before = attributes.column(mesh, attributes.BASE)
-        marks = read_marks(mesh)
-        count = len(self._before)
-        self._marks = np.zeros(count, np.uint8) if marks is None else marks
-        may = (self._marks & HIDDEN) == 0
-        if only_selected:
-            may &= (self._marks & SELECTED) != 0
-            if not may.any():
-                raise ValueError(f"{ob.name}: select some splats, or turn Only Selected off.")
-        if count and filters.filters_of(ob).leave_out_anything:
-            may &= filters.visible_mask(ob)
-        self._rows, points = self._within_reach(ob, may, view, front_only=front_only)
+        self._uid, self._name, self._brush = uid, name, brush
+        self._marks, self._before, self._rows = marks, base, rows
         self._stroke = Stroke(points, brush)
-        self._after = self._before.copy()
-        self._selected = (self._marks & SELECTED) != 0
+        self._after = base.copy()
+        self._selected = (marks & SELECTED) != 0
         self._touched = False
-        self._live = ob.gscore.display == "SPLATS" and live.SESSION.works and not plays(ob)
-        self._follows = self._live or count <= copies.EDITED_AT_ONCE
-
-    @staticmethod
-    def _within_reach(
-        ob: bpy.types.Object, may: np.ndarray, view: RenderCamera | None, *, front_only: bool
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Rows [M] of the splats to paint, of those that may be [N], and their points [M, D]."""
-        if not len(may):
-            return np.zeros(0, np.int64), np.zeros((0, 3 if view is None else 2))
-        if view is None:
-            if front_only:
-                raise ValueError("Front Only needs a view: turn it off to paint around places.")
-            world = compat.matrix_to_numpy(ob.matrix_world)
-            means = attributes.column(ob.data, attributes.POSITION)
-            rows = np.flatnonzero(may)
-            return rows, means[rows] @ world[:3, :3].T + world[:3, 3]
-        found, there = sight.pixels(ob, view)
-        may = may & there
-        if front_only and may.any():
-            may &= sight.in_front(ob, view, found)
-        rows = np.flatnonzero(may)
-        return rows, found[rows]
+        self._live = shows_live
+        self._follows = self._live or len(base) <= copies.EDITED_AT_ONCE
 
     def to(self, point: np.ndarray) -> None:
         """Go on to a point, [2] pixels of the view or [3] in the world."""
@@ -164,8 +190,8 @@ def paint(
     *,
     front_only: bool = False,
     only_selected: bool = False,
-) -> int:
-    """Paint a whole stroke; how many splats it reached. Arguments and errors as `PaintedObject`.
+) -> Pieces[int]:
+    """Paint a whole stroke; how many splats it reached. Arguments and errors as `beginning`.
 
     Args:
         ob: A splat object.
@@ -175,7 +201,8 @@ def paint(
         front_only: Leave out what lies behind.
         only_selected: Leave out what is not selected.
     """
-    painted = PaintedObject(ob, brush, view, front_only=front_only, only_selected=only_selected)
+    how = {"front_only": front_only, "only_selected": only_selected}
+    painted = yield from beginning(ob, brush, view, **how)
     for point in points:
         painted.to(point)
     return painted.finish()

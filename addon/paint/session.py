@@ -3,6 +3,7 @@
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import bpy
 import numpy as np
@@ -11,6 +12,8 @@ from ..cameras.captures import RenderCamera
 from ..compat import matrix_to_numpy
 from ..interface import undo, writable
 from ..interface.views import redraw_views
+from ..interface.waiting import INTERVAL
+from ..process.pieces import Going, Pieces
 from ..render.viewport import view_camera
 from ..splats import objects
 from ..splats.operators import check_shown
@@ -90,6 +93,36 @@ class Spot:
         return np.array([self.x, self.region.height - self.y])
 
 
+class _Looking(Going):
+    """What a stroke or a color begins with, looked for while the mouse goes on."""
+
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        pieces: Pieces[Any],
+        *,
+        way: list[np.ndarray] | None = None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            context: Of the event.
+            pieces: What is looked for.
+            way: The mouse's way so far, of a stroke.
+        """
+        super().__init__(pieces)
+        self.way, self.is_released = way, False
+        self._manager, self._timer = context.window_manager, None
+        if not bpy.app.background:  # else no event may come
+            self._timer = self._manager.event_timer_add(INTERVAL, window=context.window)
+
+    def end(self) -> None:
+        """Leave nothing."""
+        self.cancel()
+        if self._timer is not None:
+            self._manager.event_timer_remove(self._timer)
+
+
 class Session:
     """Strokes are painted one after the other, each an undo step, on the splat object that is
     active when it begins. Nothing of the scene is kept between events: undo may replace it."""
@@ -100,6 +133,7 @@ class Session:
         self.cursor = Cursor()
         self._stroke: painted.PaintedObject | None = None
         self._stroke_region = 0
+        self._looking: _Looking | None = None
         self._sizing: tuple[float, float] | None = None
         """Radius before F was pressed, and the mouse's x."""
         self._undone = False
@@ -107,11 +141,17 @@ class Session:
     @property
     def painting(self) -> bool:
         """Whether a stroke is under way."""
-        return self._stroke is not None
+        return self._stroke is not None or self._is_awaited
+
+    @property
+    def _is_awaited(self) -> bool:
+        """Whether a stroke was begun whose splats are looked for."""
+        return self._looking is not None and self._looking.way is not None
 
     def close(self) -> None:
         """End; a stroke that is under way is taken back."""
         self.cursor.close()
+        self._look_no_more()
         if self._stroke is not None:
             with suppress(ValueError):  # what it was painted on is gone
                 self._drop()
@@ -125,6 +165,7 @@ class Session:
         """
         if self.ended:
             return Answer.ENDED
+        self._look()
         if self._undone:
             self._undone = False
             self._show_undone(context)
@@ -132,7 +173,7 @@ class Session:
         brush = context.window_manager.gscore_paint
         if event.type.startswith(_UNTOUCHED):
             answer = Answer.PASSED
-        elif self._stroke is not None:
+        elif self.painting:
             answer = self._go_on(spot, event)
         elif self._sizing is not None:
             answer = self._size(brush, event)
@@ -176,16 +217,57 @@ class Session:
     def _begin_stroke(
         self, context: bpy.types.Context, spot: Spot, brush: BrushSettings, *, inverted: bool
     ) -> None:
-        ob = paintable(context)
-        self._stroke = painted.PaintedObject(
-            ob,
+        self._look(wait=True)
+        pieces = painted.beginning(
+            paintable(context),
             brush.brush(inverted=inverted),
             spot.view,
             front_only=brush.front_only,
             only_selected=brush.only_selected,
         )
         self._stroke_region = spot.region.as_pointer()
-        self._go_to(spot, shown=True)
+        self._looking = _Looking(context, pieces, way=[spot.point])
+        self._look(wait=bpy.app.background)
+
+    def _look(self, *, wait: bool = False) -> None:
+        """Go on with what is looked for; without a window, or asked to, to its end.
+
+        Raises:
+            GsError, ValueError: it is not found.
+        """
+        looking = self._looking
+        if looking is None:
+            return
+        try:
+            while not (done := looking.step()) and wait:
+                pass
+        except BaseException:
+            self._look_no_more()
+            raise
+        if not done:
+            return
+        self._look_no_more()
+        if looking.way is None:
+            bpy.context.window_manager.gscore_paint.color = looking.result
+            redraw_views()
+            return
+        self._stroke = looking.result
+        for point in looking.way:
+            self._stroke.to(point)
+        self._stroke.show()
+        redraw_views()
+        if looking.is_released:
+            self._finish()
+
+    def _look_no_more(self) -> None:
+        looking, self._looking = self._looking, None
+        if looking is not None:
+            looking.end()
+
+    def _finish(self) -> None:
+        stroke, self._stroke = self._stroke, None
+        if stroke.finish():
+            undo.push(UNDO)
 
     def _go_on(self, spot: Spot | None, event: bpy.types.Event) -> Answer:
         """While a stroke is painted."""
@@ -193,22 +275,29 @@ class Session:
             if spot is not None and spot.region.as_pointer() == self._stroke_region:
                 self._go_to(spot, shown=event.type == "MOUSEMOVE")
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
-            stroke, self._stroke = self._stroke, None
-            if stroke.finish():
-                undo.push(UNDO)
+            if self._looking is not None:
+                self._looking.is_released = True
+            else:
+                self._finish()
         elif event.type in _DROPS and event.value == "PRESS":
             self._drop()
         return Answer.TAKEN
 
     def _go_to(self, spot: Spot, *, shown: bool) -> None:
+        if self._looking is not None:
+            if not self._looking.is_released:
+                self._looking.way.append(spot.point)
+            return
         self._stroke.to(spot.point)
         if shown:  # else more of the mouse's way is waiting
             self._stroke.show()
             redraw_views()
 
     def _drop(self) -> None:
+        self._look_no_more()
         stroke, self._stroke = self._stroke, None
-        stroke.cancel()
+        if stroke is not None:
+            stroke.cancel()
         redraw_views()
 
     def _size(self, brush: BrushSettings, event: bpy.types.Event) -> Answer:
@@ -223,8 +312,10 @@ class Session:
         return Answer.TAKEN
 
     def _pick(self, context: bpy.types.Context, spot: Spot, brush: BrushSettings) -> None:
-        brush.color = sight.color_at(paintable(context), spot.view, spot.point)
-        redraw_views()
+        self._look(wait=True)
+        pieces = sight.color_at(paintable(context), spot.view, spot.point)
+        self._looking = _Looking(context, pieces)
+        self._look(wait=bpy.app.background)
 
     def _show_undone(self, context: bpy.types.Context) -> None:
         ob = objects.meant(context)

@@ -16,6 +16,7 @@ from addon.cameras.captures import render_camera
 from addon.core import Splats, join_splats
 from addon.paint import painted
 from addon.paint.brush import COLOR, OPACITY, Brush
+from addon.process.pieces import at_once
 from addon.render.viewport import view_camera
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
@@ -183,7 +184,7 @@ def test_only_the_front_of_a_view(scene: bpy.types.Scene, perspective: bool) -> 
         window = np.array([[2.0, 0, 0, 0], [0, 3, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
     camera = view_camera(view, window, *SIZE, perspective=perspective)
     before, middle = base_of(ob), np.array([150.0, 100])
-    painted.paint(ob, [middle], Brush(radius=40, color=RED), camera, front_only=True)
+    at_once(painted.paint(ob, [middle], Brush(radius=40, color=RED), camera, front_only=True))
     reached = (base_of(ob) != before).any(axis=1)
     assert reached[: 41 * 41].sum() > 30 and not reached[41 * 41 :].any()
 
@@ -217,7 +218,7 @@ def test_refusals(ob: bpy.types.Object) -> None:
     with pytest.raises(RuntimeError, match="needs a 3D view"):
         bpy.ops.gscore.paint_splats()
     with pytest.raises(ValueError, match="Front Only needs a view"):
-        painted.paint(ob, [np.zeros(3)], Brush(radius=1), None, front_only=True)
+        at_once(painted.paint(ob, [np.zeros(3)], Brush(radius=1), None, front_only=True))
     np.testing.assert_array_equal(base_of(ob), before)
 
 
@@ -248,7 +249,7 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
     """Oracle: the attribute; displays other than the live one had been written to."""
     before = base_of(ob)
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
-    made = painted.PaintedObject(ob, Brush(radius=40, does=COLOR, color=RED), view)
+    made = at_once(painted.beginning(ob, Brush(radius=40, does=COLOR, color=RED), view))
     for point in WAY:
         made.to(np.array(point))
         made.show()
@@ -260,7 +261,7 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
 def test_splats_that_were_replaced_meanwhile(ob: bpy.types.Object) -> None:
     """Oracle: the sentence, and the new splats as they came."""
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
-    made = painted.PaintedObject(ob, Brush(radius=400, color=RED), view)
+    made = at_once(painted.beginning(ob, Brush(radius=400, color=RED), view))
     made.to(np.array(WAY[0]))
     objects.refresh(ob, lab.blob(30))
     with pytest.raises(ValueError, match="were replaced while the stroke"):
@@ -283,7 +284,8 @@ def test_a_million_splats(
     monkeypatch.setattr("addon.splats.live.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     began = time.perf_counter()
-    made, steps = painted.PaintedObject(ob, Brush(radius=50, color=RED), view, front_only=True), []
+    pieces = painted.beginning(ob, Brush(radius=50, color=RED), view, front_only=True)
+    made, steps = at_once(pieces), []
     for x in range(500, 1100, 20):
         step = time.perf_counter()
         made.to(np.array([x, 450.0]))

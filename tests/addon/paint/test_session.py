@@ -14,6 +14,7 @@ from addon.cameras.captures import render_camera
 from addon.paint import modal, painted, session
 from addon.paint.session import Answer, Session
 from addon.panels.paint import PaintPanel
+from addon.process.pieces import at_once
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -108,13 +109,8 @@ def by_function(ob: bpy.types.Object, brush: bpy.types.PropertyGroup, **how) -> 
     bpy.context.view_layer.update()
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
     way = [np.array([x, HEIGHT - y], np.float64) for x, y in WAY]
-    painted.paint(
-        other,
-        way,
-        brush.brush(inverted=how.get("inverted", False)),
-        view,
-        front_only=brush.front_only,
-    )
+    wanted = brush.brush(inverted=how.get("inverted", False))
+    at_once(painted.paint(other, way, wanted, view, front_only=brush.front_only))
     return base_of(other)
 
 
