@@ -8,10 +8,11 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, compat
+from ..attributes import Column
 from ..cameras.objects import local_matrix
 from ..interface import writable
 from ..nodes import display
-from ..process.pieces import Pieces, aside
+from ..process.pieces import Check, Pieces, aside
 from . import filters, lag, objects, parts, places
 from . import settings as splat_settings
 from .filling import Filling, filled, swap
@@ -88,10 +89,7 @@ def apply_filters(held: Held) -> Pieces[int]:
     ob = held.there()
     limits = filters.filters_of(ob)
     table = yield from Leaving(ob).table()
-    columns = {column.name: column.values for column in table}
-    keep = yield from aside(
-        lambda check: filters.passing(columns, limits), f"Looking through {held.name}"
-    )
+    keep = yield from aside(partial(_passing, table, limits), f"Looking through {held.name}")
     if len(keep) and not keep.any():
         raise ValueError(f"{held.name}: the filters hide every splat; relax them before applying.")
     if keep.all():
@@ -100,6 +98,10 @@ def apply_filters(held: Held) -> Pieces[int]:
         ob = yield from parts.kept(held, table, np.flatnonzero(keep))
     splat_settings.reset_filters(ob)
     return int((~keep).sum())
+
+
+def _passing(table: list[Column], limits: filters.Filters, check: Check) -> np.ndarray:
+    return filters.passing({column.name: column.values for column in table}, limits)
 
 
 def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:

@@ -40,7 +40,16 @@ def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
 
 
 def _split(table: list[Column], chosen: np.ndarray, check: Check) -> list[list[Column]]:
-    return [attributes.picked(table, np.flatnonzero(mask)) for mask in (~chosen, chosen)]
+    found = [attributes.picked(table, np.flatnonzero(mask)) for mask in (~chosen, chosen)]
+    _let_go(table)
+    return found
+
+
+def _let_go(table: list[Column]) -> None:
+    """Free a table in the thread, an attribute at a time: to give so much memory back takes long,
+    and Python's lock is kept meanwhile."""
+    while table:
+        table.pop()
 
 
 def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
@@ -59,17 +68,23 @@ def kept(held: Held, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.
 
     Args:
         held: It.
-        table: Of its mesh, as `Leaving.table`.
+        table: Of its mesh, as `Leaving.table`; emptied.
         rows: [K], numbers of those that stay.
 
     Raises:
         ValueError: as `Held.to_change`; nothing is changed then.
     """
-    wanted = yield from aside(lambda check: attributes.picked(table, rows), "Deleting splats")
+    wanted = yield from aside(partial(_picked, table, rows), "Deleting splats")
     [mesh] = yield from filled([Filling(points_of(wanted), held.emptied_mesh)], held.to_change)
     ob = held.there()
     swap(ob.data, mesh)
     return ob
+
+
+def _picked(table: list[Column], rows: np.ndarray, check: Check) -> list[Column]:
+    found = attributes.picked(table, rows)
+    _let_go(table)
+    return found
 
 
 def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
@@ -142,4 +157,7 @@ def _together(
     for table, matrix, name in zip(tables[1:], matrices, names, strict=True):
         check()
         moved(table, matrix, name, check)
-    return attributes.joined(tables)
+    found = attributes.joined(tables)
+    for table in tables:
+        _let_go(table)
+    return found

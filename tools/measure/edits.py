@@ -7,7 +7,7 @@ around. Each operator goes on bit by bit as in a window. Prints, of two calls of
 to its end; the processor milliseconds of the longest step of the main thread, without what Blender
 does in it by itself (entering Edit Mode; the scene was evaluated before), and those of Blender; and
 the most milliseconds that the main thread woke later than it asked to while it had nothing to do,
-as when a thread keeps Python's lock, or other programs the processor.
+as when a thread keeps Python's lock, or other programs the processor; *Nothing* tells of these.
 
 *Separate* takes half of them away, *Join* brings as many back, turned, *Turn Shapes and Colors
 Along* comes after Blender's Apply, *Decimate* keeps half, and compares pictures from the capture's
@@ -17,7 +17,8 @@ cameras. *Compare with Photo* is of a camera of the capture.
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,9 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
+
+from tools.measure.stand_in import stand_in, steps  # noqa: E402 - the path comes first
+
 SPHERES, RADII = 5, (1.0, 0.5, 0.3)
 FLOATING = 200
 """Of so many splats one floats."""
@@ -83,19 +87,24 @@ class Blenders:
 
 def timed(name: str, operator: str, **settings: Any) -> None:
     """Print what one call of an operator takes, from Object Mode, and end there."""
-    from addon.process.pieces import Going
-    from addon.splats import edit_operators, operators
-    from tools.measure.stand_in import stand_in, steps
-
     bpy.context.view_layer.update()
     bpy.ops.ed.undo_push(message=name)
-    blenders = Blenders()
-    enter = operators.edit_vertices
+    measured(name, stand_in(operator, **settings).pieces(bpy.context))
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def measured(name: str, pieces: Any) -> None:
+    """Print what work takes."""
+    from addon.process.pieces import Going
+    from addon.splats import edit_operators, operators
+
+    blenders, enter = Blenders(), operators.edit_vertices
     edit_operators.edit_vertices = blenders.timed(enter)
     own, theirs, late = 0.0, 0.0, 0.0
     began = time.perf_counter()
     try:
-        going = Going(stand_in(operator, **settings).pieces(bpy.context))
+        going = Going(pieces)
         for step, waited in steps(going):
             own, theirs = max(own, step - blenders.spent), max(theirs, blenders.spent)
             late, blenders.spent = max(late, waited), 0.0
@@ -103,12 +112,30 @@ def timed(name: str, operator: str, **settings: Any) -> None:
         edit_operators.edit_vertices = enter
     took = time.perf_counter() - began
     print(
-        f"{name:30} {took:6.2f} s {own * 1e3:6.0f} ms {theirs * 1e3:6.0f} ms {late * 1e3:6.0f} ms"
-        f"   {going.result}",
+        f"{name:30} {took:6.2f} s {own * 1e3:6.0f} ms {theirs * 1e3:6.0f} ms {late * 1e3:6.0f} ms",
         flush=True,
     )
-    if bpy.context.mode != "OBJECT":
-        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def nothing() -> Iterator[str]:
+    """Pieces in which nothing is done: how late the main thread is by itself."""
+    for _ in range(100):
+        yield ""
+
+
+def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
+    """What a stroke of the brush, and picking a color, begin with."""
+    from addon.cameras.captures import render_camera
+    from addon.paint import painted, sight
+    from addon.paint.brush import Brush
+
+    scene = bpy.context.scene
+    view = render_camera(camera, scene, width=1600, height=900)
+    brush = Brush(radius=50, color=(1, 0, 0))
+    measured("Paint", painted.beginning(ob, brush, view))
+    measured("Paint, Front Only", painted.beginning(ob, brush, view, front_only=True))
+    with suppress(ValueError):  # there may be none in the middle
+        measured("Paint, Pick a Color", sight.color_at(ob, view, np.array([800.0, 450.0])))
 
 
 def main() -> None:
@@ -133,8 +160,10 @@ def main() -> None:
             ob = objects.create(splats, "splats", collection=scene.collection)
             ob.parent = root_of(camera)
             bpy.context.view_layer.objects.active = ob
+            measured("Nothing", nothing())
             timed("Compare with Photo", "compare_photo", camera=camera.name)
             timed("Compare with Photo, again", "compare_photo", camera=camera.name)
+            strokes(ob, camera)
             attributes.select(ob.data, numbers == 1)
             timed("Color", "select_by_color")
             attributes.select(ob.data, numbers == 1)
