@@ -24,7 +24,7 @@ class Stepping(Acting):
 
     def act(self, context: bpy.types.Context) -> str:
         """Do it at once."""
-        return at_once(self.pieces(context))
+        return at_once(_in_words(self.pieces(context)))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Of a button: without this, Blender does not tell that a user pressed it."""
@@ -37,7 +37,7 @@ class Stepping(Acting):
             return super().execute(context)
         try:
             writable.check(*self.changes(context))
-            self._going = Going(self.pieces(context))
+            self._going = Going(_in_words(self.pieces(context)))
             done = self._going.step()
         except (GsError, ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
@@ -81,3 +81,13 @@ class Stepping(Acting):
         if self._going.result:
             self.report({"INFO"}, self._going.result)
         return {"FINISHED"}
+
+
+def _in_words(pieces: Pieces[str]) -> Pieces[str]:
+    """The same, with a sentence where memory is lacking."""
+    try:
+        return (yield from pieces)
+    except MemoryError as error:
+        raise GsError(
+            "There is not enough memory for this: close other programs, or do it to fewer splats."
+        ) from error

@@ -177,6 +177,20 @@ def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what:
         bpy.ops.object.mode_set(mode="OBJECT")
 
 
+def test_lacking_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the splats of before, and what to do."""
+    prepare("decimate_splats")
+    before = state()
+
+    def lacks(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(attributes, "picked", lacks)
+    with pytest.raises(RuntimeError, match="close other programs"):
+        bpy.ops.gscore.decimate_splats(count=150)
+    assert state() == before
+
+
 def test_of_two_at_once_one_is_done() -> None:
     """The later one to end is told that the splats are others now."""
     ob = prepare("decimate_splats")
