@@ -192,9 +192,10 @@ class TrainConfig:
     steps_a_photo: int = option(
         0,
         "Never more steps than this for each training photo: more fit the photos, and no new view "
-        "gains; twice as many where masks are opacity. 1,500 are always taken, and all of them "
-        "under `time_budget`, where `--iterations` is given by itself, or in `gscore sequence`; "
-        "0: no limit, which Python has to say beside `iterations`.",
+        "gains; twice as many where masks are opacity, unless splats are left out. 1,500 are "
+        "always taken, and all of them under `time_budget`, where `--iterations` is given by "
+        "itself, or in `gscore sequence`; 0: no limit, which Python has to say beside "
+        "`iterations`.",
         group="run",
         range=Range(high=_MOST),
         unit="steps",
@@ -552,9 +553,9 @@ class TrainConfig:
     drop_below: float = option(
         0.0,
         "Splats are left out only where stereo, asked for points, finds the depth of less than "
-        "this share of the pixels that masks leave, and never where masks are opacity: where "
-        "photos agree in more, it costs fine detail. 0: always, as where `--drop-rate` is given by "
-        "itself.",
+        "this share of the pixels that masks leave: where photos agree in more, it costs fine "
+        "detail. Where masks are opacity they always are, unless a run starts without points, or "
+        "from given splats. 0: always, as where `--drop-rate` is given by itself.",
         group="loss",
         range=Range(high=1),
         when="dropping",
@@ -638,8 +639,8 @@ class TrainConfig:
     grow_grad: float = option(
         0.0,
         "`default`: mean positional gradient in normalised image coordinates above which a "
-        "splat is doubled; 0: 2e-4, down to 1e-4 in short runs, and 5e-5 in runs of 10,000 steps "
-        "and more where masks are opacity.",
+        "splat is doubled; 0: 2e-4, down to 1e-4 in short runs. Where masks are opacity, 5e-5 in "
+        "runs of 10,000 steps and more, and where splats are left out.",
         group="refinement",
         when="default",
     )

@@ -103,7 +103,11 @@ def prepare(
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
     config, enough = limit_by_photos(
-        config, photos=len(photos.train), mask_mode=photos.mask_mode, taken=taken
+        config,
+        photos=len(photos.train),
+        mask_mode=photos.mask_mode,
+        made_up=photos.scene.points.made_up,
+        taken=taken,
     )
     world = frame(photos)
     if data.depths:

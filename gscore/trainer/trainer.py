@@ -187,6 +187,7 @@ class Trainer:
             side=int(min(given.widths.min(), given.heights.min())),
             pixels=int((given.widths * given.heights)[list(photos.train)].mean()),
             subject=photos.mask_mode == "composite",
+            drops=self.drop_rate > 0,
         )
         self._factor = math.inf
         self.depth: DepthLoss | None = None
@@ -605,7 +606,12 @@ class Trainer:
         return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
 
     def _drops(self) -> tuple[float, str]:
-        return drop_rate_of(self.config, known=self._known, mask_mode=self.photos.mask_mode)
+        return drop_rate_of(
+            self.config,
+            known=self._known,
+            mask_mode=self.photos.mask_mode,
+            made_up=self.photos.scene.points.made_up,
+        )
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Go on from what `state` and `tensors` of another trainer with this config returned; the

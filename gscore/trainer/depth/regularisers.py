@@ -5,6 +5,7 @@ import torch
 
 from ...config import TrainConfig
 from ..host.random import uniform
+from ..schedule.enough import thins_subject
 
 _GONE = -30.0
 """Logit of a splat that is left out: far below the opacity at which one is drawn."""
@@ -12,7 +13,9 @@ _MOST = 0.999
 """Highest opacity that making up for the others leads to; no more than 0.99 is drawn anyway."""
 
 
-def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) -> tuple[float, str]:
+def drop_rate_of(
+    config: TrainConfig, *, known: float | None, mask_mode: str, made_up: bool = False
+) -> tuple[float, str]:
     """The share of splats that a run leaves out of its last step, for these photos.
 
     Args:
@@ -20,6 +23,7 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
         known: Share of the pixels that masks leave whose depth stereo found; None: nobody
             looked.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
+        made_up: Whether there are no points of structure from motion to start from.
 
     Returns:
         The share, and a sentence where a condition holds; empty where there is none.
@@ -27,11 +31,17 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
     rate = config.drop_rate
     if not (rate and config.drop_below):
         return rate, ""
-    if known is None or known >= config.drop_below or mask_mode == "composite":
+    if mask_mode == "composite":
+        if not thins_subject(config, mask_mode=mask_mode, made_up=made_up):
+            return 0.0, ""
+        why = "Masks cut the subject out"
+    elif known is None or known >= config.drop_below:
         return 0.0, ""
+    else:
+        why = f"Photos agree on the depth of {known:.0%} of their pixels"
     return rate, (
-        f"Photos agree on the depth of {known:.0%} of their pixels: of each step as many as "
-        f"{rate:.0%} of the splats are left out, for unseen views (--drop-rate 0 leaves out none)."
+        f"{why}: of each step as many as {rate:.0%} of the splats are left out, for unseen views "
+        "(--drop-rate 0 leaves out none)."
     )
 
 

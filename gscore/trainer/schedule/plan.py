@@ -17,7 +17,9 @@ _KEPT_EVERY = 500
 _LONG, _LONG_GRAD = 10_000, 5e-5
 """Steps from which on a subject that is cut out grows by a lower pull, and that pull. With the
 paper's, growth ends early where errors are small: lego stopped at a third of 300,000 splats, and
-gained 1.0 dB with all of them. With photos of everything it brought nothing."""
+gained 1.0 dB with all of them. With photos of everything it brought nothing. Shorter runs grow by
+it too where splats are left out of their steps, which keeps so many from learning photos by
+heart."""
 _COARSE_SIDE = 75
 """Pixels of a photo's shorter side below which a coarse picture says too little."""
 
@@ -83,6 +85,7 @@ class Plan:
         side: int,
         pixels: int,
         subject: bool = False,
+        drops: bool = False,
     ) -> "Plan":
         """Resolve `config` for a capture.
 
@@ -93,6 +96,7 @@ class Plan:
             side: Shorter side of the smallest photo, pixels.
             pixels: Of a photo, on average.
             subject: Whether masks are opacity, so that there is nothing but a subject.
+            drops: Whether splats are left out of its steps.
         """
         n = config.iterations
         mcmc = config.strategy is Strategy.MCMC
@@ -119,7 +123,8 @@ class Plan:
         if coupled:
             stop = min(max(n * 4 // 5, round(sizes[0] * coarse_until) + 2 * every), n)
         stop = config.refine_stop or stop
-        pull = _LONG_GRAD if subject and n >= _LONG else 2e-4 / min(boost, 2.0)
+        fine = subject and (drops or n >= _LONG)
+        pull = _LONG_GRAD if fine else 2e-4 / min(boost, 2.0)
         # The cap is reached halfway through the refinements even if the run is short.
         growths = max((stop - start) // (2 * every), 1)
         growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)

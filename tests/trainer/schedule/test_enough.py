@@ -40,6 +40,19 @@ def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
 
 
 @pytest.mark.parametrize(
+    ("made_up", "start", "steps"),
+    [(False, None, 4000), (True, None, 8000), (False, Path("start.ply"), 8000)],
+)
+def test_a_subject_of_which_splats_are_left_out(
+    made_up: bool, start: Path | None, steps: int
+) -> None:
+    """Oracle: the text of the option; 80 or 160 times 50 photos."""
+    config = replace(TRAIN, iterations=15_000, drop_rate=0.1, start_splats=start)
+    found, _ = limit_by_photos(config, photos=50, mask_mode="composite", made_up=made_up)
+    assert found.iterations == steps
+
+
+@pytest.mark.parametrize(
     ("config", "mask_mode"),
     [
         (replace(TRAIN, steps_a_photo=0), "none"),
