@@ -83,7 +83,7 @@ TRAINER = {
     "estimate": {"rows", "schedule"},
     "photos": {"estimate", "host", "rows", "schedule"},
     "ranks": {"rows"},
-    "depth": {"host", "photos", "rows"},
+    "depth": {"host", "photos", "rows", "schedule"},
     "region": {"photos", "rows"},
     "guide": {"depth", "photos", "rows"},
     "strategy": {"host", "photos", "rows", "schedule"},
