@@ -70,6 +70,7 @@ MODULES: tuple[str, ...] = (
     "panels.manual",
     "panels",
     "panels.paint_tool",
+    "interface.stepping",
 )
 """Modules that `registration` registers, in the order in which they need each other."""
 

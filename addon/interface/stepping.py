@@ -1,5 +1,7 @@
 """Operators that take long: bit by bit where a user waits in a window, at once for scripts."""
 
+from dataclasses import dataclass
+
 import bpy
 
 from ..core import GsError
@@ -32,55 +34,83 @@ class Stepping(Acting):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """For a user in a window bit by bit, for a script or once more at once."""
-        called = self.options.is_invoke and not self.options.is_repeat
+        # Blender crashes where an operator that is repeated goes on event by event.
+        again = self.options.is_repeat or self.options.is_repeat_last
+        called = self.options.is_invoke and not again
         if bpy.app.background or context.window is None or not called:
             return super().execute(context)
         try:
             writable.check(*self.changes(context))
-            self._going = Going(_in_words(self.pieces(context)))
-            done = self._going.step()
+            going = Going(_in_words(self.pieces(context)))
+            done = going.step()
         except (GsError, ValueError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if done:
-            return self._finished()
-        self._waiting = Waiting(context, "Esc cancels")
+            return self._finished(going)
+        self._under_way = _UnderWay(going, Waiting(context, "Esc cancels"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Go on with it; whatever else is pressed is for others."""
+        own = self._under_way
         if event.type == "ESC" and event.value == "PRESS":
-            self.cancel(context)
+            own.give_up()
             self.report({"INFO"}, f"{self.bl_label} is cancelled.")
             return {"CANCELLED"}
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}
         try:
-            done = self._going.step()
+            done = own.going.step()
         except (GsError, ValueError, OSError) as error:
-            self.cancel(context)
+            own.give_up()
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         except Exception:
-            self.cancel(context)  # or its timer would go on
+            own.give_up()  # or its timer would go on
             raise
         if not done:
-            self._waiting.tell(self._going.sentence)
+            own.waiting.tell(own.going.sentence)
             return {"PASS_THROUGH"}
-        self._waiting.end()
-        return self._finished()
+        own.end()
+        return self._finished(own.going)
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender calls this where another file is opened, or it ends: leave nothing."""
-        if (going := getattr(self, "_going", None)) is not None:  # else it was the file browser
-            going.cancel()
-            self._waiting.end()
+        if (own := getattr(self, "_under_way", None)) is not None:  # else it was the file browser
+            own.give_up()
 
-    def _finished(self) -> set[str]:
-        if self._going.result:
-            self.report({"INFO"}, self._going.result)
+    def _finished(self, going: Going) -> set[str]:
+        if going.result:
+            self.report({"INFO"}, going.result)
         return {"FINISHED"}
+
+
+@dataclass(frozen=True, eq=False)
+class _UnderWay:
+    """What an operator does in a window, until it has ended."""
+
+    going: Going
+    waiting: Waiting
+
+    def __post_init__(self) -> None:
+        _UNDER_WAY.add(self)
+
+    def end(self) -> None:
+        """Nothing tells of it any more."""
+        _UNDER_WAY.discard(self)
+        self.waiting.end()
+
+    def give_up(self) -> None:
+        """The same, before it is done."""
+        try:
+            self.going.cancel()
+        finally:
+            self.end()
+
+
+_UNDER_WAY: set[_UnderWay] = set()
 
 
 def _in_words(pieces: Pieces[str]) -> Pieces[str]:
@@ -91,3 +121,9 @@ def _in_words(pieces: Pieces[str]) -> Pieces[str]:
         raise GsError(
             "There is not enough memory for this: close other programs, or do it to fewer splats."
         ) from error
+
+
+def on_unregister() -> None:
+    """Give up what is under way: Blender forgets its operators without a word to them."""
+    for own in list(_UNDER_WAY):
+        own.give_up()

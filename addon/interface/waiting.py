@@ -10,6 +10,20 @@ REDRAW = 0.25
 """Seconds between two changes of what the status bar says."""
 
 
+class StatusBar:
+    """That of a workspace, which may be deleted meanwhile."""
+
+    def __init__(self, workspace: bpy.types.WorkSpace) -> None:
+        """Nothing is said yet."""
+        self._uid = workspace.session_uid
+
+    def say(self, text: str | None) -> None:
+        """Show a text there; None: what Blender itself says."""
+        for workspace in bpy.data.workspaces:
+            if workspace.session_uid == self._uid:
+                workspace.status_text_set(text)
+
+
 class Waiting:
     """Begins with the operator, and has to be ended with it."""
 
@@ -21,7 +35,7 @@ class Waiting:
             hint: Which key does what; follows each sentence.
         """
         self._hint = hint
-        self._workspace = context.workspace
+        self._status = StatusBar(context.workspace)
         self._timer = context.window_manager.event_timer_add(INTERVAL, window=context.window)
         self._told, self._when = "", 0.0
 
@@ -30,9 +44,9 @@ class Waiting:
         now = time.monotonic()
         if sentence != self._told and now - self._when > REDRAW:
             self._told, self._when = sentence, now
-            self._workspace.status_text_set(f"{sentence}   |   {self._hint}")
+            self._status.say(f"{sentence}   |   {self._hint}")
 
     def end(self) -> None:
         """Take both back."""
         bpy.context.window_manager.event_timer_remove(self._timer)
-        self._workspace.status_text_set(None)
+        self._status.say(None)

@@ -8,6 +8,7 @@ from bpy.props import BoolProperty
 
 from ..core import GsError
 from ..interface import undo
+from ..interface.waiting import StatusBar
 from ..splats import objects
 from ..splats.operators import OnSplats, edit_vertices
 from .session import UNDO, Answer, Session, paintable
@@ -18,31 +19,24 @@ class Running:
 
     def __init__(self) -> None:
         self.session: Session | None = None
-        self._workspace = 0
-        """Session number of the workspace whose status bar tells the keys; it may be deleted."""
+        self._status: StatusBar | None = None
+        """Tells the keys."""
 
     def begin(self, context: bpy.types.Context) -> None:
         """Paint from now on, with the brush's circle and the keys in the status bar."""
-        self.session, self._workspace = Session(), context.workspace.session_uid
+        self.session, self._status = Session(), StatusBar(context.workspace)
         self.tell(context)
 
     def tell(self, context: bpy.types.Context) -> None:
         """Bring what the status bar says up to date."""
-        sentence = self.session.sentence(context.window_manager.gscore_paint)
-        self._say(sentence)
+        self._status.say(self.session.sentence(context.window_manager.gscore_paint))
 
     def end(self) -> None:
         """Leave nothing behind; nothing happens where none is under way."""
         session, self.session = self.session, None
         if session is not None:
             session.close()
-            self._say(None)
-
-    def _say(self, sentence: str | None) -> None:
-        """In the status bar; None: what Blender itself says."""
-        for workspace in bpy.data.workspaces:
-            if workspace.session_uid == self._workspace:
-                workspace.status_text_set(sentence)
+            self._status.say(None)
 
 
 RUNNING = Running()

@@ -121,6 +121,7 @@ def seed() -> None:
 def begin() -> None:
     """Two balls of splats, the one object of the scene."""
     clear()
+    bpy.data.orphans_purge()  # or the name is taken
     balls = [lab.blob(COUNT // 2, size=1.0), lab.blob(COUNT // 2, center=(9, 0, 0), size=1.0)]
     lab.add(bpy.context.scene, join_splats(balls), "splats")
     bpy.context.view_layer.objects.active = ob()
@@ -212,8 +213,63 @@ def compared() -> Iterator[object]:
     subprocess.run(["import", "-window", "root", str(FOLDER / "compared.png")], check=True)
 
 
+def repeated() -> Iterator[object]:
+    """An edit, then Repeat Last."""
+    begin()
+    yield 0.5
+    invoke("decimate_splats", count=1500)
+    yield rests
+    manager = bpy.context.window_manager
+    manager.operators[-1].properties.count = 700
+    with bpy.context.temp_override(window=manager.windows[0], area=area()):
+        bpy.ops.screen.repeat_last()
+    seen["repeated"] = rests(), len(ob().data.vertices)
+    yield 1.0
+
+
+def without_workspace() -> Iterator[object]:
+    """The workspace whose status bar tells of an edit is deleted."""
+    begin()
+    window = bpy.context.window_manager.windows[0]
+    before = window.workspace
+    with bpy.context.temp_override(window=window, area=area()):
+        bpy.ops.workspace.duplicate()
+    yield 0.5
+    held = Held(decimate, "likeness")
+    invoke("decimate_splats", count=500)
+    yield held.began.is_set
+    added, window.workspace = window.workspace, before
+    yield 0.5
+    bpy.data.batch_remove([added])
+    held.let_go()
+    yield rests
+    seen["without workspace"] = len(ob().data.vertices)
+
+
+def disabled() -> Iterator[object]:
+    """The add-on is disabled while splats are looked for, and enabled again."""
+    begin()
+    yield 0.5
+    held = Held(choose, "flooded")
+    seed()
+    mode("EDIT")
+    invoke("select_flood", gap=1.0)
+    yield held.began.is_set
+    meshes = len(bpy.data.meshes)
+    addon_utils.disable("addon")
+    held.let_go()
+    seen["disabled"] = ob().mode, len(bpy.data.meshes) == meshes
+    yield 0.5
+    mode("OBJECT")
+    seen["chosen when disabled"] = chosen()
+    addon_utils.enable("addon", persistent=True)
+    yield 0.5
+
+
 def story() -> Iterator[object]:
     """All of it, one after the other."""
+    yield from repeated()
+    yield from without_workspace()
     begin()
     yield 1.0
     yield from as_at_once()
@@ -225,8 +281,9 @@ def story() -> Iterator[object]:
     yield 0.5
     yield from disturbed("undone meanwhile", undo)
     yield from disturbed("Esc", escape)
-    seen["meshes"] = [m.name for m in bpy.data.meshes if "gs_leaving" in m or "gs_filling" in m]
+    seen["meshes"] = [m.name for m in bpy.data.meshes if "gs_temporary" in m]
     yield from disturbed("nothing", lambda: None)
+    yield from disabled()
     yield from compared()
 
 

@@ -46,6 +46,23 @@ def test_what_changes_meanwhile_is_not_lost(seen, name):
     assert found[name] == COUNT and found["nothing"] == 500
 
 
+def test_repeat_last_has_it_at_once(seen):
+    """Oracle: counts right after it, and that Blender goes on: it ends itself where an operator
+    that is repeated waits for events."""
+    assert seen[0]["repeated"] == [True, 700]
+
+
+def test_a_workspace_may_go(seen):
+    """Oracle: the count that was asked for."""
+    assert seen[0]["without workspace"] == 500
+
+
+def test_the_add_on_may_be_disabled(seen):
+    """Oracle: mode, meshes and selection as if it had been given up."""
+    found, _ = seen
+    assert found["disabled"] == ["EDIT", True] and found["chosen when disabled"] == [3]
+
+
 def test_a_comparison_goes_on_beside_and_can_be_given_up(seen):
     """Oracle: what the camera has and which images there are after Esc; then a picture of three
     photos' width in a window of its own, which Blender would not ask to save."""
