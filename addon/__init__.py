@@ -26,6 +26,7 @@ MODULES: tuple[str, ...] = (
     "splats.mend_operators",
     "splats.watch",
     "splats.held",
+    "splats.temporary",
     "job.properties",
     "job.follow",
     "job.operators",

@@ -5,7 +5,6 @@ place of the old one at once.
 """
 
 import time
-import uuid
 from collections.abc import Callable, Sequence
 from typing import Any, Generic
 
@@ -15,10 +14,10 @@ from .. import attributes
 from ..process.pieces import Pieces
 from . import objects
 from .ready import ReadyT
+from .temporary import Temporary
 
 BUDGET = 0.008
 """Seconds of a beat in which attributes are begun; the last one may take as long again."""
-_MARK = "gs_filling"
 
 
 def _new() -> bpy.types.Mesh:
@@ -26,7 +25,7 @@ def _new() -> bpy.types.Mesh:
 
 
 class Filling(Generic[ReadyT]):
-    """A mesh on its way. It is looked up anew at each step: undo, or another file, may take it."""
+    """A mesh on its way. Where undo, or another file, takes it, it is begun anew."""
 
     # Quoted: see ready.py.
     def __init__(self, loaded: ReadyT, make: "Callable[[], bpy.types.Mesh]" = _new) -> None:
@@ -38,8 +37,7 @@ class Filling(Generic[ReadyT]):
         """
         self.loaded = loaded
         self._make = make
-        self._mark = uuid.uuid4().hex
-        self._name = ""
+        self._temporary: Temporary | None = None
         self._next = 0
 
     def step(self) -> bpy.types.Mesh | None:
@@ -70,24 +68,22 @@ class Filling(Generic[ReadyT]):
     def take(self) -> bpy.types.Mesh:
         """The complete mesh, which from now on is the caller's."""
         mesh = self._mesh()
-        del mesh[_MARK]
+        self._temporary.take()
         mesh.update()
         return mesh
 
     def drop(self) -> None:
         """Remove what was filled so far; nothing happens once it is the caller's."""
-        mesh = bpy.data.meshes.get(self._name)
-        if mesh is not None and mesh.get(_MARK) == self._mark:
-            bpy.data.meshes.remove(mesh)
+        if self._temporary is not None:
+            self._temporary.drop()
 
     def _mesh(self) -> bpy.types.Mesh:
-        mesh = bpy.data.meshes.get(self._name)
-        if mesh is None or mesh.get(_MARK) != self._mark:
+        mesh = None if self._temporary is None else self._temporary.found()
+        if mesh is None:
             mesh = self._make()
-            mesh[_MARK] = self._mark
             if missing := self.loaded.count - len(mesh.vertices):
                 attributes.add_points(mesh, missing)
-            self._name, self._next = mesh.name, 0
+            self._temporary, self._next = Temporary(mesh), 0
         return mesh
 
 

@@ -1,7 +1,6 @@
 """Takes splats out of Blender bit by bit, so that no single step is long."""
 
 import time
-import uuid
 from collections.abc import Sequence
 from functools import partial
 
@@ -12,17 +11,17 @@ from .. import attributes
 from ..attributes import Column
 from ..process.pieces import Check, Pieces, aside
 from . import objects
+from .temporary import Temporary
 
 BUDGET = 0.008
 """Seconds of a step in which attributes are begun; the last one may take as long again."""
-_MARK = "gs_leaving"
 
 
 class Leaving:
     """The splats of an object as they are when this is made, whatever is done to it meanwhile.
 
     They are read from a copy of its mesh, or point cloud, which shares the memory of all that is
-    not changed. The copy is looked up anew at each step: undo, or another file, may take it.
+    not changed.
     """
 
     def __init__(self, ob: bpy.types.Object, names: Sequence[str] | None = None) -> None:
@@ -36,13 +35,10 @@ class Leaving:
             ValueError: attributes are missing, or as `objects.catch_up`.
         """
         objects.catch_up(ob)
-        self._mark = uuid.uuid4().hex
-        self._is_cloud = ob.type == "POINTCLOUD"
         if ob.mode == "EDIT":
             ob.update_from_editmode()
         copy = ob.data.copy()
-        copy[_MARK] = self._mark
-        self._name, self._of, self._data = copy.name, ob.name, ob.data.name
+        self._temporary, self._of, self._data = Temporary(copy), ob.name, ob.data.name
         try:  # of the copy: in Edit Mode attributes are out of reach
             known = attributes.names(copy, called=self._data)
             self._names = known if names is None else [n for n in names if n in known]
@@ -91,20 +87,14 @@ class Leaving:
 
     def drop(self) -> None:
         """Remove the copy."""
-        copy = self._all.get(self._name)
-        if copy is not None and copy.get(_MARK) == self._mark:
-            self._all.remove(copy)
+        self._temporary.drop()
 
     def _sentence(self, share: float) -> str:
         return f"Reading splats of {self._of}: {share:.0%}"
 
-    @property
-    def _all(self) -> bpy.types.bpy_prop_collection:
-        return bpy.data.pointclouds if self._is_cloud else bpy.data.meshes
-
     def _copy(self) -> bpy.types.Mesh | bpy.types.PointCloud:
-        copy = self._all.get(self._name)
-        if copy is None or copy.get(_MARK) != self._mark:
+        copy = self._temporary.found()
+        if copy is None:
             raise ValueError(f"{self._of} was taken away before its splats were read: begin again.")
         return copy
 

@@ -69,7 +69,7 @@ def story() -> Iterator[object]:
     seen["ended"] = not under_way()
     go_on.set()
     yield 1.0
-    seen["meshes"] = [mesh.name for mesh in bpy.data.meshes if "gs_leaving" in mesh]
+    seen["meshes"] = [mesh.name for mesh in bpy.data.meshes if "gs_temporary" in mesh]
 
 
 Teller(story(), leaving(FOLDER, seen))

@@ -49,7 +49,7 @@ def until_filling(coming: Arrival) -> bpy.types.Mesh:
     """The mesh that is half filled."""
     while coming._fillings is None or coming._fillings[0].share < 0.5:
         assert coming.step() is None
-    return next(mesh for mesh in bpy.data.meshes if "gs_filling" in mesh)
+    return next(mesh for mesh in bpy.data.meshes if "gs_temporary" in mesh)
 
 
 def same(one: bpy.types.Object, other: bpy.types.Object) -> None:
@@ -71,7 +71,7 @@ def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
     assert not bpy.data.objects and "500 splats" in coming.sentence
     made = finished(coming)
     assert [ob.name for ob in made] == [ob.data.name for ob in made] == ["chair", "table"]
-    assert not any("gs_filling" in mesh for mesh in bpy.data.meshes)
+    assert not any("gs_temporary" in mesh for mesh in bpy.data.meshes)
     for ob, path in zip(made, paths, strict=True):
         same(ob, files.import_splats(bpy.context, path, up=up))
 

@@ -261,7 +261,7 @@ def test_a_start_that_cannot_be_written(
     assert "a part of its path is a file" in drawn(RegionPanel)
     studio.gscore.output_path = str(tmp_path / "out")
     bpy.ops.gscore.train_region()
-    bpy.data.meshes.remove(next(m for m in bpy.data.meshes if "gs_leaving" in m))
+    bpy.data.meshes.remove(next(m for m in bpy.data.meshes if "gs_temporary" in m))
     job = work.job_of(studio)
     until(lambda: job.ended)
     assert job.status == verb_job.FAILED and "taken away" in job.sentence

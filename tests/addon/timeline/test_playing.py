@@ -300,7 +300,7 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
     playing.gscore_sequence.beyond = "HIDE"
     scene.frame_set(7)
     until(lambda: len(playing.data.vertices) == 0)
-    assert [m for m in bpy.data.meshes if "gs_filling" in m] == []
+    assert [m for m in bpy.data.meshes if "gs_temporary" in m] == []
 
 
 @pytest.fixture
