@@ -1,5 +1,6 @@
 """Splat objects that must stay as they are while an edit of them is under way."""
 
+from collections.abc import Sequence
 from weakref import WeakSet
 
 import bpy
@@ -51,16 +52,7 @@ class Held:
         Raises:
             ValueError: as `there`, or Blender would not keep it now.
         """
-        ob = self.there()
-        objects.check_writable(ob)
-        if bpy.context.mode != self._mode:  # another object's, whose undo steps hold nothing else
-            raise ValueError(
-                f"The mode was changed while this was under way, so nothing was done to "
-                f"{self.name}: begin again in Object Mode."
-            )
-        for other in _HELD:
-            other.is_changed |= other is not self and other.mesh_uid == self.mesh_uid
-        return ob
+        return all_to_change([self])[0]
 
     def copied_mesh(self, *, empty: bool = False) -> bpy.types.Mesh:
         """A copy of its mesh, to be filled and put in its place; it shares memory until then.
@@ -91,6 +83,25 @@ class Held:
     def close(self) -> None:
         """Watch no more."""
         _HELD.discard(self)
+
+    def _check_mode(self) -> None:
+        if bpy.context.mode != self._mode:  # another object's, whose undo steps hold nothing else
+            raise ValueError(
+                f"The mode was changed while this was under way, so nothing was done to "
+                f"{self.name}: begin again in Object Mode."
+            )
+
+
+def all_to_change(helds: "Sequence[Held]") -> list[bpy.types.Object]:
+    """`Held.to_change` of objects that are changed together, and may share their splats."""
+    obs = [held.there() for held in helds]
+    for held, ob in zip(helds, obs, strict=True):
+        objects.check_writable(ob)
+        held._check_mode()
+    meshes = {held.mesh_uid for held in helds}
+    for other in _HELD:
+        other.is_changed |= other not in helds and other.mesh_uid in meshes
+    return obs
 
 
 @persistent

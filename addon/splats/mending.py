@@ -13,7 +13,7 @@ from ..process.pieces import Check, Pieces, aside
 from . import lag, objects, parts
 from .filling import Filling, filled, swap
 from .fitted import is_similarity
-from .held import Held
+from .held import Held, all_to_change
 from .leaving import Leaving
 from .ready import Points, points_of
 from .turning import turned
@@ -112,10 +112,6 @@ class Mend:
         rows = [stays, *(np.flatnonzero(numbers == k) for k in self._apart)]
         return [attributes.picked(table, some) for some in rows]
 
-    def check(self) -> None:
-        """Raise ValueError where it can no longer be done."""
-        self._held.to_change()
-
     def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
         """Put what `filling` made, filled, in its place; the objects that are stretched now."""
         ob, (own, *others) = self._held.there(), meshes
@@ -150,12 +146,9 @@ def mended(helds: list[Held]) -> Pieces[list[bpy.types.Object]]:
     fillings = []
     for mend in mends:
         fillings.append((yield from mend.filling()))
-
-    def check() -> None:
-        for mend in mends:
-            mend.check()
-
-    meshes = yield from filled([one for some in fillings for one in some], check)
+    meshes = yield from filled(
+        [one for some in fillings for one in some], partial(all_to_change, helds)
+    )
     taken, left = [], iter(meshes)
     for mend, some in zip(mends, fillings, strict=True):
         taken += mend.finish([next(left) for _ in some])

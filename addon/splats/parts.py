@@ -11,7 +11,7 @@ from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
 from . import lag, objects, settings
 from .filling import Filling, filled, swap
-from .held import Held
+from .held import Held, all_to_change
 from .leaving import Leaving
 from .ready import points_of
 from .turning import moved
@@ -133,18 +133,15 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
         partial(_together, tables, matrices, names), f"Joining splats with {held.name}"
     )
 
-    def check() -> None:
-        for one in (*others, held):
-            one.to_change()
-
-    [mesh] = yield from filled([Filling(points_of(table), held.emptied_mesh)], check)
+    [mesh] = yield from filled(
+        [Filling(points_of(table), held.emptied_mesh)], partial(all_to_change, [held, *others])
+    )
     lag.forget(mesh)
-    ob = held.there()
-    swap(ob.data, mesh)
-    for one in others:
-        gone = one.there()
-        data = gone.data
-        bpy.data.objects.remove(gone)
+    ob, *gone = (one.there() for one in (held, *others))
+    swap(ob.data, mesh)  # which is that of those who shared it too
+    for one in gone:
+        data = one.data
+        bpy.data.objects.remove(one)
         if not data.users:
             bpy.data.meshes.remove(data)
     return ob
