@@ -48,13 +48,24 @@ _COPIED = {
     "INT": ("value", 1),
     "BOOLEAN": ("value", 1),
     "FLOAT2": ("vector", 2),
+    "FLOAT4X4": ("value", 16),
+    "BYTE_COLOR": ("color_srgb", 4),
+    "INT8": ("value", 1),
+    "INT16_2D": ("value", 2),
+    "INT32_2D": ("value", 2),
 }
 """The same for everything that follows when points are deleted."""
 _BLOCK = 1 << 12
 """Splats rearranged at once."""
 _SELECTION, _HIDDEN = ".select_vert", ".hide_vert"
 _POINT_SELECTION = ".selection"
-_DTYPES = {"INT": np.int32, "BOOLEAN": np.bool_}
+_DTYPES = {
+    "INT": np.int32,
+    "BOOLEAN": np.bool_,
+    "INT8": np.int32,
+    "INT16_2D": np.int32,
+    "INT32_2D": np.int32,
+}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
 """The float32 below 1."""
