@@ -141,9 +141,11 @@ def apply_transform(held: Held) -> Pieces[None]:
     Blender's own Apply moves the points alone and leaves ellipsoids and colours as they were.
 
     Raises:
-        ValueError: the scale is uneven, or as `Held.to_change`; nothing is changed then.
+        ValueError: the scale is uneven, other objects show the same splats, or as `Held.to_change`;
+            nothing is changed then.
     """
     ob = held.there()
+    _check_unshared(ob)
     matrix = local_matrix(ob)
     objects.moved(attributes.NO_SPLATS, matrix, held.name)  # refuses what cannot be
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)
@@ -151,7 +153,9 @@ def apply_transform(held: Held) -> Pieces[None]:
     changed = yield from aside(
         partial(moved, table, matrix, held.name), f"Turning splats of {held.name}"
     )
-    [mesh] = yield from filled([Filling(points_of(changed), held.copied_mesh)], held.to_change)
+    [mesh] = yield from filled(
+        [Filling(points_of(changed), held.copied_mesh)], lambda: _check_unshared(held.to_change())
+    )
     ob = held.there()
     lag.forget(mesh)
     attributes.leave_points_unselected(mesh)
@@ -161,3 +165,12 @@ def apply_transform(held: Held) -> Pieces[None]:
         lag.note(mesh, turn @ lags @ np.linalg.inv(turn), numbers)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)
+
+
+def _check_unshared(ob: bpy.types.Object) -> None:
+    others = [one.name for one in bpy.data.objects if one.data == ob.data and one != ob]
+    if others:
+        raise ValueError(
+            f"{ob.name} shares its splats with {', '.join(others)}, which would move too: Object > "
+            "Relations > Make Single User > Object & Data first."
+        )

@@ -10,6 +10,7 @@ import pytest
 
 from addon import attributes
 from addon.core import Splats, join_splats
+from addon.interface import stepping
 from addon.process.pieces import Going
 from addon.splats import filling, leaving, objects
 from tests.addon import splat_scenes as lab
@@ -200,6 +201,95 @@ def test_of_two_at_once_one_is_done() -> None:
     with pytest.raises(ValueError, match="begin again"):
         until(second, lambda: False)
     assert len(ob.data.vertices) == 150 and "splats part" not in bpy.data.objects
+
+
+@pytest.mark.parametrize("of", ["the first", "each other"])
+def test_those_that_share_splats_are_joined(of: str) -> None:
+    """Oracle: places in the world, by Blender's own matrices; no mesh is left."""
+    ob = prepare("join_splats")
+    other = bpy.data.objects["other"]
+    copy = (ob if of == "the first" else other).copy()
+    bpy.context.scene.collection.objects.link(copy)
+    copy.location = (5, 0, 0)
+    copy.select_set(True)
+    bpy.context.view_layer.update()
+    wanted = np.concatenate([_places(one) for one in (ob, other, copy)])
+    bpy.ops.gscore.join_splats()
+    got = _places(ob)
+    assert sorted(map(tuple, got.round(4))) == sorted(map(tuple, wanted.round(4)))
+    assert list(bpy.context.scene.objects) == [ob] and list(bpy.data.meshes) == [ob.data]
+
+
+def _places(ob: bpy.types.Object) -> np.ndarray:
+    found = np.array([ob.matrix_world @ vertex.co for vertex in ob.data.vertices])
+    return found + 0.0  # no negative zeros
+
+
+def test_what_others_show_is_not_moved() -> None:
+    """Oracle: the matrix and the splats of before, and who is named."""
+    ob = prepare("apply_splat_transform")
+    other = ob.copy()
+    bpy.context.scene.collection.objects.link(other)
+    before = state()
+    with pytest.raises(RuntimeError, match=f"shares its splats with {other.name}"):
+        bpy.ops.gscore.apply_splat_transform()
+    assert state() == before
+
+
+def test_undo_brings_no_copy_back() -> None:
+    """To a step that somebody made while splats were read, and on from it."""
+    prepare("grade_splats")
+    bpy.ops.ed.undo_push(message="before")
+    going = begun("grade_splats", {"saturation": 0.0})
+    assert len(bpy.data.meshes) == 2
+    bpy.ops.ed.undo_push(message="meanwhile")
+    assert until(going, lambda: False)
+    bpy.ops.ed.undo_push(message="after")
+    for step in (bpy.ops.ed.undo, bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.redo):
+        step()
+        assert [mesh.name for mesh in bpy.data.meshes] == ["splats"]
+
+
+def test_what_is_under_way_ends_with_the_add_on() -> None:
+    """Oracle: the datablocks and values of before, though Blender says nothing to operators."""
+    prepare("decimate_splats")
+    before = state()
+    going = begun("decimate_splats", {"count": 150})
+    waiting = _Told()
+    stepping._UnderWay(going, waiting)  # as the operator does in a window
+    stepping.on_unregister()
+    assert state() == before and waiting.ended
+    stepping.on_unregister()
+
+
+class _Told:
+    """In the place of a timer and a status bar."""
+
+    ended = False
+
+    def end(self) -> None:
+        assert not self.ended
+        self.ended = True
+
+
+def test_all_that_numbers_tell_follows() -> None:
+    """Oracle: what was written, of points that stay and of joined ones; 0 where there was none."""
+    ob = prepare("join_splats")
+    kinds = {"FLOAT4X4": 16, "BYTE_COLOR": 4, "INT8": 1, "INT32_2D": 2}
+    for kind, width in kinds.items():
+        ob.data.attributes.new(kind, kind, "POINT")
+        values = attributes.empty_values(kind, COUNT)
+        values[:] = (np.arange(COUNT * width) % 100).reshape(COUNT, width) / (
+            255 if kind == "BYTE_COLOR" else 1
+        )
+        attributes.fill(ob.data, kind, kind, values.reshape(-1))
+    bpy.ops.gscore.join_splats()
+    for kind in kinds:
+        values = attributes.empty_values(kind, COUNT + 50)
+        attributes.copy_values(ob.data, kind, values)
+        wanted = np.arange(values[:COUNT].size) % 100 / (255 if kind == "BYTE_COLOR" else 1)
+        np.testing.assert_array_equal(values[:COUNT].reshape(-1), wanted.astype(values.dtype))
+        assert not values[COUNT:].any()
 
 
 def test_edit_mode_is_entered_again() -> None:
