@@ -195,9 +195,10 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
         wanted = getattr(scene.render, name)
         if getattr(other.render, name) != wanted:
             setattr(other.render, name, wanted)
-    for view, own in zip(scene.render.stereo_views, other.render.stereo_views, strict=True):
-        if own.use != view.use:
-            own.use = view.use
+    used = {view.name: view.use for view in scene.render.stereo_views}
+    for own in other.render.stereo_views:
+        if own.use != (use := used.get(own.name, False)):  # users may take views away
+            own.use = use
     _follow_curve(*(s.render.motion_blur_shutter_curve for s in (scene, other)))
     # Markers that change the camera: the render looks for them in the scene that it draws.
     cuts, own = (

@@ -18,9 +18,8 @@ them."""
 
 def views_of(render: bpy.types.RenderSettings) -> list[str]:
     """Names of the pictures of a frame; an empty one where there is but one picture."""
-    if not render.use_multiview:
-        return [""]
-    return [view.name for view in render.stereo_views if view.use]
+    eyes = [view.name for view in render.stereo_views if view.use]
+    return eyes if render.use_multiview and eyes else [""]
 
 
 def refusal(scene: bpy.types.Scene, camera: bpy.types.Object | None) -> str:

@@ -112,6 +112,25 @@ def test_an_eye_alone(pair, tmp_path, monkeypatch):
     assert counts == [2, 1]
 
 
+def test_without_eyes_there_is_a_picture(pair, tmp_path, capfd):
+    """Views may be taken away or be called otherwise. Oracle: the picture without stereo, of the
+    engine and of a composite."""
+    lab.add(pair, lab.blob(200))
+    pair.render.use_multiview = False
+    wanted = lab.render_exr(tmp_path, "plain")
+    views = pair.render.views
+    views.remove(views["left"])
+    views[0].name = "else"
+    pair.render.use_multiview = True
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "none"), wanted)
+    pair.render.engine = "CYCLES"
+    pair.cycles.samples = 1
+    compositor.set_up(pair)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "composite"), wanted, atol=1e-3)
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_composites_have_two_eyes(pair, tmp_path):
     """Oracle: the pictures of the engine itself."""
     lab.add(pair, lab.blob(200))
