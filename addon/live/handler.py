@@ -8,30 +8,26 @@ from functools import partial
 
 import bpy
 import gpu
-import numpy as np
 from bpy.app.handlers import persistent
 
-from ..compat import draws_into_views, matrix_to_numpy, rec709_to_scene
+from ..compat import draws_into_views, matrix_to_numpy
 from ..interface.views import redraw_views
 from ..render import copies, viewport
-from ..render.engine import NAME, final_cache
-from ..render.operators import changes_colors
-from ..render.scene import Source, sources
+from ..render.engine import final_cache
+from ..render.scene import Placed, Source, sources
 from ..splats import settings as splat_settings
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
 from . import photos
 from .attempts import Attempts
 from .card import Card
-from .clip import Cuts
 from .engine_view import EngineView
+from .stand_in import StandIn
+from .view_context import cuts_of, has_lines_in_front, is_hidden_by_others, is_own, keeps_colors
 from .views import View
 
 POLL = 0.02
 """Seconds between two looks whether a view has something new to show."""
-_HIDES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
-"""Types of objects that may stand before splats."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -55,27 +51,7 @@ class _State:
 _state = _State()
 
 
-class _StandIn:
-    """For views in the engine's Rendered shading."""
-
-    def stands_in(self, context: bpy.types.Context) -> bool:
-        """Whether splats are drawn live there; in colours that the picture will not have only
-        before a photo, whose own are shown too."""
-        drawn = SESSION.works and not SESSION.by_engine
-        wanted = drawn and context.scene.gscore_render.live
-        return wanted and (not changes_colors(context.scene) or self.stays(context))
-
-    def moves(self, context: bpy.types.Context) -> bool:
-        """Whether its view has just changed."""
-        view = _state.views.get(context.region.as_pointer())
-        return isinstance(view, View) and view.level.moving
-
-    def stays(self, context: bpy.types.Context) -> bool:
-        """Whether a photo is to be seen behind the splats, over which Blender lays it else."""
-        return photos.is_behind(context)
-
-
-_STAND_IN = _StandIn()
+_STAND_IN = StandIn(_state.views)
 
 
 def view_of(region: bpy.types.Region) -> View | EngineView | None:
@@ -92,7 +68,7 @@ def problem_of(region: bpy.types.Region) -> str:
 def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[Source]:
     """The splat objects that are drawn live in the view of a context."""
     space = context.space_data
-    own = _is_own(context)
+    own = is_own(context)
     if space.shading.type == "WIREFRAME" or (own and not _STAND_IN.stands_in(context)):
         return []
     found = sources(depsgraph)
@@ -110,7 +86,7 @@ def draw(context: bpy.types.Context) -> None:
     pointer = context.region.as_pointer()
     if not SESSION.works or context.region_data is None:
         return
-    if pointer in viewport.EXACT and _is_own(context):
+    if pointer in viewport.EXACT and is_own(context):
         return
     if _state.attempts.rests(time.monotonic()):
         return
@@ -138,15 +114,28 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     if view is None:
         view = EngineView(final_cache) if SESSION.by_engine else View(final_cache)
         _state.views[pointer] = view
+    try:
+        _show(context, depsgraph, view, placed)
+    finally:  # where there is no picture for now there may be one soon
+        if view.waits:
+            _ensure()
+
+
+def _show(
+    context: bpy.types.Context,
+    depsgraph: bpy.types.Depsgraph,
+    view: View | EngineView,
+    placed: list[Placed],
+) -> None:
     rv3d = context.region_data
     matrix, window = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
     part = gpu.state.viewport_get()
     camera = viewport.view_camera(matrix, window, *part[2:], perspective=rv3d.is_perspective)
-    front = _has_lines_in_front(context, depsgraph)
-    hides = _hidden_by(context, depsgraph)
+    front = has_lines_in_front(context, depsgraph)
+    hides = is_hidden_by_others(context, depsgraph)
     antialias = context.scene.gscore_render.antialias
-    cuts = _cuts(context)
-    tint = context.space_data.overlay.show_overlays and not _is_own(context)
+    cuts = cuts_of(context)
+    tint = context.space_data.overlay.show_overlays and not is_own(context)
     if isinstance(view, EngineView):
         values = partial(view.depths.values, *part, front=front) if hides else None
         view.draw(placed, camera, window, antialias, values, cuts=cuts, tint=tint)
@@ -161,10 +150,8 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
         if picture is not None:
             photo = photos.in_front(context, window, *part[2:])
             rests = photo is None and picture.nearness is None and not view.level.moving
-            within = _state.scene if rests and _keeps_colors(context) else None
+            within = _state.scene if rests and keeps_colors(context) else None
             _state.card.show(picture, *part, photo, within)
-    if view.waits:
-        _ensure()
 
 
 def _failed(error: Exception, pointer: int) -> None:
@@ -195,50 +182,6 @@ def _failed(error: Exception, pointer: int) -> None:
             f"The graphics card failed while it drew splats ({error}); it is asked again."
         )
     _soon(redraw_views, pause or 0.0)
-
-
-def _is_own(context: bpy.types.Context) -> bool:
-    """Whether the view is in Rendered shading of our engine."""
-    return context.space_data.shading.type == "RENDERED" and context.scene.render.engine == NAME
-
-
-def _keeps_colors(context: bpy.types.Context) -> bool:
-    """Whether a view shows sRGB values as they are, once decoded into its picture."""
-    scene = context.scene
-    plain = context.space_data.shading.type == "SOLID" or not changes_colors(scene)
-    device = scene.display_settings.display_device
-    return plain and device == "sRGB" and np.allclose(rec709_to_scene(), np.eye(3), atol=1e-6)
-
-
-def _hidden_by(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether anything may stand before splats; looking at depths costs a wait for the card."""
-    if _is_own(context):
-        return False  # which draws no meshes, though Blender adds their depths for its lines
-    if context.space_data.overlay.show_overlays:
-        return True  # lines: wires, bones, boxes of splats, the grid
-    return any(ob.type in _HIDES and _has_surface(ob) for ob in depsgraph.objects)
-
-
-def _has_lines_in_front(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether lines are drawn over everything; those of surfaces have depths like others."""
-    if _is_own(context) or not context.space_data.overlay.show_overlays:
-        return False
-    return any(ob.show_in_front for ob in depsgraph.objects)
-
-
-def _has_surface(ob: bpy.types.Object) -> bool:
-    if is_splats(ob):
-        return ob.original.gscore.display in {"POINTS", "ELLIPSOIDS", "SOFT", "NATIVE"}
-    return ob.display_type in {"SOLID", "TEXTURED"}
-
-
-def _cuts(context: bpy.types.Context) -> Cuts:
-    """Where the view ends, as for meshes; the engine knows no far end."""
-    space, region = context.space_data, context.region_data
-    if not region.use_clip_planes or space.shading.type != "SOLID":
-        return Cuts(far=not _is_own(context))
-    planes = np.array(region.clip_planes, np.float64)[: 4 if region.use_box_clip else 6]
-    return Cuts(far=True, planes=planes)
 
 
 def _calm() -> None:

@@ -221,7 +221,7 @@ class View:
             The picture; None where there is none.
 
         Raises:
-            ValueError: the objects want to be drawn in different ways.
+            ValueError: the objects want to be drawn in different ways, or one cannot be drawn.
         """
         began = time.perf_counter()
         total = sum(len(p.frozen.vertices) for p in placed)
@@ -234,6 +234,9 @@ class View:
             self._asked = wish
             self.sorter.ask(wish)
         self._take_in(card)
+        if self.sorter.problem:
+            self.complete = False
+            raise ValueError(self.sorter.problem)
         if self._shown is None:
             return None
         shown = self._shown

@@ -66,6 +66,16 @@ def turned(view: bpy.types.RegionView3D, angle: float) -> Iterator[object]:
     yield at_rest
 
 
+def spoiled(name: str, wall: bpy.types.Object) -> Iterator[object]:
+    """A splat is no number, then as before; nobody moves anything meanwhile."""
+    before = tuple(wall.data.attributes["scale"].data[7].vector)
+    for vector, end in (((float("nan"),) * 3, "spoiled"), (before, "mended")):
+        wall.data.attributes["scale"].data[7].vector = vector
+        wall.data.update()
+        yield 3.0
+        shot(f"{name}_{end}")
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     scene = bpy.context.scene
@@ -87,6 +97,7 @@ def story() -> Iterator[object]:
     found = region()
     seen["middle"] = [found.x + found.width // 2, found.y + found.height // 2]
     shot("live")
+    yield from spoiled("live", wall)
     yield from turned(view, 0.4)
     shot("live_turned")
     yield from turned(view, 0.0)
@@ -116,6 +127,7 @@ def story() -> Iterator[object]:
     yield 0.5
     yield at_rest
     shot("by_engine_painted")
+    yield from spoiled("by_engine", wall)
     addon_utils.disable("addon")
     addon_utils.enable("addon", persistent=True)
     failing = Failing(Card, "__init__", 1e9)

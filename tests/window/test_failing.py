@@ -56,6 +56,16 @@ def test_changes_are_seen_in_the_pictures_of_the_engine(seen):
     assert (apart > 4).mean() < 0.01
 
 
+@pytest.mark.parametrize(("name", "before"), [("live", "live"), ("by_engine", "by_engine_painted")])
+def test_what_cannot_be_drawn_is_said_until_it_can(seen, name, before):
+    """Oracle: the sentence names the object; then the pixels of before."""
+    problems = seen[0]["problems"]
+    assert "wall has 1 splats whose scale is not finite" in problems[f"{name}_spoiled"]
+    assert "wall" not in problems[f"{name}_mended"]
+    apart = np.abs(around(seen, f"{name}_mended") - around(seen, before))
+    assert (apart > 4).mean() < 0.01
+
+
 def test_what_is_refused_is_not_asked_for_again(seen):
     """Oracle: how often the card was asked: once, or with three pauses."""
     calls = seen[0]["calls"]

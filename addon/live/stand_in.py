@@ -1,0 +1,35 @@
+"""Live splats in the engine's own Rendered shading, as long as its picture is not ready."""
+
+from collections.abc import Mapping
+
+import bpy
+
+from ..render.operators import changes_colors
+from ..splats.live import SESSION
+from . import photos
+from .engine_view import EngineView
+from .views import View
+
+
+class StandIn:
+    """As `render.viewport.StandIn`."""
+
+    def __init__(self, views: Mapping[int, View | EngineView]) -> None:
+        """Those that are known, by the pointer of their region."""
+        self._views = views
+
+    def stands_in(self, context: bpy.types.Context) -> bool:
+        """Whether splats are drawn live there; in colours that the picture will not have only
+        before a photo, whose own are shown too."""
+        drawn = SESSION.works and not SESSION.by_engine
+        wanted = drawn and context.scene.gscore_render.live
+        return wanted and (not changes_colors(context.scene) or self.stays(context))
+
+    def moves(self, context: bpy.types.Context) -> bool:
+        """Whether its view has just changed."""
+        view = self._views.get(context.region.as_pointer())
+        return isinstance(view, View) and view.level.moving
+
+    def stays(self, context: bpy.types.Context) -> bool:
+        """Whether a photo is to be seen behind the splats, over which Blender lays it else."""
+        return photos.is_behind(context)
