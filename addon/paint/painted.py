@@ -174,11 +174,16 @@ class PaintedObject:
                 f"The splats of {self._name} were replaced while the stroke was painted: paint it "
                 "again."
             )
+        reached = self._rows[self._stroke.share > 0]  # others may have been changed meanwhile
         if self._brush.does == SELECT:
-            attributes.select(mesh, selected)
+            now = attributes.selected(mesh)
+            now[reached] = selected[reached]
+            attributes.select(mesh, now)
         else:
+            now = attributes.column(mesh, attributes.BASE, called=self._name)
+            now[reached] = base[reached]
             kind = mesh.attributes[attributes.BASE].data_type
-            attributes.fill(mesh, attributes.BASE, kind, base.reshape(-1))
+            attributes.fill(mesh, attributes.BASE, kind, now.reshape(-1))
         mesh.update()
 
 

@@ -15,7 +15,7 @@ from addon.attributes import BASE
 from addon.cameras.captures import render_camera
 from addon.core import Splats, join_splats
 from addon.paint import painted
-from addon.paint.brush import COLOR, OPACITY, Brush
+from addon.paint.brush import COLOR, OPACITY, SELECT, Brush
 from addon.process.pieces import at_once
 from addon.render.viewport import view_camera
 from addon.splats import objects
@@ -67,6 +67,28 @@ def shares(ob: bpy.types.Object, radius: float, hardness: float) -> np.ndarray:
         distance = from_way(np.array([x * SIZE[0], y * SIZE[1]]), way) if seen else np.inf
         found.append(falloff(distance, radius, hardness))
     return np.array(found)
+
+
+@pytest.mark.parametrize("does", [COLOR, SELECT])
+def test_what_others_do_during_a_stroke_stays(ob: bpy.types.Object, does: str) -> None:
+    """Oracle: splats that the stroke did not reach are as another edit has left them."""
+    chosen = np.arange(900) % 2 == 0
+
+    brush = Brush(does=does, radius=0.3, hardness=1.0, strength=1.0, color=RED)
+    made = at_once(painted.beginning(ob, brush, None))
+    made.to(np.array(ob.matrix_world.translation))
+    wanted = np.full((900, 4), 0.25, np.float32)
+    attributes.fill(ob.data, BASE, "FLOAT_COLOR", wanted.reshape(-1))
+    attributes.select(ob.data, chosen)
+    reached = np.zeros(900, bool)
+    reached[made._rows[made._stroke.share > 0]] = True
+    assert 10 < reached.sum() < 800
+    assert made.finish() == reached.sum()
+    if does == COLOR:
+        np.testing.assert_array_equal(base_of(ob)[~reached], wanted[~reached])
+        assert not (base_of(ob)[reached, 0] == 0.25).any()
+    else:
+        np.testing.assert_array_equal(attributes.selected(ob.data), chosen | reached)
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
