@@ -9,7 +9,6 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, preferences
-from ..core import GsError
 from ..interface import undo
 from ..job import guides, options, training
 from ..job.launch import begin, follow, launch
@@ -115,8 +114,8 @@ def proceed(job: RegionJob) -> bool:
             return False
         else:
             begin(job.python, job.begin)
-    except (GsError, ValueError) as error:
-        job.fail(str(error))
+    except Exception as error:  # whatever it is, nothing begins without its files
+        job.fail(str(error) or type(error).__name__)
     job.start = None
     return True
 

@@ -267,6 +267,32 @@ def test_a_start_that_cannot_be_written(
     assert job.status == verb_job.FAILED and "taken away" in job.sentence
 
 
+@pytest.mark.parametrize("error", [MemoryError, OSError("no space left")])
+def test_a_start_that_fails_begins_nothing(
+    studio: bpy.types.Scene,
+    tmp_path: Path,
+    play: Play,
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+) -> None:
+    """Oracle: a word in the panel, and no program that was begun."""
+    write_splats(tmp_path / "a.ply", splats(50))
+    play({"say": STARTED}, {"follow": 30})
+    cropped(studio, tmp_path / "a.ply")
+
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(start, "write_region", fail)
+    bpy.ops.gscore.train_region()
+    job = work.job_of(studio)
+    until(lambda: job.ended)
+    for _ in range(3):
+        beat.tick()
+    assert job.status == verb_job.FAILED and job._process is None
+    assert job.sentence in ("MemoryError", "no space left")
+
+
 def test_what_is_no_region(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: a sentence for each, and that nothing was written."""
     write_splats(tmp_path / "a.ply", splats(50))
