@@ -27,7 +27,8 @@ def is_behind(context: bpy.types.Context) -> bool:
 def in_front(
     context: bpy.types.Context, window: np.ndarray, width: int, height: int
 ) -> FrontPhoto | None:
-    """The picture before a view's camera, if it fills the frame as the photos of captures do.
+    """The picture before a view's camera, if it fills the frame as the photos of captures do, and
+    is one: of films and sequences Blender does not tell which frame it shows.
 
     Args:
         context: Of the view.
@@ -73,4 +74,5 @@ def _shown(context: bpy.types.Context) -> Iterator[bpy.types.CameraBackgroundIma
 def _fills_frame(slot: bpy.types.CameraBackgroundImage) -> bool:
     moved = any(slot.offset) or slot.rotation or slot.scale != 1
     turned = slot.use_flip_x or slot.use_flip_y
-    return slot.source == "IMAGE" and slot.frame_method == "STRETCH" and not (moved or turned)
+    still = slot.source == "IMAGE" and slot.image.source not in {"MOVIE", "SEQUENCE"}
+    return still and slot.frame_method == "STRETCH" and not (moved or turned)

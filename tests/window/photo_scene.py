@@ -54,6 +54,18 @@ def lost() -> Iterator[object]:
     subprocess.run(["import", "-window", "root", str(FOLDER / "lost.png")], check=True)
 
 
+def sequence() -> Iterator[object]:
+    """The screen with a sequence of pictures before the splats."""
+    slot = bpy.context.scene.camera.data.background_images[0]
+    photo = slot.image
+    slot.image = photo.copy()
+    slot.image.source = "SEQUENCE"
+    area().tag_redraw()
+    yield 2.0
+    subprocess.run(["import", "-window", "root", str(FOLDER / "sequence.png")], check=True)
+    slot.image = photo
+
+
 def story() -> Iterator[object]:
     """Import a capture, put a wall before one of its cameras, look through that."""
     scene = bpy.context.scene
@@ -80,6 +92,7 @@ def story() -> Iterator[object]:
     yield 1.0
     yield from shots("rendered", wall)
     space().shading.type = "SOLID"
+    yield from sequence()
     yield from lost()
 
 

@@ -57,6 +57,11 @@ def test_a_photo_shows_as_much_as_was_chosen(seen):
     assert np.abs(around(seen, "solid_half") - want).mean() < 2
 
 
+def test_a_sequence_of_which_no_frame_is_known_hides_nothing(seen):
+    """Oracle: the wall's colour."""
+    assert np.abs(around(seen, "sequence") - COLOR).max() <= 2
+
+
 def test_a_photo_that_is_not_there_hides_nothing(seen):
     """Oracle: the wall's colour."""
     assert np.abs(around(seen, "lost") - COLOR).max() <= 2
