@@ -23,6 +23,7 @@ MODULES: tuple[str, ...] = (
     "splats.settings",
     "splats.operators",
     "splats.edit_operators",
+    "splats.select_operators",
     "splats.mend_operators",
     "splats.watch",
     "splats.held",

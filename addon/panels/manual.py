@@ -16,6 +16,7 @@ _SECTIONS = {
     "render": "render",
     "live": "from-photos-to-splats",
     "splats.edit_operators": "edit",
+    "splats.select_operators": "edit",
     "paint": "paint",
     "judge": "where-it-is-wrong",
     "steer": "steer-training",

@@ -97,10 +97,11 @@ def timed(name: str, operator: str, **settings: Any) -> None:
 def measured(name: str, pieces: Any) -> None:
     """Print what work takes."""
     from addon.process.pieces import Going
-    from addon.splats import edit_operators, operators
+    from addon.splats import edit_operators, operators, select_operators
 
     blenders, enter = Blenders(), operators.edit_vertices
-    edit_operators.edit_vertices = blenders.timed(enter)
+    for module in (edit_operators, select_operators):
+        module.edit_vertices = blenders.timed(enter)
     own, theirs, late = 0.0, 0.0, 0.0
     began = time.perf_counter()
     try:
@@ -109,7 +110,8 @@ def measured(name: str, pieces: Any) -> None:
             own, theirs = max(own, step - blenders.spent), max(theirs, blenders.spent)
             late, blenders.spent = max(late, waited), 0.0
     finally:
-        edit_operators.edit_vertices = enter
+        for module in (edit_operators, select_operators):
+            module.edit_vertices = enter
     took = time.perf_counter() - began
     print(
         f"{name:30} {took:6.2f} s {own * 1e3:6.0f} ms {theirs * 1e3:6.0f} ms {late * 1e3:6.0f} ms",

@@ -1,0 +1,270 @@
+"""Operators that select splats: by what they are, where they lie, and what they hang together
+with."""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty
+
+from .. import attributes
+from ..core import in_unit_shape
+from ..process.pieces import Pieces, aside
+from . import choose, filters
+from .edit_operators import Editing
+from .held import Held
+from .leaving import leaving
+from .operators import check_shown, edit_vertices
+
+_MODES = [
+    (choose.SET, "New", "Select what is found, and nothing else"),
+    (choose.ADD, "Add", "Add what is found to the selection"),
+    (choose.TAKE, "Subtract", "Deselect what is found"),
+    (choose.COMMON, "Intersect", "Keep selected what is found"),
+]
+
+
+Find = Callable[[dict[str, np.ndarray]], np.ndarray]
+"""[N] bool, which splats are meant, of copies of attributes; in a thread."""
+
+
+class _Choosing(Editing):
+    """Selects vertices and enters Edit Mode, where they are seen."""
+
+    reads: ClassVar[tuple[str, ...]]
+    """Attributes that tell which."""
+
+    @property
+    def how(self) -> str:
+        """What becomes of the selection, as `choose.combined` takes it."""
+        return choose.SET
+
+    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+        """Select."""
+        ob = held.there()
+        check_shown(ob)  # before the selection changes
+        before = attributes.selected(ob.data)
+        find, how = self.find(ob, before), self.how
+        columns = yield from leaving(ob, self.reads)
+        chosen = yield from aside(
+            lambda check: choose.combined(before, find(columns), how), self.bl_label
+        )
+        ob = held.to_change()
+        check_shown(ob)
+        attributes.select(ob.data, chosen)
+        ob.data.update()
+        edit_vertices(context, ob)
+        return f"{int(chosen.sum()):,} splats are selected."
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """What tells which are meant; `before` [N] are selected. ValueError as `edit`."""
+        raise NotImplementedError
+
+
+class _Selecting(_Choosing):
+    """Adds to the selection, or takes away from it."""
+
+    mode: EnumProperty(name="Mode", description="What becomes of the selection", items=_MODES)
+
+    @property
+    def how(self) -> str:
+        """As the property says."""
+        return self.mode
+
+
+class SelectSplats(_Choosing, bpy.types.Operator):
+    """Select splats by what the display filters hide, in Edit Mode"""
+
+    bl_idname = "gscore.select_splats"
+    bl_label = "Select Splats"
+    reads = filters.LOOKED_AT
+
+    which: EnumProperty(
+        name="Which",
+        description="Splats to select; all others are deselected",
+        items=[
+            ("HIDDEN", "Hidden", "Splats that the filters hide"),
+            ("VISIBLE", "Visible", "Splats that the filters show"),
+        ],
+    )
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """As the filters say."""
+        limits, hidden = filters.filters_of(ob), self.which == "HIDDEN"
+        return lambda columns: filters.passing(columns, limits) != hidden
+
+
+def _need_seeds(before: np.ndarray) -> None:
+    if not before.any():
+        raise ValueError("Select a splat to begin with, in Edit Mode.")
+
+
+class SelectByColor(_Selecting, bpy.types.Operator):
+    """Select splats that have the color of the selected ones, or one that is chosen"""
+
+    bl_idname = "gscore.select_by_color"
+    bl_label = "Select by Color"
+    reads = (attributes.BASE,)
+
+    picked: BoolProperty(
+        name="Chosen Color",
+        description="Compare with the color below, not with the mean of the selected splats",
+    )
+    color: FloatVectorProperty(
+        name="Color",
+        description="What to compare with",
+        subtype="COLOR_GAMMA",
+        min=0.0,
+        max=1.0,
+        default=(0.5, 0.5, 0.5),
+    )
+    tolerance: FloatProperty(
+        name="Tolerance",
+        description="Largest distance of colors; black and white are 1.73 apart",
+        default=0.15,
+        min=0.0,
+        max=1.74,
+    )
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """By distance in sRGB values."""
+        color, tolerance = np.array(self.color) if self.picked else None, self.tolerance
+        if color is None:
+            _need_seeds(before)
+
+        def alike(columns: dict[str, np.ndarray]) -> np.ndarray:
+            base = columns[attributes.BASE]
+            wanted = choose.colors(base[before]).mean(axis=0) if color is None else color
+            return choose.alike(base, wanted, tolerance)
+
+        return alike
+
+
+class SelectByOpacity(_Selecting, bpy.types.Operator):
+    """Select splats by their opacity"""
+
+    bl_idname = "gscore.select_by_opacity"
+    bl_label = "Select by Opacity"
+    reads = (attributes.BASE,)
+
+    low: FloatProperty(name="From", description="Smallest opacity", min=0.0, max=1.0)
+    high: FloatProperty(name="To", description="Largest opacity", min=0.0, max=1.0, default=0.1)
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """Both ends belong to it."""
+        low, high = np.float32(self.low), np.float32(self.high)
+
+        def between(columns: dict[str, np.ndarray]) -> np.ndarray:
+            opacities = columns[attributes.BASE][:, 3]
+            return (opacities >= low) & (opacities <= high)
+
+        return between
+
+
+class SelectBySize(_Selecting, bpy.types.Operator):
+    """Select splats by their largest standard deviation"""
+
+    bl_idname = "gscore.select_by_size"
+    bl_label = "Select by Size"
+    reads = (attributes.SCALE,)
+
+    low: FloatProperty(
+        name="From", description="Smallest size, before the object's scale", min=0.0, precision=5
+    )
+    high: FloatProperty(name="To", description="Largest size; 0 for no limit", min=0.0, precision=5)
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """Both ends belong to it."""
+        low, high = self.low, self.high
+
+        def between(columns: dict[str, np.ndarray]) -> np.ndarray:
+            return choose.between(columns[attributes.SCALE].max(axis=1, initial=0.0), low, high)
+
+        return between
+
+
+class SelectInCrop(_Selecting, bpy.types.Operator):
+    """Select splats whose center lies in the crop object: its box, or the ellipsoid in it"""
+
+    bl_idname = "gscore.select_in_crop"
+    bl_label = "Select in Crop"
+    reads = (attributes.POSITION,)
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """As the filters, without their other limits."""
+        if not filters.is_cropped(ob):
+            raise ValueError(f"{ob.name} has no crop object: use Add Crop Box under Filters.")
+        matrix = filters.crop_matrix(ob, ob.gscore.crop_object)
+        sphere = ob.gscore.crop_shape == filters.SPHERE
+        return lambda columns: in_unit_shape(columns[attributes.POSITION], matrix, sphere=sphere)
+
+
+class SelectFlood(_Selecting, bpy.types.Operator):
+    """Select what hangs together with the selected splats, without a gap"""
+
+    bl_idname = "gscore.select_flood"
+    bl_label = "Flood Select"
+    reads = (attributes.POSITION, attributes.BASE)
+
+    gap: FloatProperty(
+        name="Gap",
+        description="Side of the cells that space is cut into, before the object's scale; splats "
+        "in cells that touch hang together",
+        default=0.05,
+        min=1e-6,
+        precision=4,
+    )
+    tolerance: FloatProperty(
+        name="Color Tolerance",
+        description="Largest distance from the mean color of the selected splats; 0 for any color",
+        min=0.0,
+        max=1.74,
+    )
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """From the selected ones on."""
+        _need_seeds(before)
+        gap, tolerance = self.gap, self.tolerance
+
+        def flooded(columns: dict[str, np.ndarray]) -> np.ndarray:
+            means, base = columns[attributes.POSITION], columns[attributes.BASE]
+            return choose.flooded(means, base, before, gap, tolerance)
+
+        return flooded
+
+
+class SelectFloaters(_Selecting, bpy.types.Operator):
+    """Select splats that hang together with few others: floaters, and small clusters"""
+
+    bl_idname = "gscore.select_floaters"
+    bl_label = "Select Floaters"
+    reads = (attributes.BASE, attributes.SCALE, attributes.ROTATION, attributes.POSITION)
+
+    few: IntProperty(
+        name="Fewer Than", description="Splats of a cluster that stays", default=100, min=2
+    )
+    gap: FloatProperty(
+        name="Gap",
+        description="Side of the cells whose touching makes a cluster, as a share of the size of "
+        "the whole",
+        default=0.05,
+        min=1e-4,
+        max=10.0,
+    )
+
+    def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
+        """As `gscore convert --min-cluster`."""
+        gap, few = self.gap, self.few
+        return lambda columns: choose.floaters(attributes.as_splats(columns), gap, few)
+
+
+CLASSES = (
+    SelectSplats,
+    SelectByColor,
+    SelectByOpacity,
+    SelectBySize,
+    SelectInCrop,
+    SelectFlood,
+    SelectFloaters,
+)
