@@ -1,17 +1,15 @@
 """Meshes and point clouds that are only there while something goes on."""
 
 import uuid
-from weakref import WeakSet
 
 import bpy
 from bpy.app.handlers import persistent
 
 _MARK = "gs_temporary"
-_THERE: "WeakSet[Temporary]" = WeakSet()
 
 
 class Temporary:
-    """One of them, without users. It is looked up anew each time: undo, or another file, may take
+    """One of them, without users. It is looked up anew each time: undo, redo and other files take
     it."""
 
     def __init__(self, block: bpy.types.Mesh | bpy.types.PointCloud) -> None:
@@ -19,7 +17,6 @@ class Temporary:
         self._mark = uuid.uuid4().hex
         self._is_cloud, self._name = isinstance(block, bpy.types.PointCloud), block.name
         block[_MARK] = self._mark
-        _THERE.add(self)
 
     def found(self) -> bpy.types.Mesh | bpy.types.PointCloud | None:
         """It, if it is there."""
@@ -31,7 +28,6 @@ class Temporary:
         block = self.found()
         if block is not None:
             del block[_MARK]
-        _THERE.discard(self)
         return block
 
     def drop(self) -> None:
@@ -39,7 +35,6 @@ class Temporary:
         block = self.found()
         if block is not None:
             self._all.remove(block)
-        _THERE.discard(self)
 
     @property
     def _all(self) -> bpy.types.bpy_prop_collection:
@@ -48,10 +43,10 @@ class Temporary:
 
 @persistent
 def _undone(*_: object) -> None:
-    """Remove what undo and redo have brought back: their steps hold what was there meanwhile."""
-    known = {one._mark for one in _THERE}
+    """Remove what undo and redo have brought back: their steps hold what was there meanwhile, as it
+    was then."""
     for own in (bpy.data.meshes, bpy.data.pointclouds):
-        for block in [b for b in own if not b.users and b.get(_MARK, "") not in ("", *known)]:
+        for block in [b for b in own if not b.users and _MARK in b]:
             own.remove(block)
 
 

@@ -11,8 +11,9 @@ import pytest
 from addon import attributes
 from addon.core import Splats, join_splats
 from addon.interface import stepping
-from addon.process.pieces import Going
+from addon.process.pieces import Going, at_once
 from addon.splats import filling, leaving, objects
+from addon.splats.ready import points_of
 from tests.addon import splat_scenes as lab
 from tools.measure.stand_in import stand_in
 
@@ -248,6 +249,26 @@ def test_undo_brings_no_copy_back() -> None:
     for step in (bpy.ops.ed.undo, bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.redo):
         step()
         assert [mesh.name for mesh in bpy.data.meshes] == ["splats"]
+
+
+def test_undo_takes_what_is_half_filled() -> None:
+    """Undo to a step at which fewer attributes were filled. Oracle: all of them, in the end."""
+    ob = prepare("decimate_splats")
+    made = filling.Filling(points_of(at_once(leaving.Leaving(ob).table())))
+    bpy.ops.ed.undo_push(message="before")
+    for message in ("begun", "further"):
+        for _ in range(3):
+            assert not made.fill()
+        bpy.ops.ed.undo_push(message=message)
+    bpy.ops.ed.undo()
+    while not made.fill():
+        pass
+    mesh = made.take()
+    for name, kind, values in made.loaded.columns:
+        found = attributes.empty_values(kind, COUNT)
+        attributes.copy_values(mesh, name, found)
+        np.testing.assert_array_equal(found.reshape(-1), values)
+    assert len(bpy.data.meshes) == 2
 
 
 def test_what_is_under_way_ends_with_the_add_on() -> None:
