@@ -141,8 +141,8 @@ def apply_transform(held: Held) -> Pieces[None]:
     Blender's own Apply moves the points alone and leaves ellipsoids and colours as they were.
 
     Raises:
-        ValueError: the scale is uneven, other objects show the same splats, or as `Held.to_change`;
-            nothing is changed then.
+        ValueError: the scale is uneven, other objects show the same splats, it is moved meanwhile,
+            or as `Held.to_change`; nothing is changed then.
     """
     ob = held.there()
     _check_unshared(ob)
@@ -154,7 +154,7 @@ def apply_transform(held: Held) -> Pieces[None]:
         partial(moved, table, matrix, held.name), f"Turning splats of {held.name}"
     )
     [mesh] = yield from filled(
-        [Filling(points_of(changed), held.copied_mesh)], lambda: _check_unshared(held.to_change())
+        [Filling(points_of(changed), held.copied_mesh)], partial(_check_applicable, held)
     )
     ob = held.there()
     lag.forget(mesh)
@@ -165,6 +165,11 @@ def apply_transform(held: Held) -> Pieces[None]:
         lag.note(mesh, turn @ lags @ np.linalg.inv(turn), numbers)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)
+
+
+def _check_applicable(held: Held) -> None:
+    _check_unshared(held.to_change())
+    held.check_unmoved()
 
 
 def _check_unshared(ob: bpy.types.Object) -> None:

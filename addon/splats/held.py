@@ -5,6 +5,7 @@ from weakref import WeakSet
 
 import bpy
 from bpy.app.handlers import persistent
+from mathutils import Matrix
 
 from .. import attributes
 from . import objects
@@ -28,7 +29,7 @@ class Held:
         self.is_changed = False
         """Whether somebody has changed the splats, or may have."""
         self._uid, self._count = ob.session_uid, len(ob.data.vertices)
-        self._mode = bpy.context.mode
+        self._mode, self._stood = bpy.context.mode, _stands(ob)
         _HELD.add(self)
 
     def there(self) -> bpy.types.Object:
@@ -53,6 +54,14 @@ class Held:
             ValueError: as `there`, or Blender would not keep it now.
         """
         return all_to_change([self])[0]
+
+    def check_unmoved(self) -> None:
+        """Raise ValueError where it stands elsewhere than when this was made."""
+        ob = self.there()
+        if _stands(ob) != self._stood:
+            raise ValueError(
+                f"{self.name} was moved while this was under way, so nothing was done: begin again."
+            )
 
     def copied_mesh(self, *, empty: bool = False) -> bpy.types.Mesh:
         """A copy of its mesh, to be filled and put in its place; it shares memory until then.
@@ -90,6 +99,11 @@ class Held:
                 f"The mode was changed while this was under way, so nothing was done to "
                 f"{self.name}: begin again in Object Mode."
             )
+
+
+def _stands(ob: bpy.types.Object) -> tuple[Matrix, Matrix]:
+    """Where an object stands in the world, and before its parent's matrix."""
+    return ob.matrix_world.copy(), ob.matrix_parent_inverse @ ob.matrix_basis
 
 
 def all_to_change(helds: "Sequence[Held]") -> list[bpy.types.Object]:

@@ -109,11 +109,11 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     """Take the splats of other objects into one, where and as they are seen; the others go.
 
     SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
-    that name, they are 0. What the first has stays to the bit, selected or hidden.
+    that name, they are 0. What the first has stays to the bit, selected or hidden; vertex groups go.
 
     Raises:
-        ValueError: as `check_joinable` or `Held.to_change`, or a matrix is no similarity; nothing
-            is changed then.
+        ValueError: as `check_joinable` or `Held.to_change`, a matrix is no similarity, or one is
+            moved meanwhile; nothing is changed then.
     """
     ob, obs = held.there(), [other.there() for other in others]
     check_joinable(ob, obs)
@@ -133,9 +133,12 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
         partial(_together, tables, matrices, names), f"Joining splats with {held.name}"
     )
 
-    [mesh] = yield from filled(
-        [Filling(points_of(table), held.emptied_mesh)], partial(all_to_change, [held, *others])
-    )
+    def check() -> None:
+        for one in (held, *others):
+            one.check_unmoved()
+        all_to_change([held, *others])
+
+    [mesh] = yield from filled([Filling(points_of(table), held.emptied_mesh)], check)
     lag.forget(mesh)
     ob, *gone = (one.there() for one in (held, *others))
     swap(ob.data, mesh)  # which is that of those who shared it too

@@ -1,5 +1,6 @@
 """Edits that go on bit by bit. Oracle: the same operator called by a script, on an equal object."""
 
+import re
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -177,6 +178,23 @@ def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what:
     assert state() == before
     if what == "another mode":
         bpy.ops.object.mode_set(mode="OBJECT")
+
+
+@pytest.mark.parametrize(
+    ("name", "moved"),
+    [("apply_splat_transform", "splats"), ("join_splats", "splats"), ("join_splats", "other")],
+)
+def test_what_is_moved_meanwhile_stays_there(name: str, moved: str) -> None:
+    """A sentence; Oracle: the state right after the move."""
+    prepare(name)
+    going = begun(name, {})
+    bpy.data.objects[moved].location.x += 4
+    bpy.context.view_layer.update()
+    before = state()
+    before["meshes"] = [m for m in before["meshes"] if not re.fullmatch(r"(splats|other)\.\d+", m)]
+    with pytest.raises(ValueError, match=f"{moved} was moved"):
+        until(going, lambda: False)
+    assert state() == before
 
 
 def test_lacking_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
