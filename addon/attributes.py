@@ -15,8 +15,7 @@ back with an error growing to 1e-3 at logit 10, and those above 16.6 as 16.6 (an
 """
 
 from dataclasses import replace
-from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +41,7 @@ _KINDS = {
     "FLOAT4": ("vector", 4),
 }
 """Key for foreach_get and width in floats, by data type."""
-_COPIED = {
+FORMATS = {
     **_KINDS,
     "FLOAT": ("value", 1),
     "INT": ("value", 1),
@@ -54,18 +53,11 @@ _COPIED = {
     "INT16_2D": ("value", 2),
     "INT32_2D": ("value", 2),
 }
-"""The same for everything that follows when points are deleted."""
+"""The same for everything that follows when points are deleted or joined."""
 _BLOCK = 1 << 12
 """Splats rearranged at once."""
-_SELECTION, _HIDDEN = ".select_vert", ".hide_vert"
+SELECTION = ".select_vert"
 _POINT_SELECTION = ".selection"
-_DTYPES = {
-    "INT": np.int32,
-    "BOOLEAN": np.bool_,
-    "INT8": np.int32,
-    "INT16_2D": np.int32,
-    "INT32_2D": np.int32,
-}
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
 """The float32 below 1."""
@@ -125,7 +117,7 @@ def declare(datablock: Any, name: str, kind: str) -> None:
 
 def fill(datablock: Any, name: str, kind: str, values: np.ndarray) -> None:
     """Set a declared attribute from flat contiguous numbers of its type."""
-    datablock.attributes[name].data.foreach_set(_COPIED[kind][0], values)
+    datablock.attributes[name].data.foreach_set(FORMATS[kind][0], values)
 
 
 def column(datablock: Any, name: str, *, called: str = "") -> np.ndarray:
@@ -313,7 +305,7 @@ def add_points(mesh: Any, count: int) -> None:
     mesh.vertices.add(count)
     if chosen.any():
         select(mesh, chosen)
-    elif (selection := mesh.attributes.get(_SELECTION)) is not None:
+    elif (selection := mesh.attributes.get(SELECTION)) is not None:
         mesh.attributes.remove(selection)
 
 
@@ -337,92 +329,16 @@ def leave_points_unselected(mesh: Any) -> None:
 def selected(mesh: Any) -> np.ndarray:
     """[N] bool: the selected vertices of a mesh that is not in Edit Mode."""
     found = np.zeros(len(mesh.vertices), bool)
-    if (selection := mesh.attributes.get(_SELECTION)) is not None:
+    if (selection := mesh.attributes.get(SELECTION)) is not None:
         selection.data.foreach_get("value", found)
     return found
 
 
 def select(mesh: Any, chosen: np.ndarray) -> None:
     """Select the vertices `chosen` [N] bool of a mesh of points, and no others."""
-    if _SELECTION not in mesh.attributes:  # which is a hundred times as fast as the vertices
-        mesh.attributes.new(_SELECTION, "BOOLEAN", "POINT")
-    mesh.attributes[_SELECTION].data.foreach_set("value", chosen)
-
-
-class Column(NamedTuple):
-    """One attribute of points."""
-
-    name: str
-    kind: str
-    """Its data type."""
-    values: np.ndarray
-    """[N, width]"""
-
-
-def kinds(mesh: Any) -> dict[str, str]:
-    """Data types by name of all attributes of points of numbers and vectors, those of others among
-    them: what follows where points are deleted or joined."""
-    return {
-        a.name: a.data_type
-        for a in mesh.attributes
-        if a.domain == "POINT" and a.data_type in _COPIED and not a.name.startswith(".")
-    }
-
-
-def empty_values(kind: str, count: int) -> np.ndarray:
-    """[N, width] for an attribute of this data type, not yet set."""
-    return np.empty((count, _COPIED[kind][1]), _DTYPES.get(kind, np.float32))
-
-
-def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
-    """Copy an attribute into what `empty_values` made; the mesh is not in Edit Mode."""
-    attribute = mesh.attributes[name]
-    attribute.data.foreach_get(_COPIED[attribute.data_type][0], values.reshape(-1))
-
-
-def marks(mesh: Any) -> list[Column]:
-    """What is selected and hidden of a mesh of points, as far as anything is."""
-    found = []
-    for name in (_SELECTION, _HIDDEN):
-        if name in mesh.attributes:
-            values = empty_values("BOOLEAN", len(mesh.vertices))
-            copy_values(mesh, name, values)
-            found.append(Column(name, "BOOLEAN", values))
-    return found
-
-
-def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray]:
-    """The attributes of a table that `as_splats` takes, not copied; `rest` as `read`."""
-    found = {column.name: column.values for column in table}
-    harmonics = (f"{SH}{k}" for k in range(SH_COUNTS[-1] if rest else 0))
-    wanted = [BASE, SCALE, ROTATION, POSITION, *takewhile(found.__contains__, harmonics)]
-    return {name: found[name] for name in wanted if name in found}
-
-
-def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
-    """A table of those rows [K] alone."""
-    return [Column(name, kind, values.take(rows, axis=0)) for name, kind, values in table]
-
-
-def joined(tables: list[list[Column]]) -> list[Column]:
-    """The points of some tables, one after the other; 0 where one lacks an attribute.
-
-    Raises:
-        ValueError: an attribute has two data types.
-    """
-    found: dict[str, str] = {}
-    for name, kind, _ in (column for table in tables for column in table):
-        if found.setdefault(name, kind) != kind:
-            raise ValueError(f"The attribute {name} has another type in each object: rename one.")
-    counts = [len(table[0].values) for table in tables]
-    made = []
-    for name, kind in found.items():
-        values, at = empty_values(kind, sum(counts)), 0
-        for table, count in zip(tables, counts, strict=True):
-            own = next((c.values for c in table if c.name == name), 0)
-            values[at : at + count], at = own, at + count
-        made.append(Column(name, kind, values))
-    return made
+    if SELECTION not in mesh.attributes:  # which is a hundred times as fast as the vertices
+        mesh.attributes.new(SELECTION, "BOOLEAN", "POINT")
+    mesh.attributes[SELECTION].data.foreach_set("value", chosen)
 
 
 def _by_coefficient(shN: np.ndarray) -> np.ndarray:

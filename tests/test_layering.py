@@ -220,6 +220,7 @@ WITHOUT_BPY = (
     "sequence.arguments",
     "sequence.job",
     "sequence.registry",
+    "splats.carried",
     "splats.filters",
     "splats.live",
     "srgb",

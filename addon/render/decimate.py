@@ -7,11 +7,11 @@ import numpy as np
 from bpy.props import IntProperty
 
 from .. import attributes, compat
-from ..attributes import Column
 from ..cameras.objects import cameras_of, rigid_viewmat, root_of, stated
 from ..core import Splats, importance_of, most_important, psnr, render
 from ..process.pieces import Check, Pieces, aside
-from ..splats import objects, parts
+from ..splats import carried, objects, parts
+from ..splats.carried import Column
 from ..splats.edit_operators import Editing
 from ..splats.held import Held
 from ..splats.leaving import Leaving
@@ -117,7 +117,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
 def _splats(table: list[Column], name: str) -> Splats:
     """The splats of a table, which stays as it is, without what turns with the view: that is half
     of the time, and changes the figure by 0.1 to 0.5 dB."""
-    columns = attributes.of_splats(table, rest=False)
+    columns = carried.of_splats(table, rest=False)
     for one, values in columns.items():
         attributes.check_finite(values, one, name)
     return attributes.as_splats({one: values.copy() for one, values in columns.items()})

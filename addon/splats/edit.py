@@ -8,13 +8,13 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, compat
-from ..attributes import Column
 from ..cameras.objects import local_matrix
 from ..interface import writable
 from ..nodes import display
 from ..process.pieces import Check, Pieces, aside
 from . import filters, lag, objects, parts, places
 from . import settings as splat_settings
+from .carried import Column
 from .filling import Filling, filled, swap
 from .held import Held
 from .leaving import Leaving

@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..attributes import Column
 from ..process.pieces import Check, Pieces, aside
-from . import objects
+from . import carried, objects
+from .carried import Column
 from .temporary import Temporary
 
 BUDGET = 0.008
@@ -66,7 +66,7 @@ class Leaving:
         Raises:
             ValueError: the copy is gone.
         """
-        return (yield from self._read(attributes.kinds(self._copy())))
+        return (yield from self._read(carried.kinds(self._copy())))
 
     def _read(self, kinds: dict[str, str]) -> Pieces[list[Column]]:
         try:
@@ -78,7 +78,7 @@ class Leaving:
                     yield self._sentence(done / len(columns))
                     until = time.perf_counter() + BUDGET
                 copy = self._copy()
-                attributes.copy_values(copy, name, values)
+                carried.copy_values(copy, name, values)
                 if name != attributes.POSITION:  # a little at a time: all at once takes long
                     copy.attributes.remove(copy.attributes[name])
             return columns
@@ -105,7 +105,7 @@ def _made(kinds: dict[str, str], count: int, check: Check) -> list[Column]:
     made = []
     for name, kind in kinds.items():
         check()
-        made.append(Column(name, kind, attributes.empty_values(kind, count)))
+        made.append(Column(name, kind, carried.empty_values(kind, count)))
         made[-1].values.fill(0)
     return made
 

@@ -7,10 +7,10 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes
-from ..attributes import Column
 from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
-from . import lag, objects, parts
+from . import carried, lag, objects, parts
+from .carried import Column
 from .filling import Filling, filled, swap
 from .fitted import is_similarity
 from .held import Held, all_to_change
@@ -89,7 +89,7 @@ class Mend:
         ]
 
     def _mended(self, table: list[Column], check: Check) -> list[list[Column]]:
-        for name, values in attributes.of_splats(table).items():
+        for name, values in carried.of_splats(table).items():
             attributes.check_finite(values, name, self._held.name)
         check()
         numbers, changed = self._numbers, []
@@ -110,7 +110,7 @@ class Mend:
             return [changed]
         stays = np.flatnonzero(~np.isin(numbers, self._apart))
         rows = [stays, *(np.flatnonzero(numbers == k) for k in self._apart)]
-        return [attributes.picked(table, some) for some in rows]
+        return [carried.picked(table, some) for some in rows]
 
     def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
         """Put what `filling` made, filled, in its place; the objects that are stretched now."""

@@ -6,10 +6,10 @@ import bpy
 import numpy as np
 
 from .. import attributes, compat
-from ..attributes import Column
 from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
-from . import lag, objects, settings
+from . import carried, lag, objects, settings
+from .carried import Column
 from .filling import Filling, filled, swap
 from .held import Held, all_to_change
 from .leaving import Leaving
@@ -40,7 +40,7 @@ def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
 
 
 def _split(table: list[Column], chosen: np.ndarray, check: Check) -> list[list[Column]]:
-    found = [attributes.picked(table, np.flatnonzero(mask)) for mask in (~chosen, chosen)]
+    found = [carried.picked(table, np.flatnonzero(mask)) for mask in (~chosen, chosen)]
     _let_go(table)
     return found
 
@@ -82,7 +82,7 @@ def kept(held: Held, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.
 
 
 def _picked(table: list[Column], rows: np.ndarray, check: Check) -> list[Column]:
-    found = attributes.picked(table, rows)
+    found = carried.picked(table, rows)
     _let_go(table)
     return found
 
@@ -109,7 +109,8 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     """Take the splats of other objects into one, where and as they are seen; the others go.
 
     SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
-    that name, they are 0. What the first has stays to the bit, selected or hidden; vertex groups go.
+    that name, they are 0. What the first has stays to the bit, selected or hidden, but for vertex
+    groups.
 
     Raises:
         ValueError: as `check_joinable` or `Held.to_change`, a matrix is no similarity, or one is
@@ -124,7 +125,7 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in obs]
     for one, matrix in zip(obs, matrices, strict=True):
         objects.moved(attributes.NO_SPLATS, matrix, one.name)  # refuses what cannot be
-    marks, tables = attributes.marks(ob.data), []
+    marks, tables = carried.marks(ob.data), []
     for one in (held, *others):
         tables.append((yield from Leaving(one.there()).table()))
     tables[0] += marks
@@ -157,7 +158,7 @@ def _together(
     for table, matrix, name in zip(tables[1:], matrices, names, strict=True):
         check()
         moved(table, matrix, name, check)
-    found = attributes.joined(tables)
+    found = carried.joined(tables)
     for table in tables:
         _let_go(table)
     return found

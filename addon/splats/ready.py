@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from ..attributes import Column
+from .carried import Column
 
 
 class Ready(Protocol):

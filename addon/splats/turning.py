@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import attributes
-from ..attributes import Column
 from ..core import Splats, transform_splats
 from ..process.pieces import Check
+from . import carried
+from .carried import Column
 
 Rows = slice | np.ndarray
 _BLOCK = 1 << 12
@@ -42,7 +43,7 @@ def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[
     Raises:
         ValueError: a turn stretches; nothing is changed.
     """
-    found = attributes.of_splats(table)
+    found = carried.of_splats(table)
     names = [n for n in found if n not in (attributes.BASE, attributes.POSITION)]
     names.sort(key=lambda name: name != attributes.ROTATION)  # then scales, then coefficients
     columns = [found[name] for name in names]
@@ -71,7 +72,7 @@ def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> l
     Raises:
         ValueError: numbers are not finite.
     """
-    columns = attributes.of_splats(table)
+    columns = carried.of_splats(table)
     for one, values in columns.items():
         attributes.check_finite(values, one, name)
     check()

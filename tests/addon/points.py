@@ -4,15 +4,16 @@ import bpy
 import numpy as np
 
 from addon import attributes
+from addon.splats import carried
 
 
 def keep(mesh: bpy.types.Mesh, mask: np.ndarray) -> None:
     """Delete the points that are not in `mask` [N] bool; attributes follow."""
-    kinds, rows = attributes.kinds(mesh), np.flatnonzero(mask)
+    kinds, rows = carried.kinds(mesh), np.flatnonzero(mask)
     tells, kept = attributes.tells_selection(mesh), {}
     for name, kind in kinds.items():
-        values = attributes.empty_values(kind, len(mesh.vertices))
-        attributes.copy_values(mesh, name, values)
+        values = carried.empty_values(kind, len(mesh.vertices))
+        carried.copy_values(mesh, name, values)
         kept[name] = values[rows]
     mesh.clear_geometry()
     attributes.add_points(mesh, len(rows))

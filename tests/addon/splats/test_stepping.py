@@ -13,7 +13,7 @@ from addon import attributes
 from addon.core import Splats, join_splats
 from addon.interface import stepping
 from addon.process.pieces import Going, at_once
-from addon.splats import filling, leaving, objects
+from addon.splats import carried, filling, leaving, objects
 from addon.splats.ready import points_of
 from tests.addon import splat_scenes as lab
 from tools.measure.stand_in import stand_in
@@ -85,9 +85,9 @@ def state() -> dict[str, Any]:
         if mode == "EDIT":
             ob.update_from_editmode()
         mesh = ob.data.copy()  # attributes are out of reach in Edit Mode
-        for name, kind in attributes.kinds(mesh).items():
-            values = attributes.empty_values(kind, len(mesh.vertices))
-            attributes.copy_values(mesh, name, values)
+        for name, kind in carried.kinds(mesh).items():
+            values = carried.empty_values(kind, len(mesh.vertices))
+            carried.copy_values(mesh, name, values)
             found[f"{ob.name} {name}"] = values.tobytes()
         found[f"{ob.name} selected"] = attributes.selected(mesh).tobytes()
         bpy.data.meshes.remove(mesh)
@@ -205,7 +205,7 @@ def test_lacking_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     def lacks(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(attributes, "picked", lacks)
+    monkeypatch.setattr(carried, "picked", lacks)
     with pytest.raises(RuntimeError, match="close other programs"):
         bpy.ops.gscore.decimate_splats(count=150)
     assert state() == before
@@ -283,8 +283,8 @@ def test_undo_takes_what_is_half_filled() -> None:
         pass
     mesh = made.take()
     for name, kind, values in made.loaded.columns:
-        found = attributes.empty_values(kind, COUNT)
-        attributes.copy_values(mesh, name, found)
+        found = carried.empty_values(kind, COUNT)
+        carried.copy_values(mesh, name, found)
         np.testing.assert_array_equal(found.reshape(-1), values)
     assert len(bpy.data.meshes) == 2
 
@@ -317,15 +317,15 @@ def test_all_that_numbers_tell_follows() -> None:
     kinds = {"FLOAT4X4": 16, "BYTE_COLOR": 4, "INT8": 1, "INT32_2D": 2}
     for kind, width in kinds.items():
         ob.data.attributes.new(kind, kind, "POINT")
-        values = attributes.empty_values(kind, COUNT)
+        values = carried.empty_values(kind, COUNT)
         values[:] = (np.arange(COUNT * width) % 100).reshape(COUNT, width) / (
             255 if kind == "BYTE_COLOR" else 1
         )
         attributes.fill(ob.data, kind, kind, values.reshape(-1))
     bpy.ops.gscore.join_splats()
     for kind in kinds:
-        values = attributes.empty_values(kind, COUNT + 50)
-        attributes.copy_values(ob.data, kind, values)
+        values = carried.empty_values(kind, COUNT + 50)
+        carried.copy_values(ob.data, kind, values)
         wanted = np.arange(values[:COUNT].size) % 100 / (255 if kind == "BYTE_COLOR" else 1)
         np.testing.assert_array_equal(values[:COUNT].reshape(-1), wanted.astype(values.dtype))
         assert not values[COUNT:].any()

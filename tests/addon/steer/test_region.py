@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from addon import attributes, preferences
+from addon import preferences
 from addon.core import read_splats, write_splats
 from addon.job import facts, verb_job
 from addon.panels.steer import RegionPanel
 from addon.process import beat
 from addon.render.frozen import read_marks
-from addon.splats import edit, files, leaving, objects
+from addon.splats import carried, edit, files, leaving, objects
 from addon.splats.files import import_splats
 from addon.steer import start, work
 from addon.steer.registry import JOBS
@@ -205,9 +205,9 @@ def test_no_step_of_the_start_is_long(
     ob = cropped(studio, tmp_path / "a.ply")
     expected = objects.transformed(ob, files.source_matrix_of_data(ob))
     read, writers, meshes = [], [], len(bpy.data.meshes)
-    copy, write = attributes.copy_values, start.write_splat_file
+    copy, write = carried.copy_values, start.write_splat_file
     monkeypatch.setattr(leaving, "BUDGET", 0.0)
-    monkeypatch.setattr(attributes, "copy_values", lambda *a: (read.append(a[1]), copy(*a))[1])
+    monkeypatch.setattr(carried, "copy_values", lambda *a: (read.append(a[1]), copy(*a))[1])
     monkeypatch.setattr(
         start,
         "write_splat_file",

@@ -1,0 +1,94 @@
+"""All that points carry, attributes of splats and of others, as tables: what follows where points
+are deleted or joined; needs no bpy."""
+
+from itertools import takewhile
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..attributes import BASE, FORMATS, POSITION, ROTATION, SCALE, SELECTION, SH, SH_COUNTS
+
+_DTYPES = {
+    "INT": np.int32,
+    "BOOLEAN": np.bool_,
+    "INT8": np.int32,
+    "INT16_2D": np.int32,
+    "INT32_2D": np.int32,
+}
+_HIDDEN = ".hide_vert"
+
+
+class Column(NamedTuple):
+    """One attribute of points."""
+
+    name: str
+    kind: str
+    """Its data type."""
+    values: np.ndarray
+    """[N, width]"""
+
+
+def kinds(mesh: Any) -> dict[str, str]:
+    """Data types by name of all attributes of points of numbers and vectors, those of others among
+    them: what follows where points are deleted or joined."""
+    return {
+        a.name: a.data_type
+        for a in mesh.attributes
+        if a.domain == "POINT" and a.data_type in FORMATS and not a.name.startswith(".")
+    }
+
+
+def empty_values(kind: str, count: int) -> np.ndarray:
+    """[N, width] for an attribute of this data type, not yet set."""
+    return np.empty((count, FORMATS[kind][1]), _DTYPES.get(kind, np.float32))
+
+
+def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
+    """Copy an attribute into what `empty_values` made; the mesh is not in Edit Mode."""
+    attribute = mesh.attributes[name]
+    attribute.data.foreach_get(FORMATS[attribute.data_type][0], values.reshape(-1))
+
+
+def marks(mesh: Any) -> list[Column]:
+    """What is selected and hidden of a mesh of points, as far as anything is."""
+    found = []
+    for name in (SELECTION, _HIDDEN):
+        if name in mesh.attributes:
+            values = empty_values("BOOLEAN", len(mesh.vertices))
+            copy_values(mesh, name, values)
+            found.append(Column(name, "BOOLEAN", values))
+    return found
+
+
+def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray]:
+    """The attributes of a table that `as_splats` takes, not copied; `rest` as `read`."""
+    found = {column.name: column.values for column in table}
+    harmonics = (f"{SH}{k}" for k in range(SH_COUNTS[-1] if rest else 0))
+    wanted = [BASE, SCALE, ROTATION, POSITION, *takewhile(found.__contains__, harmonics)]
+    return {name: found[name] for name in wanted if name in found}
+
+
+def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
+    """A table of those rows [K] alone."""
+    return [Column(name, kind, values.take(rows, axis=0)) for name, kind, values in table]
+
+
+def joined(tables: list[list[Column]]) -> list[Column]:
+    """The points of some tables, one after the other; 0 where one lacks an attribute.
+
+    Raises:
+        ValueError: an attribute has two data types.
+    """
+    found: dict[str, str] = {}
+    for name, kind, _ in (column for table in tables for column in table):
+        if found.setdefault(name, kind) != kind:
+            raise ValueError(f"The attribute {name} has another type in each object: rename one.")
+    counts = [len(table[0].values) for table in tables]
+    made = []
+    for name, kind in found.items():
+        values, at = empty_values(kind, sum(counts)), 0
+        for table, count in zip(tables, counts, strict=True):
+            own = next((c.values for c in table if c.name == name), 0)
+            values[at : at + count], at = own, at + count
+        made.append(Column(name, kind, values))
+    return made
