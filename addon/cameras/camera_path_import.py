@@ -92,6 +92,7 @@ def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:
         made.frame.pixel_aspect_y,
     )
     scene.frame_start, scene.frame_end = made.frames
+    scene.frame_step = 1
     if made.fps is not None:
         whole = max(1, round(made.fps))
         render.fps, render.fps_base = whole, whole / made.fps

@@ -130,10 +130,11 @@ def test_a_path_comes_back(scene, camera, tmp_path: Path, kind, world, step) -> 
     file = str(tmp_path / "walk.json")
     bpy.ops.gscore.export_camera_path(filepath=file, world=world, kind=kind)
     scene.frame_start, scene.frame_end, scene.render.resolution_x = 1, 250, 1920
+    scene.frame_step = 4
     assert bpy.ops.gscore.import_camera_path(filepath=file, world=world) == {"FINISHED"}
     again = scene.camera
     assert again != camera and again.name == "walk" and bpy.context.object == again
-    assert (scene.frame_start, scene.frame_end) == (3, 8)
+    assert (scene.frame_start, scene.frame_end, scene.frame_step) == (3, 8, 1)
     assert (scene.render.resolution_x, scene.render.resolution_y) == (320, 180)
     scene.frame_step = step
     for ours, theirs in zip(seen(scene, again), before, strict=True):
