@@ -154,6 +154,9 @@ class JoinSplats(Editing, bpy.types.Operator):
         finally:
             for other in helds:
                 other.close()
+                left = other.found()
+                if left is not None and left.name in context.view_layer.objects:
+                    left.select_set(True)  # it was not joined
         return f"{ob.name} has {len(ob.data.vertices):,} splats."
 
 

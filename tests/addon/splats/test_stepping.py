@@ -133,16 +133,17 @@ def test_bit_by_bit_as_at_once(name: str, settings: dict[str, Any], capfd: Any) 
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
 @pytest.mark.parametrize("doing", ["Reading", "Handing"])
 def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doing: str) -> None:
-    """Whatever it was doing, if it does that: no datablock more, and no value changed."""
+    """Whatever it was doing, if it does that: no datablock more, no value changed, and what is
+    selected."""
     prepare(name)
-    before = state()
+    before, selected = state(), bpy.context.selected_objects[:]
     going = begun(name, settings)
     replaces = not name.startswith(("select", "grade"))
     done = until(going, lambda: going.sentence.startswith(doing))
     assert done == (doing == "Handing" and not replaces)
     if not done:
         going.cancel()
-        assert state() == before
+        assert state() == before and bpy.context.selected_objects[:] == selected
 
 
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
