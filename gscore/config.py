@@ -554,8 +554,8 @@ class TrainConfig:
         0.0,
         "Splats are left out only where stereo, asked for points, finds the depth of less than "
         "this share of the pixels that masks leave: where photos agree in more, it costs fine "
-        "detail. Where masks are opacity they always are, unless a run starts without points, or "
-        "from given splats. 0: always, as where `--drop-rate` is given by itself.",
+        "detail. Where masks are opacity they are where it finds half of these and more, and there "
+        "are points to start from. 0: always, as where `--drop-rate` is given by itself.",
         group="loss",
         range=Range(high=1),
         when="dropping",

@@ -61,7 +61,6 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
             train,
             photos=photos,
             mask_mode="composite" if settings.use_masks and facts.alphas else "none",
-            made_up=not facts.points,
         )[0],
         sizes=tuple(sorted(sizes.items())),
         points=facts.points,

@@ -16,6 +16,7 @@ from ..splats import Splats
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
+from ..trainer.schedule.enough import limit_by_photos, thins_subject
 from ..trainer.trainer import Trainer
 from ..trainer.views.judged import judge_photos
 
@@ -165,6 +166,16 @@ def train_measured(
     with ordinary_state():
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
+        thinned = thins_subject(
+            config,
+            mask_mode=photos.mask_mode,
+            made_up=photos.scene.points.made_up,
+            known=start.known,
+        )
+        if thinned and not at:  # who names steps wants them
+            config, _ = limit_by_photos(
+                config, photos=len(photos.train), mask_mode=photos.mask_mode, thinned=True
+            )
         seconds += time.perf_counter() - began
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -25,7 +26,7 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import limit_by_photos
+from .schedule.enough import limit_by_photos, thins_subject
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -102,13 +103,14 @@ def prepare(
     photos = load_dataset(data, cancelled=lambda: control.stopping)
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
-    config, enough = limit_by_photos(
+    limited = partial(
+        limit_by_photos,
         config,
         photos=len(photos.train),
         mask_mode=photos.mask_mode,
-        made_up=photos.scene.points.made_up,
         taken=taken,
     )
+    config, enough = limited()
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
@@ -134,6 +136,13 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
+            thinned = thins_subject(
+                config,
+                mask_mode=photos.mask_mode,
+                made_up=photos.scene.points.made_up,
+                known=added.known,
+            )
+            config, enough = limited(thinned=thinned)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,

@@ -187,7 +187,6 @@ class Trainer:
             side=int(min(given.widths.min(), given.heights.min())),
             pixels=int((given.widths * given.heights)[list(photos.train)].mean()),
             subject=photos.mask_mode == "composite",
-            drops=self.drop_rate > 0,
         )
         self._factor = math.inf
         self.depth: DepthLoss | None = None
@@ -291,7 +290,8 @@ class Trainer:
 
     def plan_of(self, iterations: int) -> Plan:
         """The plan of a run of this length; costs next to nothing."""
-        return self._plan_of(replace(self.config, iterations=iterations))
+        config = replace(self.config, iterations=iterations)
+        return self._plan_of(config, drops=self.drop_rate > 0)
 
     def replan(self, iterations: int) -> None:
         """Change the length of the run: from the next step on all schedules are those of a run
@@ -629,13 +629,13 @@ class Trainer:
         length = self.config.iterations
         if self.config.time_budget:
             length = whole("iterations", state.get("iterations", length), low=1)
-        self.replan(length)
-        factor = state.get("factor")
-        self._factor = math.inf if factor is None else real("factor", factor, low=1)
         # What was found of the photos then: a run that stereo gave no points does not ask it again.
         if state.get("known") is not None:
             self._known = real("known", state["known"], low=0)
             self.drop_rate, self.drop_words = self._drops()
+        self.replan(length)
+        factor = state.get("factor")
+        self._factor = math.inf if factor is None else real("factor", factor, low=1)
         names = list(self.model.params)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
         gathered = gathered_of(tensors, rank, size)

@@ -85,7 +85,6 @@ def _train(
                 replace(variant.config, seed=seed),
                 photos=len(photos.train),
                 mask_mode=photos.mask_mode,
-                made_up=photos.scene.points.made_up,
             )
             training = train_judged(
                 config,

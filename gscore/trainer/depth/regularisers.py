@@ -32,9 +32,9 @@ def drop_rate_of(
     if not (rate and config.drop_below):
         return rate, ""
     if mask_mode == "composite":
-        if not thins_subject(config, mask_mode=mask_mode, made_up=made_up):
+        if not thins_subject(config, mask_mode=mask_mode, made_up=made_up, known=known):
             return 0.0, ""
-        why = "Masks cut the subject out"
+        why = f"Photos agree on the depth of {known:.0%} of the subject's pixels"
     elif known is None or known >= config.drop_below:
         return 0.0, ""
     else:

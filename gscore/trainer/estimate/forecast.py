@@ -13,7 +13,6 @@ from ...metrics.lpips import lpips_file, named_net
 from ...raster.api import render
 from ...splats import Splats
 from ...words import count_words
-from ..schedule.enough import thins_subject
 from ..schedule.plan import Plan
 from .cost import Cost
 from .memory import (
@@ -78,7 +77,6 @@ def estimate(
     points: int,
     masks: bool = False,
     subject: bool = False,
-    made_up: bool = False,
     depths: bool = False,
     cloud: int | None = None,
     decoding: int = 0,
@@ -93,7 +91,6 @@ def estimate(
         points: Splats at the start.
         masks: Whether photos have masks.
         subject: Whether these are opacity, so that nothing but a subject is trained.
-        made_up: Whether there are no points of structure from motion to start from.
         depths: Whether there are depth maps for them.
         cloud: Points of structure from motion; None: as many as `points`.
         decoding: Bytes that photos take while they are decoded, see `Dataset.decoding_bytes`.
@@ -151,7 +148,6 @@ def estimate(
         side=int(min(widths.min(initial=1 << 30), heights.min(initial=1 << 30))),
         pixels=int(pixels.mean()) if len(pixels) else 1,
         subject=subject,
-        drops=subject and thins_subject(config, mask_mode="composite", made_up=made_up),
     )
     seconds = config.time_budget
     if not seconds:

@@ -89,7 +89,6 @@ def _estimate(
         points=len(photos.scene.points) if splats is None else len(splats),
         masks=photos.nbytes > 3 * pixels,
         subject=photos.mask_mode == "composite",
-        made_up=photos.scene.points.made_up,
         depths=depths,
         cloud=len(photos.scene.points),
         decoding=photos.decoding_bytes(config.threads),

@@ -28,9 +28,10 @@ from gscore.trainer.trainer import Trainer
         (0.35, 0.0, "none", 0.1),
         (0.35, 0.349, "ignore", 0.1),
         (0.35, 0.35, "none", 0.0),
-        (0.35, 0.1, "composite", 0.1),
-        (0.35, 0.9, "composite", 0.1),
-        (0.35, None, "composite", 0.1),
+        (0.35, 0.1, "composite", 0.0),
+        (0.35, 0.49, "composite", 0.0),
+        (0.35, 0.5, "composite", 0.1),
+        (0.35, None, "composite", 0.0),
     ],
 )
 def test_where_splats_are_left_out(
@@ -42,18 +43,16 @@ def test_where_splats_are_left_out(
     assert found == rate
     assert bool(words) == bool(below and rate)
     if words:
-        why = "cut" if mask_mode == "composite" else f"{known:.0%} of their pixels"
-        assert why in words and "10% of the splats" in words
+        whose = "the subject's" if mask_mode == "composite" else "their"
+        assert f"{known:.0%} of {whose} pixels" in words and "10% of the splats" in words
     assert drop_rate_of(replace(config, drop_rate=0.0), known=known, mask_mode=mask_mode)[0] == 0
 
 
 def test_a_subject_without_points_keeps_its_splats() -> None:
-    """Oracle: the text of the option; the same where a run starts from given splats."""
+    """Oracle: the text of the option."""
     config = TrainConfig(drop_rate=0.1, drop_below=0.35)
-    given = replace(config, start_splats=Path("start.ply"))
-    assert drop_rate_of(config, known=0.1, mask_mode="composite", made_up=True) == (0.0, "")
-    assert drop_rate_of(given, known=0.1, mask_mode="composite") == (0.0, "")
-    assert drop_rate_of(given, known=0.1, mask_mode="none")[0] == 0.1
+    assert drop_rate_of(config, known=0.9, mask_mode="composite", made_up=True) == (0.0, "")
+    assert drop_rate_of(config, known=0.1, mask_mode="none", made_up=True)[0] == 0.1
 
 
 def test_which_presets_leave_splats_out() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gscore.config import PRESETS, TrainConfig
-from gscore.trainer.schedule.enough import limit_by_photos
+from gscore.trainer.schedule.enough import limit_by_photos, thins_subject
 
 TRAIN = TrainConfig(iterations=7000, steps_a_photo=80)
 
@@ -40,16 +40,24 @@ def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
 
 
 @pytest.mark.parametrize(
-    ("made_up", "start", "steps"),
-    [(False, None, 4000), (True, None, 8000), (False, Path("start.ply"), 8000)],
+    ("known", "made_up", "rate", "steps"),
+    [
+        (0.5, False, 0.1, 4000),
+        (0.49, False, 0.1, 8000),
+        (None, False, 0.1, 8000),
+        (0.9, True, 0.1, 8000),
+        (0.9, False, 0.0, 8000),
+    ],
 )
 def test_a_subject_of_which_splats_are_left_out(
-    made_up: bool, start: Path | None, steps: int
+    known: float | None, made_up: bool, rate: float, steps: int
 ) -> None:
-    """Oracle: the text of the option; 80 or 160 times 50 photos."""
-    config = replace(TRAIN, iterations=15_000, drop_rate=0.1, start_splats=start)
-    found, _ = limit_by_photos(config, photos=50, mask_mode="composite", made_up=made_up)
+    """Oracle: the texts of the options; 80 or 160 times 50 photos."""
+    config = replace(TRAIN, iterations=15_000, drop_rate=rate)
+    thinned = thins_subject(config, mask_mode="composite", made_up=made_up, known=known)
+    found, _ = limit_by_photos(config, photos=50, mask_mode="composite", thinned=thinned)
     assert found.iterations == steps
+    assert not thins_subject(config, mask_mode="ignore", made_up=made_up, known=known)
 
 
 @pytest.mark.parametrize(
