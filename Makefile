@@ -72,7 +72,8 @@ ifneq ($(DEMO_BLENDER),none)
 	@bpy=$$($(BIN)/python tools/build/bpy_venvs.py $(DEMO_BLENDER)); status=$$?; \
 	if [ $$status = 3 ]; then echo "so the demo ends without Blender."; exit 0; fi; \
 	[ $$status = 0 ] && BLENDER_USER_RESOURCES=$(CURDIR)/build/blender-profile $$bpy examples/photos_to_blend.py \
-		examples/studio --splats out/demo/point_cloud.ply -o out/demo/demo.blend --render out/demo/blender.png && \
+		examples/studio --splats out/demo/point_cloud.ply -o out/demo/demo.blend --render out/demo/blender.png \
+		--overwrite && \
 	version=$$(basename $$(dirname $$(dirname $$bpy))) && \
 	echo "Open out/demo/blender.png and, in Blender $$version or newer with the add-on (make extension), out/demo/demo.blend"
 endif

@@ -3,17 +3,25 @@
     blender -b -P examples/photos_to_blend.py -- photos/ -o scene.blend     (the add-on installed)
     python examples/photos_to_blend.py photos/ -o scene.blend               (Python with bpy)
 
-Splats are trained into the folder `--run`, or taken from the PLY that `--splats` names. Everything
-here is an operator of the add-on; the panel's buttons call the same ones.
+Splats are trained into the folder `--run`, or taken from the PLY that `--splats` names. The picture
+lands beside the .blend, as scene.png here. Everything here is an operator of the add-on; the
+panel's buttons call the same ones.
 """
 
 import argparse
 import json
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-import bpy
+try:
+    import bpy
+except ModuleNotFoundError:
+    sys.exit(
+        f"{sys.executable} has no bpy. Run this with .venv-blender/VERSION/bin/python, which "
+        "`make demo` makes, or in Blender: blender -b -P examples/photos_to_blend.py -- ..."
+    )
 
 ROOT = Path(__file__).resolve().parent.parent
 EXTENSION = "gscore_splats"
@@ -38,10 +46,13 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("capture", type=Path, help="folder with photos and a COLMAP model")
     parser.add_argument("-o", "--output", type=Path, required=True, help="the .blend to write")
-    parser.add_argument("--render", type=Path, help="picture to render; default: beside the .blend")
+    parser.add_argument("--render", type=Path, help="picture to render; default: OUTPUT.png")
     parser.add_argument("--camera", default="", help="name of a photo; default: the first")
     parser.add_argument("--splats", type=Path, help="a PLY; default: train")
     parser.add_argument("--run", type=Path, help="folder of the training; default: OUTPUT_run")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the .blend, the picture and the run"
+    )
     parser.add_argument("--preset", default="preview", help="of the training")
     parser.add_argument(
         "--python", type=Path, help="with gscore[train]; default: this checkout's, or the add-on's"
@@ -55,7 +66,27 @@ def parse() -> argparse.Namespace:
     beside = ROOT / ".venv"  # the add-on takes the folder of an environment too
     options.python = options.python or (beside if beside.is_dir() else None)
     options.run = (options.run or options.output.with_name(options.output.stem + "_run")).absolute()
+    check(options, parser.error)
     return options
+
+
+def check(options: argparse.Namespace, refuse: Callable[[str], None]) -> None:
+    """Refuse what cannot be made, and what would replace files, before any work."""
+    for path, ending in ((options.output, ".blend"), (options.render, ".png")):
+        if path.suffix.lower() != ending:
+            refuse(f"{path} does not end in {ending}; give a name that does.")
+    if not options.capture.is_dir():
+        what = "is a file" if options.capture.exists() else "is not there"
+        refuse(f"{options.capture} {what}; give a folder with photos and a COLMAP model.")
+    written = [options.output, options.render]
+    if options.splats is None:
+        written.append(options.run / "config.json")
+    taken = [str(path) for path in written if path.exists()]
+    if taken and not options.overwrite:
+        refuse(
+            f"{' and '.join(taken)} would be replaced. Choose another -o, --render or --run, or "
+            "give --overwrite."
+        )
 
 
 def train(options: argparse.Namespace, addon: str) -> None:
@@ -67,7 +98,7 @@ def train(options: argparse.Namespace, addon: str) -> None:
     if options.python:
         preferences = bpy.context.preferences.addons[addon].preferences
         preferences.python_path = str(options.python.absolute())
-    bpy.ops.gscore.train(overwrite=True, wait=True)
+    bpy.ops.gscore.train(overwrite=options.overwrite, wait=True)
 
 
 def take_masks_as(run: Path) -> None:

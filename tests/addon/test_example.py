@@ -1,15 +1,19 @@
 """Oracle: the files that examples/photos_to_blend.py leaves, opened again."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 import numpy as np
+import pytest
 
 from addon.core import Splats, render, write_splats
 
 ROOT = Path(__file__).parent.parent.parent
 STUDIO = ROOT / "examples" / "studio"
+SCRIPT = ROOT / "examples" / "photos_to_blend.py"
 
 
 def test_photos_to_blend(
@@ -23,7 +27,7 @@ def test_photos_to_blend(
     write_splats(ply, splats)
     blend, picture = tmp_path / "made" / "scene.blend", tmp_path / "picture.png"
     run_blender(
-        ROOT / "examples" / "photos_to_blend.py",
+        SCRIPT,
         STUDIO,
         *("-o", blend, "--render", picture, "--camera", "view_007.jpg", "--splats", ply),
     )
@@ -44,3 +48,47 @@ def test_photos_to_blend(
     shown = pixels.reshape(height, width, 4)[::-1, :, :3]
     assert expected.alpha.mean() > 0.05  # an empty file has no world, so black lies behind
     assert np.abs(shown - np.clip(expected.rgb, 0, 1)).max() <= 1 / 255
+
+
+@pytest.mark.skipif(bool(bpy.app.binary_path), reason="the Python of a program has no bpy")
+@pytest.mark.parametrize(
+    ("taken", "arguments", "said"),
+    [
+        ("scene.png", (STUDIO, "-o", "scene.blend"), "scene.png would be replaced"),
+        ("scene.blend", (STUDIO, "-o", "scene.blend"), "scene.blend would be replaced"),
+        ("scene_run/config.json", (STUDIO, "-o", "scene.blend"), "config.json would be replaced"),
+        ("notes.txt", (STUDIO, "-o", "notes.txt"), "notes.txt does not end in .blend"),
+        ("walk.mp4", ("walk.mp4", "-o", "scene.blend"), "walk.mp4 is a file"),
+    ],
+)
+def test_files_of_others_stay(
+    taken: str, arguments: tuple[str | Path, ...], said: str, tmp_path: Path
+) -> None:
+    """Oracle: a file that was there keeps its content, and nothing else is made."""
+    mine = tmp_path / taken
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine")
+    done = started(arguments, tmp_path)
+    assert done.returncode and said in " ".join(done.stderr.split()), done.stderr
+    assert mine.read_text() == "mine"
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
+
+
+def test_python_without_bpy(tmp_path: Path) -> None:
+    """Oracle: one sentence instead of a traceback, in a Python that sees no packages."""
+    done = started((STUDIO, "-o", "scene.blend"), tmp_path, "-I", "-S")
+    assert done.returncode == 1 and "has no bpy" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def started(
+    arguments: tuple[str | Path, ...], folder: Path, *flags: str
+) -> subprocess.CompletedProcess[str]:
+    """The script, run in a folder by this Python."""
+    return subprocess.run(
+        [sys.executable, *flags, str(SCRIPT), *map(str, arguments)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
