@@ -13,7 +13,7 @@ from ..io.runs import CAPTURE
 from ..sfm import Request, find_cameras
 from ..sfm.beside import has_no_cameras
 from ..sfm.gather import gather, is_gathered
-from ..sfm.plain import photos_of, same_photos
+from ..sfm.plain import check_no_cameras_above, photos_of, same_photos
 from ..sfm.sources import photos_from
 from ..sfm.video_frames import frames_request, of_frames
 from ..video import extract_frames, is_video
@@ -44,13 +44,14 @@ def with_cameras(
 
     Raises:
         Cancelled: `control` said so; the same call goes on from there.
-        DatasetError: not `allowed`, or no cameras can be found.
+        DatasetError: not `allowed`, no cameras can be found, or the folder above holds them.
         ConfigError: the folder holds a capture of other photos.
         BackendError: pycolmap is missing or too old, or PyAV is missing.
         GsError: the video cannot be read, or the output cannot be written.
     """
     if not has_no_cameras(data.source):
         return data
+    check_no_cameras_above(data.source)
     if not allowed:
         raise DatasetError(f"Leave out --no-sfm to have cameras found. {foreign(data.source)}")
     capture = output / CAPTURE

@@ -18,7 +18,7 @@ from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
-from ..sfm.plain import is_plain
+from ..sfm.plain import check_no_cameras_above, is_plain
 from ..splats import Splats, sigmoid
 from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
     elif is_plain(path) and not block_records(path):
+        check_no_cameras_above(path)
         facts = photos_facts(path, with_data_options(DataConfig(source=path), args))
     else:
         facts = _capture_facts(path, args)

@@ -13,6 +13,7 @@ from ..scene import PointCloud, within_reach
 from ..words import count_words
 from .capture import Capture, View, listing, repeated
 from .folder import Folder
+from .search_record import told_of_search
 
 
 def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
@@ -45,7 +46,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         )
     folder = Folder(root)
     files = [folder.find_image(name) for name in names]
-    warnings = [*model.warnings]
+    warnings = [*model.warnings, *told_of_search(config.source, len(names))]
     missing = [name for name, file in zip(names, files, strict=True) if file is None]
     if photos_required and 2 * len(missing) > len(names):
         raise DatasetError(

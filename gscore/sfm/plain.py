@@ -19,6 +19,8 @@ from .request import Request
 _FEW_CAMERAS = 3
 """As many may be in one bag; and a camera that is turned counts as two."""
 _MODELS = ("sparse", "colmap", "cameras.bin", "cameras.txt")
+_IN_CAPTURES = ("images", "input", "photos", "rgb")
+"""Names of the folder of photos in a capture."""
 
 
 def is_plain(path: Path) -> bool:
@@ -29,6 +31,23 @@ def is_plain(path: Path) -> bool:
         return False
     names, unread = list_photos(photo_folder(path), ())
     return bool(names or readable(unread)[0])
+
+
+def check_no_cameras_above(path: Path) -> None:
+    """Raise where a folder of plain photos is a part of a capture, which has their cameras.
+
+    Raises:
+        DatasetError: says which folder to give.
+    """
+    whole = path.absolute()
+    if whole.name not in _IN_CAPTURES or not _has_cameras(whole.parent):
+        return
+    above = path.parent if path.name else whole.parent
+    images = "" if whole.name == "images" else f" --images {whole.name}"
+    raise DatasetError(
+        f"{path} holds the photos alone; {above} holds their cameras too: give {above}{images}. To "
+        "find cameras anew, copy the photos to a folder of their own."
+    )
 
 
 def captures_inside(root: Path, names: Sequence[str]) -> str:

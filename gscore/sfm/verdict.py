@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..datasets.capture import listing
+from ..datasets.search_record import said_of_left_out
 from ..words import count_words, number, time_words
 
 _BLURRED = 1.5
@@ -75,20 +76,7 @@ class Found:
         ]
 
     def _findings(self) -> list[str]:
-        told = []
-        for other in self.models[1:]:
-            told.append(
-                f"{count_words(len(other), 'photo makes', 'photos make')} a model of their own "
-                f"and {'is' if len(other) == 1 else 'are'} left out: {listing(list(other))}. If "
-                "it is the same scene, take photos between the two; if not, use folders of their "
-                "own."
-            )
-        if self.alone:
-            told.append(
-                f"{count_words(len(self.alone), 'photo stands', 'photos stand')} alone: "
-                f"{listing(list(self.alone))}. Take photos between these and the others, or "
-                "remove them if they are blurred or show something else."
-            )
+        told = said_of_left_out(self.models[1:], self.alone)
         if self.blurred:
             told.append(
                 f"{count_words(len(self.blurred), 'photo is', 'photos are')} blurred against the "

@@ -1,11 +1,13 @@
 """gscore train and gscore info on plain photos: cameras found first, kept, and refused."""
 
+import html
 import json
 import re
 import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -234,3 +236,30 @@ def test_a_capture_with_broken_cameras_is_none_of_plain_photos(
     assert _train(mine, "-o", tmp_path / "out") == 2
     assert "Finding the cameras" not in capsys.readouterr().err
     assert not (tmp_path / "out/capture").exists()
+
+
+def test_photos_of_a_capture_are_not_plain(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: the folder that has the cameras is named, and none are found anew."""
+    for name, given in (("images", ""), ("input", " --images input")):
+        capture = tmp_path / f"capture of {name}"
+        shutil.copytree(mine, capture / name)
+        assert main(["info", str(capture / name)]) == 0
+        (capture / "sparse/0").mkdir(parents=True)
+        capsys.readouterr()
+        assert _train(capture / name, "-o", tmp_path / "out") == 2
+        assert main(["info", str(capture / name)]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert said.count(f"give {capture}{given}.") == 2 and "Finding the cameras" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_photos_without_a_camera_are_told(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: a photo of noise stands alone: the training says so, and keeps it in its report."""
+    shape = np.asarray(Image.open(mine / "front/view 000.jpg")).shape
+    noise = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
+    Image.fromarray(noise).save(mine / "front/elsewhere.jpg")
+    out = tmp_path / "out"
+    assert _train(mine, "-o", out) == 0
+    words = "8 of 9 photos have a camera. 1 photo stands alone: front/elsewhere.jpg."
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert words in html.unescape((out / "report.html").read_text())
