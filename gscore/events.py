@@ -403,6 +403,10 @@ def finite(value: Any) -> Any:
     return value
 
 
+MASKED_OF = "psnr_masked_of"
+"""In metrics.json beside `psnr_masked`: what its pixels lie in, where that is not masks."""
+
+
 def judged_psnr(metrics: Mapping[str, Any]) -> float | None:
     """The PSNR that a model is judged by, dB: of the pixels inside the masks where those outside do
     not count (`psnr_masked` of metrics.json), else of all (`psnr`); None where there is none."""

@@ -1,6 +1,9 @@
 """What a message repeats of what it was given: short enough to read, and printable anywhere."""
 
 import reprlib
+import shlex
+import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,14 @@ def shown(text: str | Path | Exception) -> str:
     text = str(text)
     cut = text[: _LONGEST + 1].encode("utf-8", "replace").decode("utf-8").replace("\0", "?")
     return cut if len(cut) <= _LONGEST else f"{cut[: _LONGEST - 3]}..."
+
+
+def typed(*words: str | Path) -> str:
+    """A command of gscore as a shell takes it: with quotes where they are needed, and the program
+    as it was called itself where it does not lie on PATH."""
+    called = Path(sys.argv[0])
+    away = called.stem == "gscore" and shutil.which("gscore") is None
+    return shlex.join([str(called) if away else "gscore", *map(str, words)])
 
 
 def quoted(value: Any) -> str:

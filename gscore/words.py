@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from .events import judged_psnr
+from .events import MASKED_OF, judged_psnr
 
 
 def number_words(value: float | None, digits: int) -> str:
@@ -69,5 +69,8 @@ def learnt_exposure(metrics: Mapping[str, Any]) -> bool:
 
 
 def psnr_name(metrics: Mapping[str, Any]) -> str:
-    """What `judged_psnr` is called: where masks hide pixels, it is that of the others."""
-    return "PSNR inside the masks" if "psnr_masked" in metrics else "PSNR"
+    """What `judged_psnr` is called: where masks hide pixels, it is that of the others; and where
+    a region alone was trained, of the pixels that look at it."""
+    if "psnr_masked" not in metrics:
+        return "PSNR"
+    return f"PSNR inside the {metrics.get(MASKED_OF, 'masks')}"

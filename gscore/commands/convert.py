@@ -31,7 +31,7 @@ from ..sh import MAX_DEGREE
 from ..shown import quoted, shown
 from ..splats import Splats
 from ..words import count_words, number, size_words
-from .given.model import GivenModel, open_model
+from .given.model import GivenModel, find_splats, open_model
 from .parser import add_threads_option
 from .pictures.before_after import picture_loss, some_view, write_before_after
 from .pictures.shots import captured_cameras, view_index
@@ -294,6 +294,7 @@ def _open(path: Path, args: argparse.Namespace) -> GivenModel:
         to_unit = None if box is None else box_matrix(box[0], box[1])
         found = read_lod(path, args.level or 0, to_unit=to_unit)
         return GivenModel(file=found, run=None, data=None, train=None)
+    find_splats(path)  # what is not there has no levels either
     if args.level is not None:
         raise ConfigError(f"--level is for levels of detail, and {shown(path)} has none.")
     return open_model(path)
@@ -409,6 +410,8 @@ def _facts(
         "output": str(args.output),
         "format": written.format,
         "splats_before": len(edited.joined),
+        "splats_read": [len(model.splats) for model in models],
+        "whole": all(model.file.format != LOD_FORMAT for model in models),
         "splats": len(edited.splats),
         "sh_degree_before": edited.joined.sh_degree,
         "sh_degree": min(edited.splats.sh_degree, format_to_write(args.output).most_degree),
@@ -427,10 +430,11 @@ def _summary(facts: dict[str, Any]) -> str:
     ]
     if lost := facts["error"]:
         lines.append(_error_words(lost))
+    read = " + ".join(map(number, facts["splats_read"]))
     lines.append(
         f"Wrote {facts['output']}: {count_words(facts['splats'], 'splat')}, SH degree "
-        f"{facts['sh_degree']}, {size_words(facts['bytes'])} (before: "
-        f"{number(facts['splats_before'])}, {facts['sh_degree_before']}, "
+        f"{facts['sh_degree']}, {size_words(facts['bytes'])} "
+        f"({'before' if facts['whole'] else 'read'}: {read}, {facts['sh_degree_before']}, "
         f"{size_words(facts['bytes_before'])})."
     )
     if facts["picture"]:

@@ -38,6 +38,9 @@ from .terminal.attend import attend
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import wrapped
 
+_MAKE = f"make them with --method stereo, which needs none, or with --model FILE.onnx. {WHERE}."
+"""Ends a sentence that says that maps and a network are missing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Result:
@@ -119,7 +122,7 @@ def _work(args: argparse.Namespace, show: Show, control: Control, told: "_Told")
     if network is None and not folder.is_dir():
         raise ConfigError(
             f"There is no folder {folder} with depth maps to align, and no network to make them: "
-            f"give one with --model FILE.onnx. {WHERE}."
+            f"{_MAKE}"
         )
     if not args.check:
         check_folder(folder)
@@ -228,7 +231,7 @@ def _list_models(args: argparse.Namespace) -> int:
         return 0
     for row in rows:
         here = "on this machine" if row["file"] else f"{size_words(row['bytes'])} to download"
-        print(f"{row['name']}  ({here}; licence {row['licence']}; input {row['input']} px)")
+        print(f"{row['name']}  ({here}; licence {row['licence']}; input {row['input']})")
         print(f"    {row['page']}, weights of {row['source']}")
     return 0
 
@@ -276,7 +279,7 @@ def _finish(
     if not any(maps):
         raise ConfigError(
             f"{folder} has no depth map of any view ({count_words(len(found), 'map')} there), and "
-            f"no network to make them: give one with --model FILE.onnx. {WHERE}."
+            f"no network to make them: {_MAKE}"
         )
     # Maps that were predicted hold inverse depth, whatever the network gave.
     kind = DepthKind.INVERSE if prediction is not None else args.kind

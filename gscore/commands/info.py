@@ -10,6 +10,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError
+from ..events import MASKED_OF
 from ..formats import is_splat_file
 from ..inspection import CaptureFacts, inspect
 from ..io.block_record import block_records, read_block
@@ -19,6 +20,7 @@ from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in
 from ..io.sequences import read_sequence
 from ..sfm.plain import check_no_cameras_above, is_plain
+from ..shown import typed
 from ..splats import Splats, sigmoid
 from ..video import is_video
 from ..words import count_words, quality_words, size_words, time_words
@@ -133,7 +135,9 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     if metrics:
         facts["metrics"] = {key: metrics.get(key) for key in keys}
         if "psnr_masked" in metrics:
-            facts["metrics"]["psnr_masked"] = metrics["psnr_masked"]
+            facts["metrics"] |= {
+                key: metrics[key] for key in ("psnr_masked", MASKED_OF) if key in metrics
+            }
     problem = metrics_problem(folder)
     facts["warnings"] = [problem] if problem else []
     try:
@@ -164,6 +168,7 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
         "names": [cameras.names[0], cameras.names[-1]],
         "sizes": dict(sizes.most_common()),
         "focal_px": [float(cameras.Ks[:, 0, 0].min()), float(cameras.Ks[:, 0, 0].max())],
+        "focal_y_px": [float(cameras.Ks[:, 1, 1].min()), float(cameras.Ks[:, 1, 1].max())],
         "camera_extent": float(
             1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max(initial=0.0)
         ),
@@ -242,7 +247,7 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     count = facts["checkpoints"]
     lines.append(f"  {count_words(count, 'checkpoint')}")
     if facts["model"] is None:
-        hint = f"; go on with: gscore train -o {facts['path']} --resume" if count else ""
+        hint = f"; go on with: {typed('train', '-o', facts['path'], '--resume')}" if count else ""
         return [*lines, f"  no point_cloud.ply yet{hint}"]
     return lines + _splats_text(facts["model"])
 
@@ -261,7 +266,7 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
             f"{count_words(entry.get('steps'), 'step')} in {took}{quality}"
         )
     if len(frames) != total:
-        lines.append(f"  go on with: gscore sequence -o {facts['path']} --resume")
+        lines.append(f"  go on with: {typed('sequence', '-o', facts['path'], '--resume')}")
     return lines
 
 
@@ -269,11 +274,13 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
     sizes = ", ".join(f"{n} of {size} px" for size, n in facts["sizes"].items())
     low, high = facts["focal_px"]
     inverted = " inverted" if facts["masks_inverted"] else ""
-    focal = f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
+    focal = _focal_words(low, high)
+    down = _focal_words(*facts["focal_y_px"])
+    focal += " px" if down == focal else f" px across and {down} px down"
     lines = [
         f"{facts['path']}: a capture with {count_words(facts['views'], 'photo')} ({sizes})",
         f"  names from {facts['names'][0]} to {facts['names'][1]}",
-        f"  focal length {focal} px after undistortion, camera extent {facts['camera_extent']:.3g}",
+        f"  focal length {focal} after undistortion, camera extent {facts['camera_extent']:.3g}",
         f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]
@@ -289,6 +296,10 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
             + (f"; mean error {error:.2f} px" if error is not None else "")
         )
     return lines
+
+
+def _focal_words(low: float, high: float) -> str:
+    return f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
 
 
 def _point(values: list[float]) -> str:

@@ -14,7 +14,7 @@ from ..formats import format_to_write, write_splat_file
 from ..io.block_record import BLOCK_RECORD, BlockRecord, read_block
 from ..io.metrics_file import read_metrics
 from ..io.runs import read_run
-from ..shown import shown
+from ..shown import shown, typed
 from ..words import count_words, number
 from .given.model import GivenModel, open_model
 from .terminal.output import check_folder, check_replaced, print_json
@@ -141,13 +141,13 @@ def _stopped(path: Path) -> Iterator[str]:
     if run is not None and run.splats is None:
         raise ConfigError(
             f"{shown(path)} has not ended: {count_words(run.steps, 'step')} are kept, and no "
-            f"splats. Go on with: gscore train -o {shown(path)} --resume"
+            f"splats. Go on with: {typed('train', '-o', path, '--resume')}"
         )
     reason = str(read_metrics(path).get("reason") or FINISHED)
     if run is not None and reason not in ENDED:
         yield (
             f"{shown(path)} was stopped after {count_words(run.steps, 'step')} ({reason}). To "
-            f"train it to its end: gscore train -o {shown(path)} --resume; then merge again."
+            f"train it to its end: {typed('train', '-o', path, '--resume')}; then merge again."
         )
 
 

@@ -1,6 +1,5 @@
 """What `gscore info` says of a folder of plain photos: what finding their cameras would need."""
 
-import shlex
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from ..sfm.photos import LEAST, Photo, by_camera, list_photos, photo_folder, rea
 from ..sfm.plain import apart_of, doubt
 from ..sfm.request import Request
 from ..sfm.stages import Work
+from ..shown import typed
 from ..words import count_words, number, time_words
 
 
@@ -45,7 +45,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
         "enough": len(photos) >= LEAST,
         "pairs": work.pairs_expected(first),
         "sfm_seconds": round(work.forecast(first).seconds, 1),
-        "next": None if doubtful else f"gscore train {shlex.quote(str(path))} -o run",
+        "next": None if doubtful else typed("train", path, "-o", "run"),
         "warnings": [doubtful] if doubtful else [],
     }
 

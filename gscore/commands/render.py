@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import mimetypes
 import sys
 import time
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from ..io.places import check_apart, check_place
 from ..lod.draw import LOD_PX, LodModel
 from ..raster.api import Rendered
 from ..scene import Cameras
-from ..shown import quoted
+from ..shown import quoted, shown, typed
 from ..words import count_words
 from .given.lod_model import GivenLod
 from .given.model import GivenModel, add_model_argument, model_path, open_model
@@ -31,11 +32,10 @@ from .terminal.output import check_folder, check_replaced, is_ours, others_in, p
 from .terminal.status import Counted, Status, wrapped
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
-_OTHER_FORMATS = frozenset(
-    {".avi", ".bmp", ".exr", ".gif", ".jpeg", ".jpg", ".mkv", ".mov", ".tif", ".tiff", ".webm"}
-    | {".webp"}
-)
-"""Endings that show that a file was meant, not a folder."""
+_WRITTEN = (".mp4", ".png")
+"""Endings of one file; all else is a folder of pictures."""
+_OTHER_FORMATS = frozenset((".blend", ".exr", ".mkv", ".ply", ".sog", ".splat", ".spz"))
+"""Endings that show that a file was meant, not a folder; besides those of `mimetypes`."""
 _DEPTH_STEPS = 60_000
 """16-bit values given to the depths of the first picture; the rest is for deeper ones."""
 
@@ -148,13 +148,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _is_file(output: Path) -> bool:
     """Whether that is one file, not a folder of pictures."""
-    return output.suffix.lower() in (".mp4", ".png")
+    return output.suffix.lower() in _WRITTEN
 
 
 def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict[str, Any]:
     """Facts on what was written."""
     status.show(["Reading the splats"])
     model = _open(args)
+    if not model.count:
+        raise ConfigError(f"{shown(str(model.path))} holds no splats, so there is nothing to draw.")
     for data in (None, *_captures(args, model)):
         if _is_file(args.output):
             check_apart(args.output.parent, data)
@@ -206,7 +208,7 @@ def _open(args: argparse.Namespace) -> GivenModel | GivenLod:
         if args.lod_px is not None or args.lod_splats is not None:
             raise ConfigError(
                 f"--lod-px and --lod-splats are for levels of detail, and {path} has none. Make "
-                f"them first: gscore lod {path} -o {Path(path.name).with_suffix(LOD_ENDING)}"
+                "them first: " + typed("lod", path, "-o", Path(path.name).with_suffix(LOD_ENDING))
             )
         return open_model(path)
     pixels = LOD_PX if args.lod_px is None else args.lod_px
@@ -315,7 +317,7 @@ def _check_stills(pictures: list[Path], depths: list[Path], *, overwrite: bool) 
 def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     check_resolution(args.resolution)
     suffix = args.output.suffix.lower()
-    if suffix in _OTHER_FORMATS and not args.output.is_dir():
+    if _is_of_others(suffix) and not args.output.is_dir():
         raise ConfigError(
             f"{args.output}: {suffix} files are not written; give a .png, an .mp4 or a folder."
         )
@@ -335,6 +337,12 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
         raise ConfigError("Give either --transparent or --background.")
     if is_video:
         need_video()  # say so before the work, not after it
+
+
+def _is_of_others(suffix: str) -> bool:
+    """Whether an ending is that of files, none of which are written."""
+    known = mimetypes.MimeTypes().guess_type(f"file{suffix}")[0] is not None  # not the system's
+    return (known or suffix in _OTHER_FORMATS) and suffix not in _WRITTEN
 
 
 def _check_one_size(shots: Cameras) -> None:

@@ -12,6 +12,7 @@ from ..events import Show, Warn
 from ..io.places import check_place
 from ..io.sequences import SEQUENCE_FILE
 from ..sequence_options import SequenceOptions
+from ..shown import typed
 from ..words import count_words, quality_words
 from . import train as train_command
 from .given.declared import declare, given_options
@@ -158,5 +159,5 @@ def _summary(result: "SequenceResult") -> str:
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":
-        lines.append(f"To go on: gscore sequence -o {result.output} --resume")
+        lines.append(f"To go on: {typed('sequence', '-o', result.output, '--resume')}")
     return "\n".join(lines)

@@ -13,6 +13,7 @@ from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import options_of_run, others_in_run
+from ..shown import typed
 from ..words import colour_words, count_words, learnt_exposure, quality_words, size_words
 from .block_runs import train_blocks, wants_blocks
 from .cameras import is_finding, with_cameras
@@ -258,9 +259,9 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
     output = result.output
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:
-        lines.append(f"To go on: gscore train -o {result.output} --resume")
+        lines.append(f"To go on: {typed('train', '-o', output, '--resume')}")
     made = "orbit.mp4" if find_spec("av") else "pictures"
-    lines.append(f"To look at it: gscore render {output} -o {output / made}")
+    lines.append(f"To look at it: {typed('render', output, '-o', output / made)}")
     return "\n".join(lines)
 
 
@@ -269,5 +270,5 @@ def _nothing_to_do(result: "TrainResult") -> str:
     return (
         f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
         f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to go "
-        f"on, or measure it again with: gscore eval {result.output}"
+        f"on, or measure it again with: {typed('eval', result.output)}"
     )

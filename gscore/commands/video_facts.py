@@ -1,9 +1,9 @@
 """What `gscore info` says of a video: what its frames are, and what comes next."""
 
-import shlex
 from pathlib import Path
 from typing import Any
 
+from ..shown import typed
 from ..video.source import opened_video
 from ..words import count_words, time_words
 
@@ -33,7 +33,7 @@ def video_facts(path: Path) -> dict[str, Any]:
         "hdr": facts.hdr,
         "interlaced": facts.interlaced,
         "rotation": facts.rotation,
-        "next": f"gscore train {shlex.quote(str(path))} -o run",
+        "next": typed("train", path, "-o", "run"),
         "warnings": [],
     }
 

@@ -79,10 +79,15 @@ def told_of_split(count: int, test: Sequence[int], config: DataConfig) -> list[s
     by_count = config.test_list is None and not (config.test_first or config.test_last)
     if not (config.eval and by_count and len(test) == 1 and config.test_every > count):
         return []
+    fewer = max(2, count // 3)
+    more = (
+        f"`--hold-out {fewer}` measures {number(len(range(0, count, fewer)))}."
+        if fewer < count
+        else "Take more photos."
+    )
     return [
         f"One of {number(config.test_every)} views is held out, but there are only "
-        f"{count_words(count, 'view')}: one view alone is measured, which says little. "
-        "`--hold-out 8` holds out every eighth."
+        f"{count_words(count, 'view')}: one view alone is measured, which says little. {more}"
     ]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ShapeError
+from ..events import MASKED_OF
 from .image import EMPTY_MASK, image_metrics
 from .lpips import Lpips
 from .lpips_input import SHORTEST_SIDE
@@ -135,6 +136,8 @@ def evaluate(
         height, width = target.shape[:2]
         view = {"name": name, "width": width, "height": height}
         view |= values | {"render_seconds": seconds}
+        if "psnr_masked" in view and (of := getattr(dataset, "judged_by", "")):
+            view[MASKED_OF] = of
         views.append(view)
         if on_view is not None:
             on_view(place, target, np.asarray(picture), weights, view)
@@ -171,8 +174,11 @@ def _means(views: list[dict[str, Any]], lpips: Lpips | LpipsNet | None) -> dict[
     views = counted or views
     mean: dict[str, Any] = {"lpips_net": lpips.net if lpips else None}
     for key in _AVERAGED:
-        if key == "psnr_masked" and not any(key in view for view in views):
-            continue
+        if key == "psnr_masked":
+            if not any(key in view for view in views):
+                continue
+            if MASKED_OF in views[0]:
+                mean[MASKED_OF] = views[0][MASKED_OF]
         values = [view[key] for view in views if view.get(key) is not None]
         if values and len(values) == len(views):
             mean[key] = math.fsum(values) / len(values)

@@ -34,6 +34,7 @@ from .verdict import (
     said_of_attempt,
     said_of_focal,
     said_of_gps,
+    said_of_lens,
 )
 from .watch import check_space, colmap, told, watched
 from .workspace import Workspace
@@ -83,6 +84,7 @@ class _Search:
         self._warnings: list[str] = []
         self._root = photos.photo_folder(request.photos)
         self._space = Workspace(request.output, self._root)
+        self._lens = ""
         self._opened = False
         self._forecast: Forecast | None = None
         self._compared: set[Path] = set()
@@ -336,6 +338,7 @@ class _Search:
             reprojection_px=model.compute_mean_reprojection_error(),
             track_length=model.compute_mean_track_length(),
             cameras=cameras,
+            lens=self._lens,
             in_metres=gps.metres is not None,
             up=None if gps.up is None else tuple(gps.up.tolist()),
             attempts=tried,
@@ -378,10 +381,7 @@ class _Search:
 
         found = self._watch(work, ADJUSTING, 0, lambda: 0, lambda: 1)
         if found.before is not None:
-            self._warn(
-                f"The mean error was {found.before:.2f} px with one focal length a lens; with two "
-                f"and more coefficients (OPENCV) it is {found.after:.2f} px."
-            )
+            self._lens = said_of_lens(found.before, found.after)
         if found.held:
             self._warn(said_of_focal([stated[number] for number in model.cameras]))
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from ..datasets.capture import listing
 from ..datasets.search_record import said_of_left_out
+from ..shown import typed
 from ..words import count_words, number, time_words
 
 _BLURRED = 1.5
@@ -38,6 +39,8 @@ class Found:
     """Photos that show a point, in the mean."""
     cameras: tuple[dict[str, Any], ...]
     """Model, size and focal length in px of each camera."""
+    lens: str = ""
+    """A sentence where the lens is another than was asked for."""
     in_metres: bool = False
     """Whether GPS in EXIF gave the model its size."""
     up: tuple[float, float, float] | None = None
@@ -66,13 +69,14 @@ class Found:
             f"{self.track_length:.1f} photos, "
             f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
             f"{time_words(self.seconds)}",
+            *([f"  {self.lens}"] if self.lens else []),
             *(
                 [f"  sizes are in metres{', and up is known' if self.up else ''}, by GPS in EXIF"]
                 if self.in_metres
                 else []
             ),
             *(f"  {sentence}" for sentence in self._findings()),
-            f"Next: gscore train {self.output} -o run --eval",
+            f"Next: {typed('train', self.output, '-o', 'run', '--eval')}",
         ]
 
     def _findings(self) -> list[str]:
@@ -139,6 +143,14 @@ def said_of_focal(cameras: list[tuple[float, bool]]) -> str:
         "The photos do not tell the focal length: another one fits as well, as where the camera "
         f"only moves ahead. It is taken as {shown}, {whence}; if you know it better, give it with "
         "--focal-length."
+    )
+
+
+def said_of_lens(before: float, after: float) -> str:
+    """The sentence on a lens that fits better than the one asked for; mean errors in px."""
+    return (
+        "The lenses are kept as OPENCV, with two focal lengths and more coefficients: that brought "
+        f"the mean error from {before:.2f} px down to {after:.2f} px."
     )
 
 

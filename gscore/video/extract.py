@@ -9,7 +9,7 @@ from typing import Any
 from ..control import Control
 from ..errors import Cancelled, DatasetError, FormatError
 from ..events import FramesDone, FramesProgress, Show, Warn
-from ..shown import shown
+from ..shown import shown, typed
 from ..words import count_words, number, time_words
 from .choose import Choice, choose
 from .folder import FrameFolder
@@ -71,7 +71,7 @@ class Frames:
         return [
             f"{count} of {number(self.total)} in {shown(self.folder)}, {self.width} x "
             f"{self.height} px; {left}; {time_words(round(self.took))}.",
-            f"Next: gscore sfm {self.folder} -o CAPTURE --matching sequential",
+            "Next: " + typed("sfm", self.folder, "-o", "CAPTURE", "--matching", "sequential"),
         ]
 
 

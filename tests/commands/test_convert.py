@@ -331,6 +331,8 @@ def test_files_given_twice_are_told(gscore, ply, tmp_path):
     code, text, err = gscore("convert", ply, tmp_path / "o.ply", "--merge", link, ply, "--json")
     assert code == 0 and f"{ply} is given 3 times" in err.replace("\n", " ")
     assert json.loads(text)["splats"] == 180
+    _, text, _ = gscore("convert", ply, tmp_path / "o.ply", "--merge", link)
+    assert "(before: 60 + 60, " in text
 
 
 def test_an_option_of_another_format_is_told(gscore, ply, tmp_path):
@@ -345,7 +347,8 @@ def test_pipes_and_devices_are_called_so(gscore, tmp_path, verb):
     """Oracle: what they are, at once; a pipe without a writer is not waited for."""
     os.mkfifo(tmp_path / "pipe.ply")
     for path, what in ((tmp_path / "pipe.ply", "a named pipe"), ("/dev/zero", "a device")):
-        rest = {"convert": [tmp_path / "o.ply"], "info": []}.get(verb, ["-o", tmp_path / "o.html"])
+        page, folder = ["-o", tmp_path / "o.html"], ["-o", tmp_path / "o"]
+        rest = {"convert": [tmp_path / "o.ply"], "view": page, "render": folder}.get(verb, [])
         code, _, err = gscore(verb, path, *rest)
         assert code == 2 and what in err
 

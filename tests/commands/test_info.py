@@ -23,12 +23,14 @@ def test_capture(gscore, capture, ring):
     assert facts["sizes"] == {"48 x 36": 9} and facts["points"] == 60
     assert facts["names"] == ["a_0.png", "a_8.png"] and facts["masks"] == "none"
     assert facts["focal_px"] == pytest.approx([45, 45])
+    assert facts["focal_y_px"] == pytest.approx([47, 47])
     assert facts["camera_extent"] == pytest.approx(1.1 * 5, rel=1e-6)
     assert facts["model"]["cameras"] == {"PINHOLE": 1}
     assert facts["model"]["mean_error_px"] == pytest.approx(0.5)
     assert facts["decoded_bytes"] >= 9 * 48 * 36 * 3
     code, out, _ = gscore("info", capture)
     assert code == 0 and "9 photos (9 of 48 x 36 px)" in out and "1 PINHOLE" in out
+    assert "focal length 45.0 px across and 47.0 px down after undistortion" in out
 
 
 def test_ply(gscore, splats, tmp_path):

@@ -82,11 +82,12 @@ def test_convert_writes_a_level_or_a_box(gscore, city, splats, tmp_path):
     gscore("convert", city, tmp_path / "few.ply", "--level", 1, "--quiet")
     assert len(read_ply(tmp_path / "few.ply")) == 15
     box = ("--box", -0.2, -1, -1, 0.6, 1, 0.5)
-    gscore("convert", city, tmp_path / "box.ply", *box, "--quiet")
+    _, text, _ = gscore("convert", city, tmp_path / "box.ply", *box, "--quiet")
     low, high = np.array(box[1:4]), np.array(box[4:])
     inside = ((splats.means >= low) & (splats.means <= high)).all(axis=1)
     found = read_ply(tmp_path / "box.ply").means
     assert 5 < inside.sum() < 55
+    assert f"(read: {inside.sum()}, " in text  # nobody has counted all of the level
     assert sorted(map(tuple, found)) == sorted(map(tuple, splats.means[inside]))
     gscore("convert", city, tmp_path / "out.ply", *box, "--outside", "--quiet")
     assert len(read_ply(tmp_path / "out.ply")) == 60 - inside.sum()
@@ -119,6 +120,8 @@ def test_what_cannot_work_is_refused(gscore, city, tmp_path):
     refuses(gscore, "has none. Make them first", "render", run, "-o", new, "--lod-px", 1)
     refuses(gscore, "has 2 levels", "convert", city, tmp_path / "new.ply", "--level", 2)
     refuses(gscore, "has none", "convert", run, tmp_path / "new.ply", "--level", 0)
+    gone = ("convert", tmp_path / "gone.ply", tmp_path / "new.ply", "--level", 0)
+    refuses(gscore, "There is no file or folder", *gone)
     refuses(gscore, "is a file of levels of detail", "view", city, "-o", tmp_path / "new.html")
     refuses(gscore, "is a file of levels of detail", "eval", city, "-o", new)
     city.write_bytes(city.read_bytes()[:-1])

@@ -12,6 +12,7 @@ from PIL import Image
 from gscore.commands.pictures.stills import still_names, write_depth_png
 from gscore.errors import ShapeError
 from gscore.io.cameras_json import write_cameras
+from gscore.io.ply.splats import write_splats
 from gscore.raster.api import render
 
 
@@ -276,7 +277,7 @@ def test_bad_options(gscore, run_folder, tmp_path, arguments, says):
     assert "Traceback" not in err and not (tmp_path / "out").exists()
 
 
-def test_bad_outputs_and_models(gscore, run_folder, tmp_path):
+def test_bad_outputs_and_models(gscore, run_folder, tmp_path, splats):
     """Oracle: exit code 2 and a sentence with the path."""
     folder = run_folder()
     code, _, err = gscore("render", "-o", tmp_path / "out")
@@ -289,6 +290,14 @@ def test_bad_outputs_and_models(gscore, run_folder, tmp_path):
     assert code == 2 and "neither transparency nor depth" in err
     code, _, err = gscore("render", tmp_path / "none", "-o", tmp_path / "out")
     assert code == 2 and "There is no file or folder" in err
+    for name in ("x.txt", "x.gif", "x.mov", "x.spz", "x.html"):
+        code, _, err = gscore("render", folder, "-o", tmp_path / name)
+        assert code == 2 and "files are not written" in err and not (tmp_path / name).exists()
+    assert gscore("render", folder, "-o", tmp_path / "take.v2", "--view", "0")[0] == 0
+    write_splats(tmp_path / "none.ply", splats.subset(np.zeros(len(splats), bool)))
+    code, _, err = gscore("render", tmp_path / "none.ply", "-s", folder, "-o", tmp_path / "out")
+    assert code == 2 and "holds no splats, so there is nothing to draw" in err
+    assert gscore("info", tmp_path / "none.ply")[1].startswith(f"{tmp_path / 'none.ply'}: 0 splats")
     empty = tmp_path / "empty"
     empty.mkdir()
     code, _, err = gscore("render", empty, "-o", tmp_path / "out")

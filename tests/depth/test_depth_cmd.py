@@ -257,6 +257,7 @@ def test_neither_model_nor_maps(planes, gscore, tmp_path):
         code, _, err = gscore("depth", planes.folder, *arguments)
         assert code == 2 and "github.com/isl-org/MiDaS/releases" in err
         assert "--list-models" in err and "Traceback" not in err
+        assert ("--method stereo, which needs none" in err) == (not arguments)
     assert not (planes.folder / "depths").exists()
     code, _, err = gscore("depth", tmp_path / "nowhere")
     assert code == 2 and "nowhere" in err

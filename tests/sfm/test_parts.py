@@ -14,7 +14,7 @@ from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
-from gscore.sfm.verdict import Found
+from gscore.sfm.verdict import Found, said_of_lens
 
 from .conftest import STUDIO
 
@@ -146,6 +146,7 @@ def test_the_verdict_names_what_to_do() -> None:
         reprojection_px=2.0,
         track_length=2.1,
         cameras=(),
+        lens=said_of_lens(1.3, 0.47),
         attempts=3,
         seconds=1.0,
         resumed=False,
@@ -154,6 +155,7 @@ def test_the_verdict_names_what_to_do() -> None:
     text = "\n".join(found.lines())
     for words in ("5 of 9 photos", "x, y, z", "lost.jpg", "--camera-model OPENCV", "gscore train"):
         assert words in text
+    assert "kept as OPENCV" in text and "from 1.30 px down to 0.47 px" in text
     assert found.facts()["models"] == 2 and found.facts()["others"] == (("x", "y", "z"),)
 
 

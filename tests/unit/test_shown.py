@@ -1,6 +1,7 @@
 """What messages repeat of an input; oracles: lengths by definition, and the syntax trees."""
 
 import ast
+import shlex
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from gscore.errors import FormatError
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.binary import read_images
 from gscore.io.colmap.text import read_cameras
-from gscore.shown import quoted, shown
+from gscore.shown import quoted, shown, typed
 
 PACKAGE = Path(gscore.__file__).parent
 LARGE = 50_000_000
@@ -22,6 +23,17 @@ def test_short_values_are_whole() -> None:
     for value in ("a.png", 7, 1.5, None, True, [[1.0, 2.0, 3.0, 4.0]] * 4, {"a": [1]}):
         assert quoted(value) == repr(value)
     assert shown(Path("a/b.ply")) == "a/b.ply"
+
+
+def test_commands_can_be_typed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: what a shell takes them apart to, and a program that is not on PATH."""
+    words = ("render", Path("my photos/run"), "-o", "it's.mp4")
+    assert shlex.split(typed(*words)) == ["gscore", *map(str, words)]
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr("sys.argv", [".venv/bin/gscore", "train"])
+    assert typed("info", "a") == ".venv/bin/gscore info a"
+    monkeypatch.setattr("sys.argv", ["worker.py"])
+    assert typed("info", "a") == "gscore info a"
 
 
 @pytest.mark.parametrize(

@@ -121,6 +121,7 @@ def test_one_view_of_few_is_told(make_capture: Callable[..., SmallCapture]) -> N
         config = DataConfig(source=capture.root, eval=True, test_every=every)
         words = [w for w in load_dataset(config).warnings if "one view alone is measured" in w]
         assert len(words) == told
+        assert all("`--hold-out 3` measures 3." in w for w in words)
         assert [p.text for p in inspect(config).problems if p.text in words] == words
     plain = DataConfig(source=capture.root, test_every=40)
     assert not any("held out" in w for w in load_dataset(plain).warnings)

@@ -17,6 +17,7 @@ from ...io.foreign import foreign
 from ...io.runs import options_of_run
 from ...raster.api import Rendered, render, render_camera
 from ...scene import Cameras
+from ...shown import typed
 from ...splats import Splats
 
 
@@ -161,7 +162,7 @@ def find_splats(path: Path) -> Path:
     saved = sorted(path.glob("point_cloud/iteration_*/point_cloud.ply"), key=_iteration)
     if saved:
         return saved[-1]
-    other = f"{path} is a capture; train it first: gscore train {path} -o run"
+    other = f"{path} is a capture; train it first: {typed('train', path, '-o', 'run')}"
     raise DatasetError(
         f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
         "give the file itself or the folder a training wrote. "

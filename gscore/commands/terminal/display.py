@@ -240,7 +240,7 @@ def eval_text(event: Eval) -> str:
 def estimate_text(event: Estimated) -> str:
     """What a training will take, for people."""
     text = f"About {time_words(max(round(event.seconds), 1))} of training and "
-    text += f"{event.peak_bytes / 1e9:.1f} GB of memory"
+    text += f"{event.peak_bytes / 1e9:.1f} GB of memory, where nothing else runs"
     if event.photos_kept:
         return text
     return f"{text}; {size_words(event.photo_bytes)} of photos are kept, the others read again"

@@ -12,6 +12,9 @@ from ...events import strict_json
 from ...io.files import reason
 from ...shown import shown
 
+_NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
+"""Endings of formats that hold no comment."""
+
 
 def print_json(content: Any) -> None:
     """One line of strict JSON on stdout."""
@@ -38,9 +41,16 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
     if foreign:
         raise ConfigError(
             f"{first_few([str(path) for path in foreign])} is there already. Nothing in it "
-            "says that gscore wrote it (SPZ, .splat and USD files never do), so it stays. Choose "
-            "another output, or give --overwrite."
+            f"says that gscore wrote it{_never(foreign)}, so it stays. Choose another output, or "
+            "give --overwrite."
         )
+
+
+def _never(paths: list[Path]) -> str:
+    """Words where files of a format have no room for a name, so that even ours say nothing."""
+    if any(path.suffix.lower() in _NAMELESS for path in paths):
+        return " (SPZ, .splat, USD and .bin files never do)"
+    return ""
 
 
 def is_ours(path: Path) -> bool:

@@ -89,8 +89,8 @@ def _no_folder(path: Path) -> str:
     if not path.is_file():
         return f"There is no folder {path}. Give the folder that holds the capture."
     return foreign(path) or (
-        f"{path} is a file; a capture is a folder with photos and cameras. To train from the "
-        "splats of a PLY, give the capture and --start-splats."
+        f"{path} is a file; a capture is a folder of photos, with their cameras or without. To "
+        "train from the splats of a PLY, give the capture and --start-splats."
     )
 
 

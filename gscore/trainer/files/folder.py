@@ -142,8 +142,8 @@ def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
     check_replaceable(path)
     if names and not overwrite:
         raise ConfigError(
-            f"{path} holds another run ({', '.join(names)}); go on with it with --resume, replace "
-            "it with --overwrite, or choose another folder."
+            f"{path} holds another run ({', '.join(names)}); continue it with --resume, replace it "
+            "with --overwrite, or choose another folder."
         )
 
 

@@ -17,6 +17,9 @@ _COARSE = 400
 class RegionPhotos(Dataset):
     """The views that may see a box. Held-out ones are judged by the pixels that look at it."""
 
+    judged_by = "region"
+    """What the pixels that count lie in, for `evaluate`."""
+
     def __init__(self, whole: Dataset, box: Box, *, near: float, narrow: bool = False) -> None:
         """Keep the views of `whole` that may see `box`; `near` in world units. `narrow`: what does
         not look at it counts in no view at all.

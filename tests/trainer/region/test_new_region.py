@@ -17,6 +17,7 @@ from gscore.trainer.region.box import Box
 from gscore.trainer.region.photos import RegionPhotos
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
+from gscore.words import psnr_name
 from tests.trainer.short_run import CONFIG
 
 BOX = np.diag([0.3, 0.3, 0.3, 1.0])
@@ -122,6 +123,7 @@ def test_measured_again_it_is_the_region_still(
     words = ["eval", str(tmp_path / "out"), "-o", str(tmp_path / "again"), "--json", "--overwrite"]
     assert main(words) == 0
     again = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert psnr_name(again) == psnr_name(result.metrics) == "PSNR inside the region"
     for key in ("psnr_masked", "psnr", "ssim"):
         assert again[key] == pytest.approx(result.metrics[key], abs=1e-4)
     (tmp_path / "r.json").unlink()
