@@ -28,7 +28,12 @@ from .terminal.status import Counted, Status, wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("first", metavar="RUN_A", type=Path, help="folder of a run")
+    parser.add_argument(
+        "first",
+        metavar="RUN_A",
+        type=Path,
+        help="folder of a run, or of what gscore eval -o measured",
+    )
     parser.add_argument("second", metavar="RUN_B", type=Path, help="another of the same capture")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("compare.html"), help="the page (compare.html)"
@@ -90,7 +95,9 @@ def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
 def _opened(folder: Path) -> GivenModel:
     if not folder.is_dir():
         raise ConfigError(f"{shown(folder)} is no folder; two runs are compared, by their folders.")
-    model = open_model(folder)
+    # An evaluation in a folder of its own names the splats that it measured.
+    measured = None if (folder / "config.json").is_file() else read_metrics(folder).get("model")
+    model = open_model(Path(measured) if measured else folder)
     if model.data is None or model.run is None:
         raise ConfigError(
             f"{shown(folder)} holds no config.json, so it is not known what was trained there; "
@@ -135,8 +142,8 @@ def _compared(label: str, folder: Path, model: GivenModel) -> ComparedRun:
     command = ""
     if model.data is not None and model.train is not None:
         options = to_dict(model.data) | to_dict(model.train)
-        command = train_command(model.data, model.train, folder)
-    metrics = read_metrics(model.run or folder)
+        command = train_command(model.data, model.train, model.run or folder)
+    metrics = read_metrics(folder) or read_metrics(model.run or folder)
     return ComparedRun(
         label=label, folder=str(folder), metrics=metrics, options=options, command=command
     )

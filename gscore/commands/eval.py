@@ -169,6 +169,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         isa=backend.isa(),
         threads=args.threads or backend.default_threads(),
         course=course,
+        model="" if output == model.run else str(model.path.absolute()),
     )
     mapped = _write_map(args.error_map, model, errors) if errors and args.error_map else {}
     content = write_results(

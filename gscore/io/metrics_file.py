@@ -116,7 +116,8 @@ _Kind = Callable[[Any], bool]
 _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
     (re.compile(names), kind)
     for names, kind in (
-        (r"split|reason|mask_mode|gscore|lpips_net|trained_at|\w+_reason", _is_text),
+        (r"split|reason|mask_mode|gscore|lpips_net|trained_at|model|psnr_masked_of", _is_text),
+        (r"\w+_reason", _is_text),
         (r"psnr\w*|ssim\w*|d_ssim|ms_ssim|lpips\w*|fps|train_seconds", is_number),
         (r"steps|splats|sh_degree|storage_bytes|peak_memory_bytes", _is_whole),
         (r"train_views|test_views", _are_texts),

@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import ConfigError
 from ..events import judged_psnr
 from ..io.metrics_file import is_number
-from ..shown import shown
+from ..shown import shown, typed
 from ..words import psnr_name
 
 HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False}
@@ -124,10 +124,7 @@ def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
 def _check_masks(runs: Sequence[ComparedRun]) -> None:
     modes = [run.metrics.get("mask_mode") for run in runs]
     if modes[0] != modes[1]:
-        advice = (
-            "Measure one of them as the other, in its own folder: gscore eval "
-            f"{shown(runs[1].folder)} --mask-mode {modes[0]}."
-        )
+        advice = _measure_again(runs, ("--mask-mode", str(modes[0])), f"masks-{modes[0]}")
         if "composite" in modes:
             advice = (
                 "With composite splats show the subject alone, else what is around it too, so no "
@@ -145,11 +142,22 @@ def _check_sizes(
 ) -> None:
     sizes = [f"{view.get('width')} x {view.get('height')} px" for view in views]
     if sizes[0] != sizes[1]:
+        width = views[0].get("width")
         raise ConfigError(
             f"{shown(runs[0].label)} was scored at {sizes[0]}, {shown(runs[1].label)} at "
-            f"{sizes[1]} (view {shown(name)}): their numbers cannot be compared. Measure one of "
-            "them at the size of the other, in its own folder: gscore eval RUN -r."
+            f"{sizes[1]} (view {shown(name)}): their numbers cannot be compared. "
+            + _measure_again(runs, ("-r", str(width)), f"{width}px")
         )
+
+
+def _measure_again(runs: Sequence[ComparedRun], options: Sequence[str], mark: str) -> str:
+    """What to type so that the second run has numbers as the first, apart from its own."""
+    first, second = (run.folder.rstrip("/") for run in runs)
+    apart = f"{second}-{mark}"
+    return (
+        f"Measure the second as the first: {typed('eval', second, *options, '-o', apart)}, and "
+        f"compare that: {typed('compare', first, apart)}"
+    )
 
 
 def _same_network(runs: Sequence[ComparedRun]) -> bool:

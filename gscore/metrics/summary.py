@@ -74,6 +74,8 @@ class Metrics:
     """What the rasterizer ran with."""
     threads: int
     course: Course = field(default_factory=Course)
+    model: str = ""
+    """Path of the splats, where these numbers lie in another folder than their run's."""
 
     def content(self) -> dict[str, Any]:
         """The file: means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim, ms_ssim, lpips,
@@ -102,6 +104,7 @@ class Metrics:
             "evals": [dict(row) for row in course.evals],
         }
         parts = {name: getattr(course, name) for name in ("depth", "exposure", "poses", "ranks")}
+        parts["model"] = self.model or None
         return content | {key: part for key, part in parts.items() if part is not None}
 
 

@@ -4,8 +4,10 @@ import base64
 import io
 import json
 import re
+import shlex
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,6 +84,28 @@ def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
     assert f"gscore eval {second}" in refused(first, second, "-o", page)
     (second / "config.json").unlink()
     assert "holds no config.json" in refused(first, second, "-o", page)
+
+
+def test_unlike_measurements_become_alike(gscore, two_runs, tmp_path, monkeypatch):
+    """Oracle: the commands of the sentence, typed: they compare, and both runs keep their own."""
+    monkeypatch.chdir(tmp_path)  # where compare.html goes
+    first, second = two_runs
+    assert gscore("eval", first, "-r", "24", "--quiet")[0] == 0
+    kept = [(run / "metrics.json").read_bytes() for run in two_runs]
+    code, _, err = gscore("compare", first, second, "-o", tmp_path / "c.html")
+    said = " ".join(err.split())
+    assert code == 2
+    commands = re.findall("gscore (eval .*), and compare that: gscore (compare .*)$", said)
+    for command in commands[0]:
+        code, text, _ = gscore(*shlex.split(command), "--json")
+        assert code == 0
+    facts, apart = json.loads(text), Path(shlex.split(commands[0][1])[-1])
+    measured = json.loads((apart / "metrics.json").read_text())
+    assert apart.parent == second.parent and (tmp_path / "compare.html").is_file()
+    wanted = measured.get("psnr_masked", measured["psnr"])
+    assert facts["means"]["psnr"][1] == pytest.approx(wanted)
+    assert facts["options"] == {}
+    assert kept == [(run / "metrics.json").read_bytes() for run in two_runs]
 
 
 def test_somebody_elses_page_stays(gscore, two_runs, tmp_path):
