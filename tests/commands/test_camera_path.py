@@ -173,12 +173,25 @@ def test_orbit_of_half_a_ring_stays_where_cameras_were(ring):
 def test_orbit_follows_the_cameras_in_and_out():
     """Oracle: cameras on an ellipse; the path must not cut through what lies beyond it."""
     angles = np.arange(24) / 24 * 2 * math.pi
-    eyes = np.stack([6 * np.cos(angles), 2 * np.sin(angles), np.full(24, 0.5)], axis=1)
+    eyes = np.stack([6 * np.cos(angles), 4 * np.sin(angles), np.full(24, 0.5)], axis=1)
     keys = np.stack([look_at(e, np.zeros(3), np.array([0, 0, 1.0])) for e in eyes])
     path = centers(orbit_path(keys, 120))
     nearest = np.linalg.norm(path[:, None] - eyes[None], axis=2).min(axis=1)
     assert nearest.max() < 1.2
-    assert np.hypot(path[:, 0], path[:, 1]).max() > 4.5
+    assert np.hypot(path[:, 0], path[:, 1]).max() > 5.3
+
+
+def test_orbit_keeps_its_distance_where_photos_are_close():
+    """Oracle: a ring of 24 cameras, and 8 close ones on one side; the path stays near the ring and
+    changes its distance by less than a hundredth from one picture to the next."""
+    angles = np.concatenate([np.arange(24) / 24, np.arange(8) / 80]) * 2 * math.pi
+    radii = np.repeat([5.0, 1.5], [24, 8])
+    eyes = np.stack([radii * np.cos(angles), radii * np.sin(angles), np.full(32, 0.5)], axis=1)
+    keys = np.stack([look_at(e, np.zeros(3), np.array([0, 0, 1.0])) for e in eyes])
+    path = centers(orbit_path(keys, 240))
+    away = np.hypot(path[:, 0], path[:, 1])
+    assert away.min() > 4.5
+    assert np.abs(np.diff(np.log(np.append(away, away[0])))).max() < 0.01
 
 
 def test_look_at():

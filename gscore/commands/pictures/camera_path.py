@@ -13,8 +13,10 @@ _FACING = math.radians(45)
 """Cameras that turn more than this from the middle do not look at it."""
 _SWING = 0.9
 """Share of the arc with cameras that such an orbit uses; its ends were seen from one side only."""
-_NEARBY = math.radians(20)
+_NEARBY = math.radians(35)
 """Cameras about this far around the orbit decide its distance and height there."""
+_CLOSE = 0.25
+"""Share of the cameras that stand closer to the middle than the orbit ever comes."""
 
 
 def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -140,7 +142,9 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     away = np.angle(np.exp(1j * (wanted[:, None] - angles[None, :])))  # [frames, C] in (-pi, pi]
     weights = np.exp(-0.5 * (away / _NEARBY) ** 2) + 1e-12
     weights /= weights.sum(axis=1, keepdims=True)
-    radius, height = weights @ radii, weights @ heights
+    # Photos of a detail stand close: an orbit that followed them would zoom in and out again.
+    far_enough = np.maximum(radii, np.quantile(radii, _CLOSE))
+    radius, height = weights @ far_enough, weights @ heights
     eyes = (
         focus
         + (radius * np.cos(wanted))[:, None] * ahead
