@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import mimetypes
 import sys
 import time
 from collections.abc import Iterator
@@ -34,8 +33,17 @@ from .terminal.status import Counted, Status, wrapped
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 _WRITTEN = (".mp4", ".png")
 """Endings of one file; all else is a folder of pictures."""
-_OTHER_FORMATS = frozenset((".blend", ".exr", ".mkv", ".ply", ".sog", ".splat", ".spz"))
-"""Endings that show that a file was meant, not a folder; besides those of `mimetypes`."""
+_PICTURES = (
+    *(".avi", ".bmp", ".exr", ".gif", ".heic", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".mpg"),
+    *(".ogv", ".svg", ".tga", ".tif", ".tiff", ".webm", ".webp"),
+)
+_TEXTS = (".csv", ".htm", ".html", ".json", ".md", ".npy", ".npz", ".pdf", ".txt", ".zip")
+_SCENES = (
+    *(".blend", ".glb", ".gltf", ".ksplat", ".lod", ".ply", ".sog", ".splat", ".spz"),
+    *(".usd", ".usda", ".usdc", ".usdz"),
+)
+_OTHER_FORMATS = frozenset((*_PICTURES, *_TEXTS, *_SCENES))
+"""Endings that show that a file was meant, not a folder."""
 _DEPTH_STEPS = 60_000
 """16-bit values given to the depths of the first picture; the rest is for deeper ones."""
 
@@ -317,7 +325,7 @@ def _check_stills(pictures: list[Path], depths: list[Path], *, overwrite: bool) 
 def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     check_resolution(args.resolution)
     suffix = args.output.suffix.lower()
-    if _is_of_others(suffix) and not args.output.is_dir():
+    if suffix in _OTHER_FORMATS and not args.output.is_dir():
         raise ConfigError(
             f"{args.output}: {suffix} files are not written; give a .png, an .mp4 or a folder."
         )
@@ -337,12 +345,6 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
         raise ConfigError("Give either --transparent or --background.")
     if is_video:
         need_video()  # say so before the work, not after it
-
-
-def _is_of_others(suffix: str) -> bool:
-    """Whether an ending is that of files, none of which are written."""
-    known = mimetypes.MimeTypes().guess_type(f"file{suffix}")[0] is not None  # not the system's
-    return (known or suffix in _OTHER_FORMATS) and suffix not in _WRITTEN
 
 
 def _check_one_size(shots: Cameras) -> None:

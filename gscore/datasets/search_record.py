@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from ..errors import GsError
 from ..io.files import read_bytes
@@ -55,5 +55,5 @@ def told_of_search(source: Path, views: int) -> list[str]:
     return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *told])]
 
 
-def _are_names(value: Any) -> bool:
+def _are_names(value: Any) -> TypeGuard[list[str]]:
     return isinstance(value, list) and all(isinstance(name, str) for name in value)

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..errors import DatasetError
 from ..json_text import parse_json
+from ..shown import typed
 from .files import read_bytes
 
 _LARGEST = 1 << 53
@@ -31,7 +32,7 @@ def metrics_problem(path: Path) -> str:
 
 def _read(path: Path) -> tuple[dict[str, Any], str]:
     file = path / "metrics.json"
-    again = f"`gscore eval {path}` measures again."
+    again = f"`{typed('eval', path)}` measures again."
     try:
         content = parse_json(read_bytes(file))
     except (DatasetError, ValueError):

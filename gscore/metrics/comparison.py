@@ -115,8 +115,8 @@ def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
     found = {view["name"]: view for view in views if isinstance(view.get("name"), str)}
     if not found:
         raise ConfigError(
-            f"{shown(run.folder)} holds no numbers of views; measure it first: gscore eval "
-            f"{shown(run.folder)}."
+            f"{shown(run.folder)} holds no numbers of views; measure it first: "
+            f"{typed('eval', run.folder)}"
         )
     return found
 
