@@ -260,7 +260,7 @@ QUOTES = (
     Quote(
         "docs/experiments/README.md",
         r"`normal` is ([\d.]+) to ([\d.]+) dB better than `draft`",
-        (_climbed("studio"), _climbed("garden")),
+        (_climbed("plush"), _climbed("garden")),
     ),
     Quote(
         EXPERIMENTS.format("small-photos"),
