@@ -104,7 +104,7 @@ def clipped(view: bpy.types.RegionView3D) -> Iterator[object]:
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area(), region=region()):
         bpy.ops.view3d.clip_border(xmin=x - 50, xmax=x + 50, ymin=y - 50, ymax=y + 50)
-    yield 0.5
+    yield 2.0  # a busy machine draws late
     yield at_rest
     screenshot("clipped")
     view.use_clip_planes = False
