@@ -17,6 +17,7 @@ FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
 sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
 
 import addon_utils  # noqa: E402 - the path comes first
+import bmesh  # noqa: E402
 import bpy  # noqa: E402
 import numpy as np  # noqa: E402
 
@@ -84,6 +85,12 @@ def choose(ob: bpy.types.Object) -> None:
     for other in bpy.context.view_layer.objects:
         other.select_set(other == ob)
     bpy.context.view_layer.objects.active = ob
+
+
+def count_of(ob: bpy.types.Object) -> int:
+    """How many splats an object has; in Edit Mode its mesh does not know."""
+    mesh = ob.data
+    return len(bmesh.from_edit_mesh(mesh).verts if mesh.is_editmode else mesh.vertices)
 
 
 def rows(ob: bpy.types.Object, name: str = "position") -> np.ndarray:
@@ -171,7 +178,7 @@ def turned(angle: float) -> object:
 def edit() -> Iterator[object]:
     """Select, grade, delete; take it back and do it again; crop, thin out, write."""
     choose(result())
-    count = len(result().data.vertices)
+    count = count_of(result())
     press("select_by_opacity", low=0.9, high=1.0)
     yield 1.0
     arrive("selected")
@@ -182,15 +189,15 @@ def edit() -> Iterator[object]:
     key("mesh.delete", type="VERT")
     key("object.mode_set", mode="OBJECT")
     yield at_rest
-    less = len(result().data.vertices)
+    less = count_of(result())
     for _ in range(2):  # Edit Mode was left after it
         key("ed.undo")
         yield at_rest
-    back = len(result().data.vertices)
+    back = count_of(result())
     for _ in range(2):
         key("ed.redo")
         yield at_rest
-    seen["deleted"] = [count, less, back, len(result().data.vertices)]
+    seen["deleted"] = [count, less, back, count_of(result())]
     press("add_crop_box")
     box = bpy.context.object
     box.scale *= 0.5
