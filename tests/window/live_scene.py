@@ -104,7 +104,8 @@ def clipped(view: bpy.types.RegionView3D) -> Iterator[object]:
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area(), region=region()):
         bpy.ops.view3d.clip_border(xmin=x - 50, xmax=x + 50, ymin=y - 50, ymax=y + 50)
-    yield 2.0  # a busy machine draws late
+    area().tag_redraw()  # as the mouse of a user has it
+    yield 1.0
     yield at_rest
     screenshot("clipped")
     view.use_clip_planes = False
