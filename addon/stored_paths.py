@@ -96,20 +96,8 @@ def _save_ended(filepath: str = "", *_: object) -> None:
     _before.clear()
 
 
-_HANDLERS = {
+HANDLERS = {
     "save_pre": _save_begins,
     "save_post": _save_ended,
     "save_post_fail": _save_ended,
 }
-
-
-def on_register() -> None:
-    """Follow saving."""
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(function)
-
-
-def on_unregister() -> None:
-    """Stop following."""
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(function)

@@ -137,16 +137,4 @@ def _undone(*_: object) -> None:
         held.is_changed = True
 
 
-_HANDLERS = {"depsgraph_update_post": _changed, "undo_post": _undone, "redo_post": _undone}
-
-
-def on_register() -> None:
-    """Follow changes."""
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(function)
-
-
-def on_unregister() -> None:
-    """Follow no more."""
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(function)
+HANDLERS = {"depsgraph_update_post": _changed, "undo_post": _undone, "redo_post": _undone}

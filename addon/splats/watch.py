@@ -111,7 +111,7 @@ def _file_loaded(*_: object) -> None:
     look_at_all()
 
 
-_HANDLERS = {
+HANDLERS = {
     "depsgraph_update_post": _changed,
     "undo_post": _undone,
     "redo_post": _undone,
@@ -120,13 +120,5 @@ _HANDLERS = {
 
 
 def on_register() -> None:
-    """Follow changes."""
+    """Look at all once more."""
     _state.all_seen = False
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(function)
-
-
-def on_unregister() -> None:
-    """Follow no more."""
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(function)

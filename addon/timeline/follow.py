@@ -303,7 +303,7 @@ def _file_loaded(*_: object) -> None:
         beat.ensure()
 
 
-_HANDLERS = {
+HANDLERS = {
     "frame_change_post": _frame_changed,
     "render_pre": _render_begins,
     "depsgraph_update_post": _changed,
@@ -315,8 +315,6 @@ _HANDLERS = {
 
 def on_register() -> None:
     """Follow the timeline."""
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(function)
     settings.CHANGED.append(settings_changed)
     objects.CATCH_UP.append(catch_up)
     beat.FOLLOWERS.append(_FOLLOWER)
@@ -327,7 +325,5 @@ def on_unregister() -> None:
     beat.FOLLOWERS.remove(_FOLLOWER)
     objects.CATCH_UP.remove(catch_up)
     settings.CHANGED.remove(settings_changed)
-    for name, function in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(function)
     _drop_coming()
     LIBRARY.close()

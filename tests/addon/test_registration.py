@@ -62,8 +62,9 @@ def disabled(switch: Callable[[bool], None]) -> Iterator[Callable[[bool], None]]
 
 
 def test_every_module_registers() -> None:
-    """Oracle: MODULES, each with classes or hooks; every module that has any is among them."""
-    marks = ("CLASSES", "on_register", "on_unregister")
+    """Oracle: MODULES, each with classes, handlers or hooks; every module that has any is among
+    them."""
+    marks = ("CLASSES", "HANDLERS", "on_register", "on_unregister")
     for name in addon.MODULES:
         module = importlib.import_module(f"addon.{name}")
         assert any(hasattr(module, mark) for mark in marks), name
@@ -72,6 +73,9 @@ def test_every_module_registers() -> None:
         name = name.removesuffix(".__init__")
         tree = ast.parse(path.read_text(encoding="utf-8"))
         defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assigned = (node.targets for node in tree.body if isinstance(node, ast.Assign))
+        named = {one.id for names in assigned for one in names if isinstance(one, ast.Name)}
+        defined |= named & {"HANDLERS"}  # CLASSES are gathered from other files too
         if defined & set(marks):
             assert name in addon.MODULES
 
