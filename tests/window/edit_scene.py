@@ -4,7 +4,6 @@
 folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
 """
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,13 +16,13 @@ import addon_utils  # noqa: E402 - the path comes first
 import bmesh  # noqa: E402
 import bpy  # noqa: E402
 from bpy_extras.view3d_utils import location_3d_to_region_2d  # noqa: E402
-from mathutils import Quaternion, Vector  # noqa: E402
+from mathutils import Vector  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.render import copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
 
 COLOR = (0.1, 0.3, 0.9)
 POINT = 0.002
@@ -33,7 +32,7 @@ seen: dict = {"log": []}
 
 def screenshot(name: str) -> None:
     """The screen as a file."""
-    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+    shoot(FOLDER / f"{name}.png")
 
 
 def choose(ob: bpy.types.Object, *, upper: bool, lower: bool) -> None:
@@ -68,9 +67,7 @@ def part(sign: int) -> list[int]:
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     clear()
-    view = space().region_3d
-    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
-    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    look_down()
     wall = lab.add(bpy.context.scene, lab.wall(0.0, COLOR), "wall")
     yield at_rest
     bpy.context.view_layer.objects.active = wall

@@ -4,7 +4,6 @@
 `live_scene.py`.
 """
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +24,7 @@ from addon.live.card import Card  # noqa: E402
 from addon.nodes import display  # noqa: E402
 from addon.render.viewport import Viewport  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
 
 COLOR = (0.8, 0.4, 0.2)
 seen: dict = {"log": [], "problems": {}, "calls": {}}
@@ -33,7 +32,7 @@ seen: dict = {"log": [], "problems": {}, "calls": {}}
 
 def shot(name: str) -> None:
     """The screen as a file, and what the panel says."""
-    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+    shoot(FOLDER / f"{name}.png")
     seen["problems"][name] = handler.problem_of(region())
 
 
@@ -80,9 +79,7 @@ def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
-    view = space().region_3d
-    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
-    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    view = look_down()
     wall = lab.add(scene, lab.wall(0.0, COLOR), "wall")
     lab.add(scene, lab.blob(2000, center=(0.5, 0.3, 0.3)), "blob")
     mesh = bpy.data.meshes.new("plate")

@@ -4,7 +4,6 @@
 folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
 """
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ from addon.live import handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
 
 COLOR = (0.8, 0.4, 0.2)
 DARK = (5, 4, 3)
@@ -34,7 +33,7 @@ seen: dict = {"log": []}
 
 def screenshot(name: str) -> None:
     """The screen as a file, and where the view is in it."""
-    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+    shoot(FOLDER / f"{name}.png")
 
 
 def named(context: bpy.types.Context) -> list[str]:
@@ -136,9 +135,7 @@ def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
-    view = space().region_3d
-    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
-    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    view = look_down()
     wall = lab.add(scene, lab.wall(0.0, COLOR), "wall")
     seen["display"] = wall.gscore.display
     yield at_rest

@@ -5,7 +5,6 @@ PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLD
 pictures of the screen.
 """
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,14 +16,13 @@ sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
 import addon_utils  # noqa: E402 - the path comes first
 import bpy  # noqa: E402
 import numpy as np  # noqa: E402
-from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon import attributes  # noqa: E402
 from addon.paint import modal  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot  # noqa: E402
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
 PAUSE = 0.2
@@ -73,7 +71,7 @@ def press(key: str, **held: bool) -> Iterator[object]:
 
 def screenshot(name: str) -> None:
     """The screen as a file."""
-    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+    shoot(FOLDER / f"{name}.png")
 
 
 def begin() -> list[str]:
@@ -120,9 +118,7 @@ def by_tool(brush: bpy.types.PropertyGroup) -> Iterator[object]:
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     clear()
-    view = space().region_3d
-    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
-    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    view = look_down()
     wall = lab.add(bpy.context.scene, lab.wall(0.0, WALL), "wall")
     bpy.context.view_layer.objects.active = wall
     bpy.ops.ed.undo_push(message="wall")

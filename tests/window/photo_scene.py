@@ -4,7 +4,6 @@
 `live_scene.py`.
 """
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +19,7 @@ from mathutils import Matrix  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, region, shoot, space  # noqa: E402
 
 CAPTURE = ROOT / "examples" / "studio"
 COLOR = (0.8, 0.4, 0.2)
@@ -38,7 +37,7 @@ def shots(name: str, wall: bpy.types.Object) -> Iterator[object]:
         area().tag_redraw()
         yield 2.0
         file = FOLDER / f"{name}_{kind}.png"
-        subprocess.run(["import", "-window", "root", str(file)], check=True)
+        shoot(file)
     wall.hide_set(False)
 
 
@@ -51,7 +50,7 @@ def lost() -> Iterator[object]:
     slot.display_depth, slot.alpha = "FRONT", 1.0
     area().tag_redraw()
     yield 2.0
-    subprocess.run(["import", "-window", "root", str(FOLDER / "lost.png")], check=True)
+    shoot(FOLDER / "lost.png")
 
 
 def sequence() -> Iterator[object]:
@@ -62,7 +61,7 @@ def sequence() -> Iterator[object]:
     slot.image.source = "SEQUENCE"
     area().tag_redraw()
     yield 2.0
-    subprocess.run(["import", "-window", "root", str(FOLDER / "sequence.png")], check=True)
+    shoot(FOLDER / "sequence.png")
     slot.image = photo
 
 

@@ -6,7 +6,6 @@ PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLD
 picture of the screen.
 """
 
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -29,7 +28,7 @@ from addon.core import join_splats  # noqa: E402
 from addon.render import decimate, picture  # noqa: E402
 from addon.splats import choose, objects  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, clear, leaving  # noqa: E402
+from tools.window.desk import Teller, area, clear, leaving, shoot  # noqa: E402
 
 seen: dict = {"log": []}
 COUNT = 3000
@@ -210,7 +209,7 @@ def compared() -> Iterator[object]:
     image = bpy.data.images["GS Comparison"]
     seen["size"], seen["dirty"] = list(image.size), image.is_dirty
     seen["packed"] = image.packed_file is not None
-    subprocess.run(["import", "-window", "root", str(FOLDER / "compared.png")], check=True)
+    shoot(FOLDER / "compared.png")
 
 
 def repeated() -> Iterator[object]:

@@ -6,7 +6,6 @@ is named by a file `python`: the Python that trains. Leaves FOLDER/seen.json and
 screen, one after each station.
 """
 
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ from addon.job.training import job_of as training_of  # noqa: E402
 from addon.judge.work import job_of as errors_of  # noqa: E402
 from addon.process import beat  # noqa: E402
 from addon.steer.work import job_of as region_of  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, leaving, region, space  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, leaving, region, shoot, space  # noqa: E402
 
 Teller.LONGEST = 60.0
 STEPS = 1_000
@@ -66,7 +65,7 @@ def key(name: str, **given: object) -> None:
 def arrive(name: str) -> None:
     """Keep a picture of the screen, and begin the next station."""
     global station
-    subprocess.run(["import", "-window", "root", str(FOLDER / f"{name}.png")], check=True)
+    shoot(FOLDER / f"{name}.png")
     station = name
 
 

@@ -4,6 +4,7 @@ The add-on is there before this is imported.
 """
 
 import json
+import subprocess
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import addon_utils
 import bpy
+from mathutils import Quaternion
 
 from addon.live import handler
 
@@ -48,6 +50,19 @@ def clear() -> None:
     space().overlay.show_overlays = True
     for switch in ("show_floor", "show_axis_x", "show_axis_y", "show_cursor", "show_text"):
         setattr(space().overlay, switch, False)
+
+
+def look_down() -> bpy.types.RegionView3D:
+    """The 3D view, which looks straight down at the origin from 4 above it, in perspective."""
+    view = space().region_3d
+    view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
+    view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
+    return view
+
+
+def shoot(file: Path) -> None:
+    """The screen as a file."""
+    subprocess.run(["import", "-window", "root", str(file)], check=True)
 
 
 def leaving(folder: Path, seen: dict) -> Callable[[str], None]:
