@@ -9,7 +9,7 @@ from ..blocks.sight import MARGIN, SHARE
 from ..blocks.write import check_empty, write_blocks
 from ..config import DataConfig
 from ..io.places import check_place
-from ..shown import shown, typed
+from ..shown import typed
 from ..words import count_words, number
 from .given.data_options import add_split_options, with_data_options
 from .given.declared import declare
@@ -102,9 +102,8 @@ def _lines(cut: Cut, output: Path) -> list[str]:
             "Nearly every photo shows every block, so blocks save splats and no photos: this "
             "capture goes around one thing. A higher --share leaves more out."
         )
-    place = shown(output)
     lines.append(
-        f"Next: {typed('train', place, '-o', 'RUNS')}, or on many machines with --block 0, 1, ...;"
+        f"Next: {typed('train', output, '-o', 'RUNS')}, or on many machines with --block 0, 1, ...;"
     )
     lines.append("then: gscore merge RUNS -o merged.ply")
     return lines
