@@ -24,7 +24,8 @@ def export_path(
 ) -> int:
     """Write where a camera stands, and its lens, at each frame of the scene's range.
 
-    Every `frame_step`-th frame is written, as a render of the animation would draw them. The scene
+    Every `frame_step`-th frame is written, as a render of the animation would draw them, and so
+    many fewer pictures a second, so that the path takes as long as on the timeline. The scene
     stands at its own frame again afterwards. Depth of field, motion blur and clipping distances
     have no place in the file. Times go from 0 at the first to 1 at the last frame, as readers of
     moving scenes take them; a cameras.json has none.
@@ -54,7 +55,7 @@ def export_path(
             views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
     finally:
         scene.frame_set(here[0], subframe=here[1])
-    pace = scene.render.fps / scene.render.fps_base
+    pace = scene.render.fps / scene.render.fps_base / scene.frame_step
     if kind == TRANSFORMS:
         times = np.linspace(0, 1, len(views)).tolist()
         text = transforms_text(views, Path(path).parent, {"fps": pace}, times=times)

@@ -31,7 +31,7 @@ class ImportedPath:
     frame: cm.Frame
     """The pictures' raster."""
     fps: float | None
-    """Pictures a second, where the file states them."""
+    """Frames of the timeline a second, where the file states how many pictures."""
     warnings: tuple[str, ...]
     """Sentences for the user."""
 
@@ -76,7 +76,7 @@ def import_path(
         frames=(numbers[0], numbers[-1]),
         count=len(cameras),
         frame=frame,
-        fps=read.fps,
+        fps=None if read.fps is None else read.fps * _frames_a_picture(numbers),
         warnings=read.warnings,
     )
 
@@ -122,6 +122,12 @@ def _numbers(names: tuple[str, ...], start: int, *, numbered: bool) -> list[int]
     stated = [int(end.group(1)) for end in ends if end is not None]
     rising = len(stated) == len(names) and all(np.diff(stated) > 0) and stated[-1] <= _LAST
     return stated if numbered and rising else list(range(start, start + len(names)))
+
+
+def _frames_a_picture(numbers: list[int]) -> float:
+    """Of the timeline, in the mean: files of every so many-th frame have so many fewer pictures a
+    second."""
+    return (numbers[-1] - numbers[0]) / max(len(numbers) - 1, 1) or 1.0
 
 
 def _turns(poses: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from addon.cameras import formulas as cm
 from addon.cameras.camera_path import export_path
 from addon.core import write_splats
 from addon.splats import objects
+from gscore.datasets.camera_path_json import read_camera_path
 from gscore.io.cameras_json import read_cameras_json as read_cameras
 from tests.addon import splat_scenes as lab
 from tests.addon.captures import write_capture
@@ -208,12 +209,53 @@ def test_nerfstudio_has_no_such_lens(scene, camera, tmp_path: Path, what) -> Non
 
 def test_transforms_have_times(scene, camera, tmp_path: Path) -> None:
     """Oracle: from 0 to 1 over the frames that are rendered; the pace comes back."""
-    scene.render.fps, scene.frame_step = 50, 2
+    scene.render.fps = 50
     file = tmp_path / "p.json"
     export = bpy.ops.gscore.export_camera_path
     export(filepath=str(file), world="BLENDER", kind="TRANSFORMS")
     written = json.loads(file.read_text())
-    assert [frame["time"] for frame in written["frames"]] == [0, 0.5, 1] and written["fps"] == 50
+    times = [frame["time"] for frame in written["frames"]]
+    np.testing.assert_allclose(times, [0, 0.2, 0.4, 0.6, 0.8, 1])
+    assert written["fps"] == 50
+    scene.render.fps = 24
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
+    assert scene.render.fps / scene.render.fps_base == 50
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("kind", ["TRANSFORMS", "NERFSTUDIO"])
+def test_a_step_keeps_the_time_that_a_path_takes(
+    scene, camera, tmp_path: Path, kind, numbered
+) -> None:
+    """Oracle: Blender's timeline: seconds between the first and the last picture, in the file, by
+    gscore's reader and by the camera that comes back."""
+    without_shift(camera)
+    scene.render.fps, scene.render.fps_base, scene.frame_step = 50, 1.001, 2
+    wanted = 4 * 1.001 / 50  # of frames 3, 5 and 7
+    file = tmp_path / "p.json"
+    bpy.ops.gscore.export_camera_path(filepath=str(file), world="BLENDER", kind=kind)
+    written = json.loads(file.read_text())
+    read = read_camera_path(file)
+    assert len(read.cameras) == 3
+    assert 2 / written["fps"] == 2 / read.fps == pytest.approx(wanted)
+    if kind == "NERFSTUDIO":
+        assert written["seconds"] == pytest.approx(3 * wanted / 2)
+        assert written["default_transition_sec"] == pytest.approx(wanted / 2)
+        assert [entry["render_time"] for entry in written["camera_path"]] == [0, 0.5, 1]
+    else:
+        assert [frame["time"] for frame in written["frames"]] == [0, 0.5, 1]
+    scene.render.fps, scene.render.fps_base = 24, 1
+    bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER", numbered=numbered)
+    frames = scene.frame_end - scene.frame_start
+    assert frames == (4 if numbered and kind == "TRANSFORMS" else 2)
+    assert frames * scene.render.fps_base / scene.render.fps == pytest.approx(wanted)
+
+
+def test_a_path_of_one_camera_keeps_its_pace(scene, camera, tmp_path: Path) -> None:
+    """Oracle: the scene's pace, which no second picture could tell."""
+    scene.render.fps, scene.frame_end = 50, 3
+    file = tmp_path / "p.json"
+    bpy.ops.gscore.export_camera_path(filepath=str(file), world="BLENDER", kind="TRANSFORMS")
     scene.render.fps = 24
     bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
     assert scene.render.fps / scene.render.fps_base == 50
