@@ -11,7 +11,7 @@ import numpy as np
 from ..cameras.captures import RenderCamera
 from ..process.latest import Latest
 from ..render import picture
-from ..render.scene import Placed, SplatCache, marks_of
+from ..render.scene import Placed, SplatCache, check_similar, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
 from .card import Canvas, Card, Shot
@@ -230,12 +230,14 @@ class View:
         detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
         wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tint=tint)
+        self._take_in(card)
+        self.complete = False
+        for one in placed:  # the card would draw them at once, where it has their splats already
+            check_similar(one)
         if not wish.same(self._asked):
             self._asked = wish
             self.sorter.ask(wish)
-        self._take_in(card)
         if self.sorter.problem:
-            self.complete = False
             raise ValueError(self.sorter.problem)
         if self._shown is None:
             return None

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import bmesh
@@ -306,7 +307,7 @@ class SplatCache:
     def _decoded(self, placed: list[Placed]) -> dict[tuple[int, bytes], Splats]:
         """By `Placed.part`; what is not asked for is forgotten."""
         for p in placed:
-            _check_similar(p)
+            check_similar(p)
         parts = {p.part: self._decode(p) for p in placed}
         self._parts = {key: known for key, known in self._parts.items() if key in parts}
         return parts
@@ -384,11 +385,21 @@ def _may_show(ob: bpy.types.Object) -> bool:
     return is_splats(ob) or is_native(ob)
 
 
-def _check_similar(placed: Placed) -> None:
+def check_similar(placed: Placed) -> None:
+    """Raise ValueError, which names the object, unless splats can follow its matrix; quick enough
+    for every redraw."""
+    if problem := _refusal(placed.matrix.tobytes()):
+        raise ValueError(f"{placed.name} cannot be rendered. {problem}")
+
+
+@lru_cache(maxsize=1024)
+def _refusal(matrix: bytes) -> str:
+    """Why splats cannot follow a [4, 4] float64; empty where they can."""
     try:
-        transform_splats(attributes.NO_SPLATS, placed.matrix)
+        transform_splats(attributes.NO_SPLATS, np.frombuffer(matrix).reshape(4, 4))
     except ValueError as error:
-        raise ValueError(f"{placed.name} cannot be rendered. {error}") from error
+        return str(error)
+    return ""
 
 
 def _moved(splats: Splats, matrix: np.ndarray) -> Splats:

@@ -151,6 +151,13 @@ def story() -> Iterator[object]:
     shown = region()
     seen["middle"] = [shown.x + shown.width // 2, shown.y + shown.height // 2]
     screenshot("wall")
+    wall.scale.y = 2.0
+    yield 0.5
+    seen["uneven"] = handler.problem_of(region())
+    screenshot("uneven")
+    wall.scale.y = 1.0
+    yield 0.5
+    yield at_rest
     mesh = bpy.data.meshes.new("plate")
     mesh.from_pydata(
         [(-0.2, -0.2, 0.5), (0.2, -0.2, 0.5), (0.2, 0.2, 0.5), (-0.2, 0.2, 0.5)], [], [(0, 1, 2, 3)]

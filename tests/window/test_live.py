@@ -39,6 +39,13 @@ def test_colours_of_splats_reach_the_screen(seen):
     assert np.abs(middle(seen, "wall") - COLOR).max() <= 2
 
 
+def test_what_is_stretched_is_named_instead_of_shown(seen):
+    """Oracle: the sentence, and the grey of the empty view in the place of the wall's colour."""
+    assert "wall cannot be rendered" in seen[0]["uneven"] and "unevenly" in seen[0]["uneven"]
+    for aside in (0, 80):
+        assert np.ptp(middle(seen, "uneven", aside)) < 10
+
+
 def test_dark_colours_reach_the_screen(seen):
     """Oracle: a wall of few levels of 8 bit, to one of them: what lies over a view's picture is
     kept so that 1 to 5 would become 0 or 6."""
