@@ -16,6 +16,13 @@ _DTYPES = {
     "INT32_2D": np.int32,
 }
 _HIDDEN = ".hide_vert"
+GROUP = "GROUP"
+"""Data type of columns of vertex groups: the weights of splats that are in one; NaN: it is not."""
+_GROUP_NAME = ".group:"
+"""Before the names of groups, so that they are no attributes' among columns."""
+_ENTRIES = np.dtype([("row", np.int32), ("weight", np.float32)])
+_BLOCK = 1 << 12
+"""Splats of a group that are handed over at once: a few milliseconds."""
 
 
 class Column(NamedTuple):
@@ -40,7 +47,8 @@ def kinds(mesh: Any) -> dict[str, str]:
 
 def empty_values(kind: str, count: int) -> np.ndarray:
     """[N, width] for an attribute of this data type, not yet set."""
-    return np.empty((count, FORMATS[kind][1]), _DTYPES.get(kind, np.float32))
+    width = 1 if kind == GROUP else FORMATS[kind][1]
+    return np.empty((count, width), _DTYPES.get(kind, np.float32))
 
 
 def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
@@ -60,6 +68,33 @@ def marks(mesh: Any) -> list[Column]:
     return found
 
 
+def of_groups(names: list[str], weights: np.ndarray) -> list[Column]:
+    """A column for each vertex group, of [G, N] float32."""
+    return [
+        Column(f"{_GROUP_NAME}{name}", GROUP, values[:, None])
+        for name, values in zip(names, weights, strict=True)
+    ]
+
+
+def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
+    """A vertex group by its own name, its data type, and numbers `row` and weights `weight` of
+    splats in it, some at a time; at least one such block.
+
+    Within each, splats of the same weight are side by side, which so are handed over at once. The
+    blocks are in the order of splats: Blender gives each memory of its own, and goes through all of
+    it when it copies or frees a mesh.
+    """
+    values, found = column.values[:, 0], []
+    rows = np.flatnonzero(~np.isnan(values)).astype(np.int32)
+    for at in range(0, len(rows) or 1, _BLOCK):
+        some = rows[at : at + _BLOCK]
+        some = some[np.argsort(values[some], kind="stable")]
+        entries = np.empty(len(some), _ENTRIES)
+        entries["row"], entries["weight"] = some, values[some]
+        found.append((column.name.removeprefix(_GROUP_NAME), GROUP, entries))
+    return found
+
+
 def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray]:
     """The attributes of a table that `as_splats` takes, not copied; `rest` as `read`."""
     found = {column.name: column.values for column in table}
@@ -68,13 +103,19 @@ def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray
     return {name: found[name] for name in wanted if name in found}
 
 
+def without_selection(table: list[Column]) -> list[Column]:
+    """A table but for what is selected, of which a part of its splats becomes a part of others."""
+    return [column for column in table if column.name != SELECTION]
+
+
 def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
     """A table of those rows [K] alone."""
     return [Column(name, kind, values.take(rows, axis=0)) for name, kind, values in table]
 
 
 def joined(tables: list[list[Column]]) -> list[Column]:
-    """The points of some tables, one after the other; 0 where one lacks an attribute.
+    """The points of some tables, one after the other; 0 where one lacks an attribute, and none in a
+    vertex group that it lacks.
 
     Raises:
         ValueError: an attribute has two data types.
@@ -87,8 +128,9 @@ def joined(tables: list[list[Column]]) -> list[Column]:
     made = []
     for name, kind in found.items():
         values, at = empty_values(kind, sum(counts)), 0
+        lacking = np.nan if kind == GROUP else 0
         for table, count in zip(tables, counts, strict=True):
-            own = next((c.values for c in table if c.name == name), 0)
+            own = next((c.values for c in table if c.name == name), lacking)
             values[at : at + count], at = own, at + count
         made.append(Column(name, kind, values))
     return made

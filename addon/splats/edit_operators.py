@@ -140,8 +140,10 @@ class JoinSplats(Editing, bpy.types.Operator):
     bl_label = "Join Splats"
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The points of the active object, and the others, which go."""
-        return (*super().changes(context), *_others(context))
+        """The points of the active object, the others, which go, and what hangs from these."""
+        others = _others(context)
+        children = [child for other in others for child in other.children]
+        return (*super().changes(context), *others, *children)
 
     def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
         """Join."""

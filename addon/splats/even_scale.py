@@ -6,6 +6,7 @@ from mathutils import Vector
 
 from .. import attributes, compat
 from ..core import transform_splats
+from . import objects
 
 
 def is_even(ob: bpy.types.Object) -> bool:
@@ -48,19 +49,12 @@ def uneven(ob: bpy.types.Object) -> list[bpy.types.Object]:
     where splats can follow as it is."""
     if is_even(ob):
         return []
-    return [one for one in _chain(ob) if _scales(one) != (_even(one.scale), _even(one.delta_scale))]
+    chain = objects.chain(ob)
+    return [one for one in chain if _scales(one) != (_even(one.scale), _even(one.delta_scale))]
 
 
 def _scales(ob: bpy.types.Object) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return ob.scale[:], ob.delta_scale[:]
-
-
-def _chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
-    found = []
-    while ob is not None:
-        found.append(ob)
-        ob = ob.parent
-    return found
 
 
 def _even(scale: Vector) -> tuple[float, float, float]:

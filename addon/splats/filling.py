@@ -12,7 +12,8 @@ import bpy
 
 from .. import attributes
 from ..process.pieces import Pieces
-from . import objects
+from . import objects, weights
+from .carried import GROUP
 from .ready import ReadyT
 from .temporary import Temporary
 
@@ -55,11 +56,14 @@ class Filling(Generic[ReadyT]):
         until = time.perf_counter() + BUDGET
         while self._next < len(self.loaded.columns):
             name, kind, values = self.loaded.columns[self._next]
-            if name not in mesh.attributes:
-                attributes.declare(mesh, name, kind)
-                if time.perf_counter() > until:
-                    return False
-            attributes.fill(mesh, name, kind, values)
+            if kind == GROUP:
+                weights.write(mesh, name, values)
+            else:
+                if name not in mesh.attributes:
+                    attributes.declare(mesh, name, kind)
+                    if time.perf_counter() > until:
+                        return False
+                attributes.fill(mesh, name, kind, values)
             self._next += 1
             if time.perf_counter() > until:
                 return False

@@ -67,12 +67,17 @@ class Held:
         """A copy of its mesh, to be filled and put in its place; it shares memory until then.
 
         Args:
-            empty: Without its points.
+            empty: Without its points, and without vertex groups.
 
         Raises:
-            ValueError: as `there`.
+            ValueError: as `there`, or it has shape keys.
         """
         mesh = self.there().data
+        if mesh.shape_keys is not None:  # Edit Mode would give their places to other splats
+            raise ValueError(
+                f"{self.name} has shape keys, which know its splats as they are: remove them "
+                "first, under Object Data > Shape Keys."
+            )
         copy = mesh.copy()
         if empty:
             # Blender has no other way to take vertices away without a copy of all in its editor.

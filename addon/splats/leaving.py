@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import attributes
 from ..process.pieces import Check, Pieces, aside
-from . import carried, objects
+from . import carried, objects, weights
 from .carried import Column
 from .temporary import Temporary
 
@@ -37,6 +37,7 @@ class Leaving:
         objects.catch_up(ob)
         if ob.mode == "EDIT":
             ob.update_from_editmode()
+        self._groups = [group.name for group in ob.vertex_groups]
         copy = ob.data.copy()
         self._temporary, self._of, self._data = Temporary(copy), ob.name, ob.data.name
         try:  # of the copy: in Edit Mode attributes are out of reach
@@ -56,21 +57,30 @@ class Leaving:
         """
         copy = self._copy()
         kinds = {name: copy.attributes[name].data_type for name in self._names}
-        found = yield from self._read(kinds)
+        found = yield from self._read(kinds, [])
         yield from aside(partial(_check_finite, found, self._data), self._sentence(1.0))
         return {column.name: column.values for column in found}
 
-    def table(self) -> Pieces[list[Column]]:
-        """Read all attributes of numbers and vectors, those of others among them.
+    def table(self, *, groups: bool = True) -> Pieces[list[Column]]:
+        """Read all attributes of numbers and vectors, those of others among them, and what is
+        selected and hidden.
+
+        Args:
+            groups: Read vertex groups too, which takes a second of a million splats.
 
         Raises:
             ValueError: the copy is gone.
         """
-        return (yield from self._read(carried.kinds(self._copy())))
+        copy = self._copy()
+        marks = carried.marks(copy)
+        names = self._groups if groups else []
+        return (yield from self._read(carried.kinds(copy), names)) + marks
 
-    def _read(self, kinds: dict[str, str]) -> Pieces[list[Column]]:
+    def _read(self, kinds: dict[str, str], groups: list[str]) -> Pieces[list[Column]]:
         try:
             count = attributes.point_count(self._copy())
+            # First: with an attribute Blender removes the group of its name.
+            own = (yield from self._weights(groups, count)) if groups else []
             columns = yield from aside(partial(_made, kinds, count), self._sentence(0.0))
             until = time.perf_counter() + BUDGET
             for done, (name, _, values) in enumerate(columns):
@@ -81,9 +91,19 @@ class Leaving:
                 carried.copy_values(copy, name, values)
                 if name != attributes.POSITION:  # a little at a time: all at once takes long
                     copy.attributes.remove(copy.attributes[name])
-            return columns
+            return columns + own
         finally:
             self.drop()
+
+    def _weights(self, groups: list[str], count: int) -> Pieces[list[Column]]:
+        made = yield from aside(lambda check: weights.made(groups, count), self._sentence(0.0))
+        until = time.perf_counter() + BUDGET
+        for begin in range(0, count, weights.BLOCK):
+            if time.perf_counter() > until:
+                yield f"Reading vertex groups of {self._of}: {begin / count:.0%}"
+                until = time.perf_counter() + BUDGET
+            weights.read(self._copy(), begin, made)
+        return carried.of_groups(groups, made)
 
     def drop(self) -> None:
         """Remove the copy."""

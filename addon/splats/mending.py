@@ -9,7 +9,7 @@ from mathutils import Matrix
 from .. import attributes
 from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
-from . import carried, lag, objects, parts
+from . import carried, lag, objects, parts, weights
 from .carried import Column
 from .filling import Filling, filled, swap
 from .fitted import is_similarity
@@ -76,19 +76,15 @@ class Mend:
         Raises:
             ValueError: attributes are missing or not finite.
         """
-        table = yield from Leaving(self._held.there()).table()
-        tables = yield from aside(
+        table = yield from Leaving(self._held.there()).table(groups=bool(self._apart))
+        own, *others = yield from aside(
             partial(self._mended, table), f"Turning splats of {self._held.name}"
         )
         make = self._held.emptied_mesh if self._apart else self._held.copied_mesh
-        own, *others = tables
         emptied = self._held.emptied_mesh
-        return [
-            Filling(points_of(own), make),
-            *(Filling(points_of(other), emptied) for other in others),
-        ]
+        return [Filling(own, make), *(Filling(other, emptied) for other in others)]
 
-    def _mended(self, table: list[Column], check: Check) -> list[list[Column]]:
+    def _mended(self, table: list[Column], check: Check) -> list[Points]:
         for name, values in carried.of_splats(table).items():
             attributes.check_finite(values, name, self._held.name)
         check()
@@ -107,17 +103,18 @@ class Mend:
         if self._odd:
             changed.append(places)
         if not self._apart:
-            return [changed]
+            return [points_of(changed)]
         stays = np.flatnonzero(~np.isin(numbers, self._apart))
         rows = [stays, *(np.flatnonzero(numbers == k) for k in self._apart)]
-        return [carried.picked(table, some) for some in rows]
+        return [points_of(carried.picked(table, some)) for some in rows]
 
     def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
         """Put what `filling` made, filled, in its place; the objects that are stretched now."""
         ob, (own, *others) = self._held.there(), meshes
         for mesh in meshes:
             lag.forget(mesh)
-        swap(ob.data, own)
+        with weights.settings_kept(ob):
+            swap(ob.data, own)
         taken = [] if self._own is None else [ob]
         for user in _users(ob) if taken else ():
             _take_back(user, self._lags[self._own])

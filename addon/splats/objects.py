@@ -166,6 +166,15 @@ def meant(context: bpy.types.Context) -> bpy.types.Object | None:
     return next((ob for ob in obs if ob.gscore.crop_object == active), None)
 
 
+def chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
+    """An object, what it hangs from, and so on."""
+    found = []
+    while ob is not None:
+        found.append(ob)
+        ob = ob.parent
+    return found
+
+
 def can_export(ob: bpy.types.Object | None) -> bool:
     """Whether an object holds splats of its own: ours, or Blender's."""
     return is_splats(ob) or is_native(ob)

@@ -4,21 +4,23 @@ from functools import partial
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from .. import attributes, compat
 from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
-from . import carried, lag, objects, settings
+from . import carried, lag, objects, settings, weights
 from .carried import Column
 from .filling import Filling, filled, swap
 from .held import Held, all_to_change
 from .leaving import Leaving
-from .ready import points_of
+from .ready import Points, points_of
 from .turning import moved
 
 
 def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
-    """Move splats into an object of their own, with the same place, display and filters.
+    """Move splats into an object of their own, with the same place, display and filters, and all
+    that they carry, hidden or not; none is selected then.
 
     Args:
         held: A splat object.
@@ -31,16 +33,19 @@ def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
         many = "all" if len(chosen) and chosen.all() else "none"
         raise ValueError(f"{held.name}: select some splats to separate; {many} of them are.")
     table = yield from Leaving(held.there()).table()
-    tables = yield from aside(partial(_split, table, chosen), f"Separating splats of {held.name}")
-    fillings = [Filling(points_of(one), held.emptied_mesh) for one in tables]
+    split = yield from aside(partial(_split, table, chosen), f"Separating splats of {held.name}")
+    fillings = [Filling(one, held.emptied_mesh) for one in split]
     own, other = yield from filled(fillings, held.to_change)
     ob = held.there()
-    swap(ob.data, own)
+    with weights.settings_kept(ob):
+        swap(ob.data, own)
     return split_off(ob, other)
 
 
-def _split(table: list[Column], chosen: np.ndarray, check: Check) -> list[list[Column]]:
-    found = [carried.picked(table, np.flatnonzero(mask)) for mask in (~chosen, chosen)]
+def _split(table: list[Column], chosen: np.ndarray, check: Check) -> list[Points]:
+    kept = carried.without_selection(table)
+    found = [points_of(carried.picked(kept, np.flatnonzero(mask))) for mask in (~chosen, chosen)]
+    kept.clear()
     _let_go(table)
     return found
 
@@ -55,7 +60,8 @@ def _let_go(table: list[Column]) -> None:
 def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
     """An object like another one, for a mesh with some of its splats."""
     other = ob.copy()
-    other.data = mesh
+    with weights.settings_kept(other):
+        other.data = mesh
     other.name = mesh.name = f"{ob.name} part"
     writable.link_beside(other, ob)
     settings.apply(other)
@@ -63,8 +69,7 @@ def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
 
 
 def kept(held: Held, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.Object]:
-    """Delete the splats of an object but for some; all that these carry follows to the bit, but
-    selection, hiding and vertex groups go.
+    """Delete the splats of an object but for some; all that these carry follows to the bit.
 
     Args:
         held: It.
@@ -75,14 +80,15 @@ def kept(held: Held, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.
         ValueError: as `Held.to_change`; nothing is changed then.
     """
     wanted = yield from aside(partial(_picked, table, rows), "Deleting splats")
-    [mesh] = yield from filled([Filling(points_of(wanted), held.emptied_mesh)], held.to_change)
+    [mesh] = yield from filled([Filling(wanted, held.emptied_mesh)], held.to_change)
     ob = held.there()
-    swap(ob.data, mesh)
+    with weights.settings_kept(ob):
+        swap(ob.data, mesh)
     return ob
 
 
-def _picked(table: list[Column], rows: np.ndarray, check: Check) -> list[Column]:
-    found = carried.picked(table, rows)
+def _picked(table: list[Column], rows: np.ndarray, check: Check) -> Points:
+    found = points_of(carried.picked(table, rows))
     _let_go(table)
     return found
 
@@ -109,8 +115,9 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     """Take the splats of other objects into one, where and as they are seen; the others go.
 
     SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
-    that name, they are 0. What the first has stays to the bit, selected or hidden, but for vertex
-    groups.
+    that name, they are 0. Vertex groups of one name become one. What is hidden stays so; what the
+    first has stays to the bit, selected or not. What hangs from the others hangs from it then, and
+    stays where it is.
 
     Raises:
         ValueError: as `check_joinable` or `Held.to_change`, a matrix is no similarity, or one is
@@ -125,12 +132,11 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in obs]
     for one, matrix in zip(obs, matrices, strict=True):
         objects.moved(attributes.NO_SPLATS, matrix, one.name)  # refuses what cannot be
-    marks, tables = carried.marks(ob.data), []
+    tables = []
     for one in (held, *others):
         tables.append((yield from Leaving(one.there()).table()))
-    tables[0] += marks
     names = [other.name for other in others]
-    table = yield from aside(
+    points = yield from aside(
         partial(_together, tables, matrices, names), f"Joining splats with {held.name}"
     )
 
@@ -139,11 +145,13 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
             one.check_unmoved()
         all_to_change([held, *others])
 
-    [mesh] = yield from filled([Filling(points_of(table), held.emptied_mesh)], check)
+    [mesh] = yield from filled([Filling(points, held.emptied_mesh)], check)
     lag.forget(mesh)
     ob, *gone = (one.there() for one in (held, *others))
-    swap(ob.data, mesh)  # which is that of those who shared it too
+    with weights.settings_kept(ob):
+        swap(ob.data, mesh)  # which is that of those who shared it too
     for one in gone:
+        _take_children(ob, one)
         data = one.data
         bpy.data.objects.remove(one)
         if not data.users:
@@ -153,12 +161,26 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
 
 def _together(
     tables: list[list[Column]], matrices: list[np.ndarray], names: list[str], check: Check
-) -> list[Column]:
+) -> Points:
     """The points of all, those of all but the first moved in place."""
-    for table, matrix, name in zip(tables[1:], matrices, names, strict=True):
+    first, *others = tables
+    for table, matrix, name in zip(others, matrices, names, strict=True):
         check()
         moved(table, matrix, name, check)
-    found = carried.joined(tables)
+    found = points_of(carried.joined([first, *map(carried.without_selection, others)]))
     for table in tables:
         _let_go(table)
     return found
+
+
+def _take_children(ob: bpy.types.Object, one: bpy.types.Object) -> None:
+    """Have what hangs from an object that goes hang from another one, or, where that hangs from it
+    itself, from what the object hangs from; all stays where it is."""
+    above = objects.chain(ob)
+    for child in one.children:
+        if child.parent_type == "OBJECT":
+            parent = one.parent if child in above else ob
+            inverse = child.matrix_parent_inverse.copy()
+            child.parent = parent
+            back = Matrix() if parent is None else parent.matrix_world.inverted_safe()
+            child.matrix_parent_inverse = back @ one.matrix_world @ inverse

@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from .carried import Column
+from .carried import GROUP, Column, blocks
 
 
 class Ready(Protocol):
@@ -22,7 +22,7 @@ class Ready(Protocol):
 
     @property
     def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
-        """As `attributes.columns`."""
+        """As `attributes.columns`; vertex groups as `carried.blocks`."""
         ...
 
 
@@ -36,10 +36,13 @@ class Points:
     count: int
     """How many."""
     columns: tuple[tuple[str, str, np.ndarray], ...]
-    """As `attributes.columns`."""
+    """As `Ready.columns`."""
 
 
 def points_of(table: list[Column]) -> Points:
-    """The points of a table of at least one attribute."""
-    columns = tuple((name, kind, values.reshape(-1)) for name, kind, values in table)
-    return Points(count=len(table[0].values), columns=columns)
+    """The points of a table of at least one attribute; sorts the weights of vertex groups."""
+    groups = [column for column in table if column.kind == GROUP]
+    columns = [(name, kind, v.reshape(-1)) for name, kind, v in table if kind != GROUP]
+    # After all attributes: Blender gives none the name that a group has.
+    columns += [block for column in groups for block in blocks(column)]
+    return Points(count=len(table[0].values), columns=tuple(columns))

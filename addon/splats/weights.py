@@ -1,0 +1,65 @@
+"""Vertex groups of splats: their names, and which splats are in them how much, a little at a time.
+
+Blender gives weights out vertex by vertex, and takes them by an object alone.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+
+BLOCK = 1 << 12
+"""Splats that are read at once: a few milliseconds."""
+
+
+def made(names: list[str], count: int) -> np.ndarray:
+    """[G, N] float32 for the weights of groups: nobody is in any."""
+    return np.full((len(names), count), np.nan, np.float32)
+
+
+def read(mesh: bpy.types.Mesh, begin: int, weights: np.ndarray) -> None:
+    """Read those of `BLOCK` vertices from one on into what `made` made; the mesh is not in Edit
+    Mode."""
+    vertices = enumerate(mesh.vertices[begin : begin + BLOCK], begin)
+    found = [(e.group, row, e.weight) for row, vertex in vertices for e in vertex.groups]
+    groups, rows, values = np.array(found, np.float64).reshape(-1, 3).T
+    known = groups < len(weights)  # else Blender has forgotten that it was removed
+    weights[groups[known].astype(int), rows[known].astype(int)] = values[known]
+
+
+def write(mesh: bpy.types.Mesh, name: str, entries: np.ndarray) -> None:
+    """Put splats, given as `carried.blocks` gives them, into a group, which is made where it is
+    missing."""
+    with _groups(mesh) as groups:
+        if (group := groups.get(name)) is None:
+            group = groups.new(name=name)
+            group.name = name  # which Blender takes though an attribute is called so too
+        ends = np.flatnonzero(np.diff(entries["weight"], append=np.nan)) + 1
+        rows, weights, begin = entries["row"].tolist(), entries["weight"].tolist(), 0
+        for end in ends.tolist():
+            group.add(rows[begin:end], weights[begin], "REPLACE")
+            begin = end
+
+
+@contextmanager
+def settings_kept(ob: bpy.types.Object) -> Iterator[None]:
+    """Have the active group and locks of an object outlast another mesh, with the same groups and
+    others."""
+    locked = {group.name for group in ob.vertex_groups if group.lock_weight}
+    active = ob.vertex_groups.active_index
+    yield
+    for group in ob.vertex_groups:
+        group.lock_weight = group.name in locked
+    if ob.vertex_groups:
+        ob.vertex_groups.active_index = max(active, 0)
+
+
+@contextmanager
+def _groups(mesh: bpy.types.Mesh) -> Iterator[bpy.types.VertexGroups]:
+    """The groups of a mesh of no object, as one for the moment shows them."""
+    ob = bpy.data.objects.new(mesh.name, mesh)
+    try:
+        yield ob.vertex_groups
+    finally:
+        bpy.data.objects.remove(ob)

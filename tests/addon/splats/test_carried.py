@@ -1,0 +1,242 @@
+"""What splats and their objects carry besides, through edits. Oracles: what was put there."""
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from addon import attributes
+from addon.splats import carried as carrying
+from addon.splats import objects, weights
+from tests.addon import splat_scenes as lab
+
+COUNT = 300
+BEFORE = {"head": (1, 2, 3), "locked": (4, 5, 6)}
+"""Which of every ten splats are in a group."""
+
+
+def add(name: str, groups: dict[str, tuple[int, ...]], seed: int = 0) -> bpy.types.Object:
+    """A splat object in which every tenth is hidden, and weights are unlike each other, all the
+    same, or 0."""
+    ob = lab.add(bpy.context.scene, lab.blob(COUNT, seed=seed), name)
+    hidden = ob.data.attributes.new(".hide_vert", "BOOLEAN", "POINT")
+    hidden.data.foreach_set("value", np.arange(COUNT) % 10 == 0)
+    for called, digits in groups.items():
+        group = ob.vertex_groups.new(name=called)
+        group.lock_weight = called == "locked"
+        for digit in digits:
+            for row in range(digit, COUNT, 10):
+                group.add([row], {1: 0.0, 2: 0.5}.get(digit, row / COUNT), "REPLACE")
+    ob.vertex_groups.active_index = 0
+    return ob
+
+
+def carried(ob: bpy.types.Object) -> dict[str, dict[int, float]]:
+    """The weights of each group, by the number of the splat."""
+    names = [group.name for group in ob.vertex_groups]
+    found: dict[str, dict[int, float]] = {name: {} for name in names}
+    for row, vertex in enumerate(ob.data.vertices):
+        for entry in vertex.groups:
+            found[names[entry.group]][row] = entry.weight
+    return found
+
+
+def hidden(ob: bpy.types.Object) -> np.ndarray:
+    """[N] bool."""
+    found = np.zeros(len(ob.data.vertices), bool)
+    if (attribute := ob.data.attributes.get(".hide_vert")) is not None:
+        attribute.data.foreach_get("value", found)
+    return found
+
+
+def rows_of(before: dict[str, dict[int, float]], rows: np.ndarray) -> dict[str, dict[int, float]]:
+    """What is left of weights where those splats stay alone."""
+    places = {int(row): at for at, row in enumerate(rows)}
+    return {
+        name: {places[row]: weight for row, weight in values.items() if row in places}
+        for name, values in before.items()
+    }
+
+
+@pytest.fixture
+def ob(scene: bpy.types.Scene) -> bpy.types.Object:
+    """Splats with vertex groups, active."""
+    made = add("splats", BEFORE)
+    bpy.context.view_layer.objects.active = made
+    made.select_set(True)
+    bpy.context.view_layer.update()
+    return made
+
+
+def check(ob: bpy.types.Object, before: dict[str, dict[int, float]], rows: np.ndarray) -> None:
+    """Compare groups, what is said of them, and what is hidden."""
+    assert carried(ob) == rows_of(before, rows)
+    assert [(g.name, g.lock_weight) for g in ob.vertex_groups] == [
+        ("head", False),
+        ("locked", True),
+    ]
+    assert ob.vertex_groups.active_index == 0
+    np.testing.assert_array_equal(hidden(ob), rows % 10 == 0)
+
+
+@pytest.mark.parametrize("edited", [False, True])
+def test_separated(ob: bpy.types.Object, edited: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: rows of what was there, in both parts, from Edit Mode too; and bit by bit."""
+    monkeypatch.setattr(weights, "BLOCK", 7)
+    monkeypatch.setattr(carrying, "_BLOCK", 7)
+    before, some = carried(ob), np.arange(COUNT) % 7 == 3
+    assert len(before["head"]) == len(before["locked"]) == 90
+    attributes.select(ob.data, some & ~hidden(ob))
+    some = attributes.selected(ob.data)
+    if edited:
+        bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.gscore.separate_splats()
+    if edited:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    check(ob, before, np.flatnonzero(~some))
+    check(bpy.data.objects["splats part"], before, np.flatnonzero(some))
+    assert len(bpy.data.objects) == 2
+
+
+@pytest.mark.parametrize("how", ["decimated", "filtered"])
+def test_deleted(ob: bpy.types.Object, how: str) -> None:
+    """Oracle: rows of what was there, selected ones among them."""
+    ids = ob.data.attributes.new("id", "INT", "POINT")
+    ids.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
+    before, some = carried(ob), np.arange(COUNT) % 4 == 0
+    attributes.select(ob.data, some)
+    if how == "decimated":
+        bpy.ops.gscore.decimate_splats(count=100)
+    else:
+        ob.gscore.opacity_min = 0.5
+        bpy.ops.gscore.apply_filters()
+    rows = np.empty(len(ob.data.vertices), np.int32)
+    assert 0 < len(rows) < COUNT
+    ob.data.attributes["id"].data.foreach_get("value", rows)
+    check(ob, before, rows)
+    np.testing.assert_array_equal(attributes.selected(ob.data), some[rows])
+
+
+def test_turned(ob: bpy.types.Object) -> None:
+    """Oracle: what was there."""
+    before = carried(ob)
+    ob.rotation_euler, ob.scale = (0.1, 0.2, 0.3), (2, 2, 2)
+    bpy.context.view_layer.update()
+    bpy.ops.gscore.apply_splat_transform()
+    check(ob, before, np.arange(COUNT))
+
+
+def test_stretched_parts_are_taken_apart(ob: bpy.types.Object) -> None:
+    """Oracle: what was there, of each object that Blender's Join has put together."""
+    other = add("other", BEFORE, seed=5)
+    other.scale = (1, 2, 1)
+    befores = [carried(one) for one in (ob, other)]
+    other.select_set(True)
+    bpy.context.view_layer.update()
+    bpy.ops.object.join()
+    bpy.context.view_layer.update()
+    bpy.ops.gscore.mend_splats()
+    for name, before in zip(("splats", "splats part"), befores, strict=True):
+        check(bpy.data.objects[name], before, np.arange(COUNT))
+
+
+def test_joined(ob: bpy.types.Object) -> None:
+    """Oracle: what each object had, groups of one name together; undo brings all back."""
+    other, third = add("other", {"tail": (7,), "head": (2, 8)}), add("third", {})
+    box = bpy.data.objects.new("box", None)
+    bpy.context.scene.collection.objects.link(box)
+    box.parent = other
+    before, theirs = carried(ob), carried(other)
+    for one in (other, third):
+        one.select_set(True)
+    bpy.context.view_layer.update()
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.gscore.join_splats()
+    bpy.ops.ed.undo_push(message="joined")
+    got = carried(ob)
+    assert list(got) == ["head", "locked", "tail"]
+    shifted = {
+        name: {row + COUNT: weight for row, weight in values.items()}
+        for name, values in theirs.items()
+    }
+    assert got["head"] == {**before["head"], **shifted["head"]}
+    assert (got["locked"], got["tail"]) == (before["locked"], shifted["tail"])
+    assert [g.lock_weight for g in ob.vertex_groups] == [False, True, False]
+    assert ob.vertex_groups.active_index == 0
+    np.testing.assert_array_equal(hidden(ob), np.arange(3 * COUNT) % 10 == 0)
+    assert set(bpy.data.objects) == {ob, box} and len(bpy.data.meshes) == 1
+    bpy.ops.ed.undo()
+    ob, other = bpy.data.objects["splats"], bpy.data.objects["other"]
+    assert (carried(ob), carried(other)) == (before, theirs)
+    assert bpy.data.objects["box"].parent == other and len(bpy.data.meshes) == 3
+    bpy.ops.ed.redo()
+    assert carried(bpy.data.objects["splats"]) == got
+
+
+def test_one_without_groups_takes_them_in(scene: bpy.types.Scene) -> None:
+    """Oracle: what the other had."""
+    one, other = add("one", {}), add("other", BEFORE)
+    theirs = carried(other)
+    bpy.context.view_layer.objects.active = one
+    bpy.context.view_layer.update()
+    for each in (one, other):
+        each.select_set(True)
+    bpy.ops.gscore.join_splats()
+    assert carried(one) == {
+        name: {row + COUNT: weight for row, weight in values.items()}
+        for name, values in theirs.items()
+    }
+
+
+def test_a_group_may_be_called_as_an_attribute(ob: bpy.types.Object) -> None:
+    """Oracle: places and weights as before."""
+    ob.vertex_groups["head"].name = "scale"
+    if ob.vertex_groups[0].name != "scale":
+        pytest.skip("this Blender does not allow it")
+    before, scales = carried(ob), attributes.column(ob.data, attributes.SCALE)
+    attributes.select(ob.data, np.arange(COUNT) >= 100)
+    bpy.ops.gscore.separate_splats()
+    assert carried(ob) == rows_of(before, np.arange(100))
+    np.testing.assert_array_equal(attributes.column(ob.data, attributes.SCALE), scales[:100])
+
+
+@pytest.mark.parametrize("edit", ["separate_splats", "apply_splat_transform"])
+def test_shape_keys_are_refused(ob: bpy.types.Object, edit: str) -> None:
+    """Oracle: the sentence, and the object as it was: its keys hold places of all its splats."""
+    ob.shape_key_add(name="Basis")
+    ob.location = (1, 0, 0)
+    attributes.select(ob.data, np.arange(COUNT) >= 100)
+    bpy.context.view_layer.update()
+    before, mesh = carried(ob), ob.data
+    with pytest.raises(RuntimeError, match="splats has shape keys"):
+        getattr(bpy.ops.gscore, edit)()
+    assert carried(ob) == before and ob.data == mesh and ob.location[0] == 1
+    assert len(bpy.data.objects) == len(bpy.data.meshes) == 1
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_what_hangs_from_joined_objects_stays(ob: bpy.types.Object, below: bool) -> None:
+    """Oracle: places in the world before, of the object too where it hangs from one that goes."""
+    other, box = add("other", {}), bpy.data.objects.new("box", None)
+    root, between = (bpy.data.objects.new(name, None) for name in ("root", "between"))
+    for one in (box, root, between):
+        bpy.context.scene.collection.objects.link(one)
+    root.rotation_euler, other.parent = (0.3, 0.1, 0), root
+    other.location, other.rotation_euler, other.scale = (1, 2, 3), (0.5, 1, 0), (2, 2, 2)
+    ob.location, ob.rotation_euler = (0, 1, 0), (0, 0, 1)
+    box.parent, box.location, box.scale = other, (0.2, 0.3, 0.4), (1, 2, 3)
+    box.matrix_parent_inverse = Matrix.Translation((1, 0, 0))
+    if below:
+        between.parent, ob.parent, between.location = other, between, (0, 0, 2)
+    other.select_set(True)
+    bpy.context.view_layer.update()
+    stay = [one for one in (ob, box, between) if below or one != between]
+    before = {one.name: np.array(one.matrix_world) for one in stay}
+    splats = np.vstack([objects.read_world(one).means for one in (ob, other)])
+    bpy.ops.gscore.join_splats()
+    bpy.context.view_layer.update()
+    for name, matrix in before.items():
+        got = np.array(bpy.data.objects[name].matrix_world)
+        np.testing.assert_allclose(got, matrix, atol=1e-5, err_msg=name)
+    assert box.parent == ob and between.parent == (root if below else None)
+    np.testing.assert_allclose(objects.read_world(ob).means, splats, atol=1e-4)
