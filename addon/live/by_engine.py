@@ -7,16 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cameras.captures import RenderCamera
-from ..compat import TEXTURES_ARE_ENCODED
 from ..core import CancelFlag
 from ..render import picture
+from ..render.color import over_view
 from ..render.scene import Model, Placed, marks_of
-from ..srgb import encode
 from .clip import Cuts, z_of
 from .marks import tinted_splats
-
-EXPONENT = 2.2
-"""Blender encodes what lies over a view's picture with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +53,7 @@ class Wish:
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """[H, W, 4] float32, as `over_view`.
+        """[H, W, 4] float32, as `color.over_view`.
 
         Args:
             model: Of the objects.
@@ -96,23 +92,6 @@ class Wish:
         far = z_of(there, self.camera, self.window).astype(np.float32)
         far[there >= 1] = np.nan
         return far
-
-
-def over_view(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """[H, W, 4] float32 as textures are drawn over a view's picture, the bottom row first: light,
-    premultiplied, and encoded where Blender writes them as they are.
-
-    Args:
-        rgb: [H, W, 3] sRGB values over black.
-        alpha: [H, W], how much of a pixel is covered.
-    """
-    share = alpha[..., None]
-    straight = np.divide(rgb, share, out=np.zeros_like(rgb), where=share > 0)
-    out = np.empty((*alpha.shape, 4), np.float32)
-    light = np.clip(straight, 0, 1) ** np.float32(EXPONENT) * share
-    out[..., :3] = encode(light) if TEXTURES_ARE_ENCODED else light
-    out[..., 3] = alpha
-    return np.ascontiguousarray(out[::-1])
 
 
 def _shown(placed: Placed) -> tuple[object, ...]:

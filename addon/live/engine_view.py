@@ -3,9 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import gpu
 import numpy as np
-from mathutils import Matrix
 
 from ..cameras.captures import RenderCamera
 from ..render.scene import Placed, SplatCache
@@ -82,14 +80,4 @@ class EngineView:
             raise ValueError(painter.problem)
         if pixels is None:
             return
-        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
-            gpu.matrix.load_identity()
-            gpu.matrix.load_projection_matrix(_over(camera.width, camera.height))
-            gpu.state.depth_test_set("NONE")
-            gpu.state.depth_mask_set(False)
-            self._viewport.draw(pixels, camera.width, camera.height)
-
-
-def _over(width: int, height: int) -> Matrix:
-    """The projection in which a view of that many pixels goes from its lower left corner."""
-    return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
+        self._viewport.draw_over(pixels, camera.width, camera.height)

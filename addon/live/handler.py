@@ -86,17 +86,28 @@ def draw(context: bpy.types.Context) -> None:
     pointer = context.region.as_pointer()
     if not SESSION.works or context.region_data is None:
         return
-    if pointer in viewport.EXACT and is_own(context):
+    over = viewport.OVER.get(pointer) if is_own(context) else None
+    if over is None and pointer in viewport.EXACT and is_own(context):
         return
     if _state.attempts.rests(time.monotonic()):
         return
     try:
-        _draw(context, pointer)
+        if over is None:
+            _draw(context, pointer)
+        else:
+            _lay_over(over)
         _state.problems.pop(pointer, None)
     except ValueError as error:
         _state.problems[pointer] = str(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
         _failed(error, pointer)
+
+
+def _lay_over(exact: viewport.Viewport) -> None:
+    """Draw the engine's picture where Blender has drawn over it what is behind."""
+    pixels = exact.painter.pixels
+    if pixels is not None:
+        exact.draw_over(pixels, *gpu.state.viewport_get()[2:])
 
 
 def _draw(context: bpy.types.Context, pointer: int) -> None:

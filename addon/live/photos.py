@@ -24,6 +24,11 @@ def is_behind(context: bpy.types.Context) -> bool:
     return any(slot.display_depth == "BACK" for slot in _shown(context))
 
 
+def are_behind(context: bpy.types.Context) -> bool:
+    """Whether pictures are, and none before it."""
+    return {slot.display_depth for slot in _shown(context)} == {"BACK"}
+
+
 def in_front(
     context: bpy.types.Context, window: np.ndarray, width: int, height: int
 ) -> FrontPhoto | None:

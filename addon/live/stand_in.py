@@ -33,3 +33,7 @@ class StandIn:
     def stays(self, context: bpy.types.Context) -> bool:
         """Whether a photo is to be seen behind the splats, over which Blender lays it else."""
         return photos.is_behind(context)
+
+    def lays_over(self, context: bpy.types.Context) -> bool:
+        """Where pictures are seen behind the splats, and none before them, which it would cover."""
+        return SESSION.works and photos.are_behind(context)

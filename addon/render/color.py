@@ -1,13 +1,16 @@
-"""From the values splats are blended in (sRGB, as the photos) to Blender's passes; no bpy."""
+"""From the values splats are blended in (sRGB, as the photos) to Blender's passes and views."""
 
 from typing import Any
 
 import numpy as np
 
-from ..srgb import decode
+from ..compat import TEXTURES_ARE_ENCODED
+from ..srgb import decode, encode
 
 NOTHING = 1e10
 """Depth of a pixel without anything, as Blender's own engines write it."""
+EXPONENT = 2.2
+"""Blender encodes what lies over a view's picture with it."""
 
 
 def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray) -> np.ndarray:
@@ -25,15 +28,34 @@ def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray)
     """
     out = np.ones((*rgb.shape[:2], 4), np.float32)
     if alpha is not None:
-        share = alpha[..., None]
-        straight = np.divide(rgb, share, out=np.zeros_like(rgb), where=share > 0)
-        out[..., :3] = decode(straight) * share
+        out[..., :3] = decode(_straight(rgb, alpha)) * alpha[..., None]
         out[..., 3] = alpha
     else:
         out[..., :3] = decode(rgb)
     if not np.allclose(to_scene, np.eye(3), atol=1e-6):
         out[..., :3] = out[..., :3] @ to_scene.T.astype(np.float32)
     return np.ascontiguousarray(out[::-1])
+
+
+def over_view(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """[H, W, 4] float32 as textures are drawn over a view's picture, the bottom row first: light,
+    premultiplied, and encoded where Blender writes them as they are.
+
+    Args:
+        rgb: [H, W, 3] sRGB values over black.
+        alpha: [H, W], how much of a pixel is covered.
+    """
+    out = np.empty((*alpha.shape, 4), np.float32)
+    light = np.clip(_straight(rgb, alpha), 0, 1) ** np.float32(EXPONENT) * alpha[..., None]
+    out[..., :3] = encode(light) if TEXTURES_ARE_ENCODED else light
+    out[..., 3] = alpha
+    return np.ascontiguousarray(out[::-1])
+
+
+def _straight(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Colors [H, W, 3] of pixels of which so much is there [H, W], not multiplied by that."""
+    share = alpha[..., None]
+    return np.divide(rgb, share, out=np.zeros_like(rgb), where=share > 0)
 
 
 def z_pass(rendered: Any) -> np.ndarray:

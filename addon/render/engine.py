@@ -23,6 +23,7 @@ from .stage import Stage
 from .stereo import eye_of, refusal, views_of
 from .viewport import (
     EXACT,
+    OVER,
     STAND_INS,
     Painter,
     Request,
@@ -83,21 +84,25 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Show the last picture that is ready, and ask for the one of now.
 
-        Where splats are drawn live, they are until the picture of now is ready.
+        Where splats are drawn live, they are until the picture of now is ready. Before a photo that
+        Blender would lay over the picture, whoever draws live lays the picture over that.
         """
         view, region = self._viewport(), context.region
         pointer = region.as_pointer()
         EXACT.discard(pointer)
+        OVER.pop(pointer, None)
         try:
             found = sources(depsgraph)
             placed, complete = copies.SHARED.copied(found)
         except ValueError as error:
             self.update_stats("", str(error))
             return
-        request = self._request(context, depsgraph, placed)
         live = next((one for one in STAND_INS if one.stands_in(context)), None)
-        holds = bool(request.held) or any(one.holdout for one in placed)
+        held = held_meshes.SHARED.of(depsgraph)
+        holds = bool(held) or any(one.holdout for one in placed)
         stays = live is not None and not holds and live.stays(context)
+        over = not stays and any(one.lays_over(context) for one in STAND_INS)
+        request = self._request(context, depsgraph, placed, held, over=over)
         if not complete:
             self.update_stats("", "Reading splats")
             if copies.SHARED.under_way(found):
@@ -110,8 +115,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         view.painter.fresh = False
         if complete and not stays and view.painter.shows(request):
             EXACT.add(pointer)
-        pixels = view.painter.pixels
-        if live is not None and pointer not in EXACT:
+        made = view.painter.made
+        is_meant = isinstance(made, Request) and made.over_view == over
+        pixels = view.painter.pixels if is_meant else None
+        waits = live is not None and pointer not in EXACT
+        if over and pixels is not None and not waits:
+            OVER[pointer] = view
+        if over or waits:
             pixels = self._empty(depsgraph)
         if pixels is not None:
             self.bind_display_space_shader(depsgraph.scene)
@@ -131,23 +141,30 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return self._view
 
     def _request(
-        self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, placed: list[Placed]
+        self,
+        context: bpy.types.Context,
+        depsgraph: bpy.types.Depsgraph,
+        placed: list[Placed],
+        held: tuple[held_meshes.HeldMesh, ...],
+        *,
+        over: bool,
     ) -> Request:
         scene = depsgraph.scene
         region, rv3d = context.region, context.region_data
         matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
         size = region.width, region.height
-        transparent = scene.render.film_transparent
+        transparent = scene.render.film_transparent or over
         light = np.zeros(3) if transparent else _light(depsgraph)
         return Request(
             placed=placed,
-            held=held_meshes.SHARED.of(depsgraph),
+            held=held,
             camera=view_camera(*matrices, *size, perspective=rv3d.is_perspective),
             options=picture.Options(
                 background=background_of(light), antialias=scene.gscore_render.antialias
             ),
             transparent=transparent,
             to_scene=rec709_to_scene(),
+            over_view=over,
         )
 
     def _ask(self, view: Viewport, request: Request) -> None:

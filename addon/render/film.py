@@ -27,6 +27,8 @@ class Film:
     """Whether what is not covered is left empty."""
     to_scene: np.ndarray
     """[3, 3], from linear Rec. 709 to the file's working space."""
+    over_view: bool = False
+    """Whether Combined is to lie over a view's picture (`color.over_view`); a transparent film."""
 
     def without_depths(self) -> "Film":
         """The same without the pass Depth."""
@@ -59,7 +61,11 @@ class Film:
             share = rendered.alpha
         elif light is not None:
             share = rendered.alpha + light
-        passes = {"Combined": color.combined(rendered.rgb, share, to_scene=self.to_scene)}
+        if self.over_view:
+            made = color.over_view(rendered.rgb, share)
+        else:
+            made = color.combined(rendered.rgb, share, to_scene=self.to_scene)
+        passes = {"Combined": made}
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
         return passes

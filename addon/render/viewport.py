@@ -5,11 +5,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
+from weakref import WeakValueDictionary
 
 import bpy
 import gpu
 import numpy as np
 from gpu_extras.presets import draw_texture_2d
+from mathutils import Matrix
 
 from ..cameras.captures import RenderCamera
 from ..cameras.formulas import FLIP
@@ -73,6 +75,8 @@ class Request:
     options: picture.Options
     transparent: bool
     to_scene: np.ndarray
+    over_view: bool = False
+    """As `Film`; whether it is laid over what Blender draws over views of the engine."""
 
     def same(self, other: "Request | None") -> bool:
         """Whether the other picture is this one."""
@@ -87,14 +91,20 @@ class Request:
             and same_meshes(self.held, other.held)
             and self.camera.same(other.camera)
             and (self.options, self.transparent) == (other.options, other.transparent)
+            and self.over_view == other.over_view
             and np.array_equal(self.to_scene, other.to_scene)
         )
 
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """As `Wish`; scene-linear."""
-        film = Film(options=self.options, transparent=self.transparent, to_scene=self.to_scene)
+        """As `Wish`; scene-linear, if it is not to lie over the view."""
+        film = Film(
+            options=self.options,
+            transparent=self.transparent,
+            to_scene=self.to_scene,
+            over_view=self.over_view,
+        )
         return film.shoot(View(model=model, camera=camera, held=self.held), stop, cancel)[
             "Combined"
         ]
@@ -112,6 +122,8 @@ class Painter:
         self._factor = 1
         self.pixels: np.ndarray | None = None
         """[H, W, 4] of the last finished picture, bottom row first."""
+        self.made: Wish | None = None
+        """What it was made of."""
         self.problem = ""
         """Why there is no picture."""
         self.fresh = False
@@ -180,7 +192,7 @@ class Painter:
                 self._cancel,
             )
             took = time.perf_counter() - began
-            self.pixels, self.problem, self.fresh = pixels, "", True
+            self.made, self.pixels, self.problem, self.fresh = request, pixels, "", True
             if factor > 1 and self._is_old(request):
                 self._factor = min(COARSEST, factor + (took > 2 * QUICK))
                 return
@@ -212,6 +224,20 @@ class Viewport:
         draw_texture_2d(self._texture[1], (0, 0), width, height)
         gpu.state.blend_set("NONE")
 
+    def draw_over(self, pixels: np.ndarray, width: int, height: int) -> None:
+        """The same over all that Blender has drawn of a view of that size, while it draws it."""
+        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+            gpu.matrix.load_identity()
+            gpu.matrix.load_projection_matrix(_over(width, height))
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            self.draw(pixels, width, height)
+
+
+def _over(width: int, height: int) -> Matrix:
+    """The projection in which a view of that many pixels goes from its lower left corner."""
+    return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
+
 
 class StandIn(Protocol):
     """Draws splats over views whose picture is not ready."""
@@ -226,11 +252,16 @@ class StandIn(Protocol):
         """Whether it draws the view of a context as long as nothing there is held out, so that no
         picture is wanted."""
 
+    def lays_over(self, context: bpy.types.Context) -> bool:
+        """Whether it draws what `OVER` has of the view of a context over what Blender draws."""
+
 
 STAND_INS: list[StandIn] = []
 """What was registered."""
 EXACT: set[int] = set()
 """Pointers of the regions that show a finished picture of what they show now."""
+OVER: WeakValueDictionary[int, Viewport] = WeakValueDictionary()
+"""Whose last picture is to be laid over what Blender draws, by the pointer of its region."""
 
 
 def view_camera(

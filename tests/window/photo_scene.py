@@ -41,6 +41,43 @@ def shots(name: str, wall: bpy.types.Object) -> Iterator[object]:
     wall.hide_set(False)
 
 
+def without_live(wall: bpy.types.Object) -> Iterator[object]:
+    """The photo behind the splats in the engine's own picture: where nothing is drawn live, and
+    where something is held out, live or not; then from elsewhere."""
+    scene = bpy.context.scene
+    slot = scene.camera.data.background_images[0]
+    slot.display_depth, slot.alpha = "BACK", 1.0
+    scene.gscore_render.live = False
+    area().tag_redraw()
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "still_back.png")
+    hole = lab.add(scene, lab.wall(0.0, COLOR, half=0.1), "hole")
+    hole.matrix_world = scene.camera.matrix_world @ Matrix.Translation((0, 0, -2.5))
+    hole.is_holdout = True
+    hole.select_set(False)
+    for live in (False, True):
+        scene.gscore_render.live = live
+        yield 0.5
+        yield at_rest
+        yield 1.0
+        shoot(FOLDER / f"held_{'live' if live else 'still'}.png")
+    bpy.data.objects.remove(hole)
+    scene.gscore_render.live = False
+    space().region_3d.view_perspective = "PERSP"
+    for name, shows in (("elsewhere", True), ("elsewhere_bare", False)):
+        scene.camera.data.show_background_images = shows
+        area().tag_redraw()
+        yield 0.5
+        yield at_rest
+        yield 1.0
+        shoot(FOLDER / f"{name}.png")
+    scene.camera.data.show_background_images = True
+    space().region_3d.view_perspective = "CAMERA"
+    scene.gscore_render.live = True
+    yield 0.5
+
+
 def lost() -> Iterator[object]:
     """The screen with a photo before the splats whose file is not there."""
     slot = bpy.context.scene.camera.data.background_images[0]
@@ -90,6 +127,7 @@ def story() -> Iterator[object]:
     space().shading.type, scene.render.engine = "RENDERED", "GSCORE_SPLATS"
     yield 1.0
     yield from shots("rendered", wall)
+    yield from without_live(wall)
     space().shading.type = "SOLID"
     yield from sequence()
     yield from lost()

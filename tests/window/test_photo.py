@@ -43,6 +43,35 @@ def test_splats_lie_over_a_photo_behind_them(seen, shading):
     assert np.abs(wide[beside] - alone[beside]).mean() < 1
 
 
+def test_the_engines_picture_lies_over_a_photo_behind_it(seen):
+    """Oracle: the wall's colour, the photo beside it, and between them the edge of the wall as it
+    is drawn live."""
+    assert np.abs(around(seen, "still_back") - COLOR).max() <= 2
+    still, live, alone = (
+        around(seen, name, half=180) for name in ("still_back", "rendered_back", "rendered_alone")
+    )
+    beside = np.s_[140:220, :40]
+    assert np.abs(still[beside] - alone[beside]).mean() < 1
+    assert np.abs(still - live).mean() < 1 and np.abs(live - alone).mean() > 10
+
+
+@pytest.mark.parametrize("name", ["held_still", "held_live"])
+def test_a_hole_shows_the_photo_behind_it(seen, name):
+    """Oracle: the photo in the middle of the hole; the wall's colour around it, the photo beside
+    that."""
+    held, alone = (around(seen, one, half=180) for one in (name, "rendered_alone"))
+    middle, beside = np.s_[170:190, 170:190], np.s_[140:220, :40]
+    assert np.abs(held[middle] - alone[middle]).mean() < 2
+    assert np.abs(held[beside] - alone[beside]).mean() < 1
+    assert (np.abs(held - COLOR).max(axis=2) <= 2).mean() > 0.05
+
+
+def test_nothing_lies_over_a_view_from_elsewhere(seen):
+    """Oracle: the same view without a photo: the wall, small, on the grey of the world."""
+    found, bare = (around(seen, f"elsewhere{end}", half=100) for end in ("", "_bare"))
+    assert np.abs(found - bare).max() <= 2 and np.ptp(bare) > 50
+
+
 @pytest.mark.parametrize("shading", ["solid", "rendered"])
 def test_a_photo_lies_over_splats_behind_it(seen, shading):
     """Oracle: the photo without splats, as Blender draws it."""

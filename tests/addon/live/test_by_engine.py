@@ -9,9 +9,10 @@ import pytest
 
 from addon.compat import TEXTURES_ARE_ENCODED
 from addon.core import CancelFlag, Splats, render
-from addon.live.by_engine import EXPONENT, Wish, over_view
+from addon.live.by_engine import Wish
 from addon.live.clip import Cuts, z_of
 from addon.live.marks import SHARE, TINT
+from addon.render.color import EXPONENT, over_view
 from addon.render.frozen import HIDDEN, SELECTED, freeze
 from addon.render.scene import SplatCache, place, sources
 from addon.render.viewport import Painter, smaller, view_camera
