@@ -112,8 +112,10 @@ def lines(scene: bpy.types.Scene, view: bpy.types.RegionView3D) -> Iterator[obje
 def clipped() -> Iterator[object]:
     """A view that ends around its middle, then before the wall, then not.
 
-    By the keys of a user: told by a script, Blender draws no view again.
+    By the keys of a user: told by a script, Blender draws no view again. Without overlays, of which
+    new depths would come.
     """
+    space().overlay.show_overlays = False
     for key, value, place in (
         ("B", "PRESS", -50),
         ("LEFTMOUSE", "PRESS", -50),
@@ -129,6 +131,7 @@ def clipped() -> Iterator[object]:
     yield 0.2
     yield at_rest
     screenshot("unclipped")
+    space().overlay.show_overlays = True
     space().clip_end = 3.0  # the wall is 4 away
     yield 0.5
     yield at_rest
