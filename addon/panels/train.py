@@ -100,6 +100,7 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings = self.layout, context.scene.gscore
+        layout.use_property_split, layout.use_property_decorate = True, False
         for role, name in guides.ROLES.items():
             row = layout.row(align=True)
             row.prop(settings, name)

@@ -1,7 +1,8 @@
 """Runs inside a Blender with a window: shows splats, takes screenshots, writes down what it saw.
 
-`blender --factory-startup -P tests/window/live_scene.py -- FOLDER PACKAGES...`; PACKAGES are
-folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
+`blender --factory-startup --enable-event-simulate -P tests/window/live_scene.py -- FOLDER
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and
+pictures of the screen.
 """
 
 import sys
@@ -24,7 +25,18 @@ from addon.live import handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    Teller,
+    area,
+    at_rest,
+    clear,
+    leaving,
+    look_down,
+    region,
+    send,
+    shoot,
+    space,
+)
 
 COLOR = (0.8, 0.4, 0.2)
 DARK = (5, 4, 3)
@@ -97,19 +109,29 @@ def lines(scene: bpy.types.Scene, view: bpy.types.RegionView3D) -> Iterator[obje
     yield 0.5
 
 
-def clipped(view: bpy.types.RegionView3D) -> Iterator[object]:
-    """A view that ends around its middle, then before the wall, then not."""
-    x, y = region().width // 2, region().height // 2
-    window = bpy.context.window_manager.windows[0]
-    with bpy.context.temp_override(window=window, area=area(), region=region()):
-        bpy.ops.view3d.clip_border(xmin=x - 50, xmax=x + 50, ymin=y - 50, ymax=y + 50)
-    area().tag_redraw()  # as the mouse of a user has it
-    yield 1.0
+def clipped() -> Iterator[object]:
+    """A view that ends around its middle, then before the wall, then not.
+
+    By the keys of a user: told by a script, Blender draws no view again. Without overlays, of which
+    new depths would come.
+    """
+    space().overlay.show_overlays = False
+    for key, value, place in (
+        ("B", "PRESS", -50),
+        ("LEFTMOUSE", "PRESS", -50),
+        ("MOUSEMOVE", "NOTHING", 50),
+        ("LEFTMOUSE", "RELEASE", 50),
+    ):
+        send("MOUSEMOVE", "NOTHING", place, place)
+        send(key, value, place, place, alt=key == "B")
+        yield 0.2
     yield at_rest
     screenshot("clipped")
-    view.use_clip_planes = False
-    yield 0.5
+    send("B", alt=True)
+    yield 0.2
+    yield at_rest
     screenshot("unclipped")
+    space().overlay.show_overlays = True
     space().clip_end = 3.0  # the wall is 4 away
     yield 0.5
     yield at_rest
@@ -184,7 +206,7 @@ def story() -> Iterator[object]:
     yield from moving(view, "plate_behind_moving")
     plate.hide_set(True)
     yield from lines(scene, view)
-    yield from clipped(view)
+    yield from clipped()
     plate.hide_set(False)
     other = lab.add(scene, lab.blob(), "blob")
     yield at_rest

@@ -22,18 +22,12 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon import attributes  # noqa: E402
 from addon.paint import modal  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, send, shoot  # noqa: E402
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
 PAUSE = 0.2
 """Seconds in which Blender has handled an event and drawn what came of it."""
 seen: dict = {"log": []}
-
-
-def send(key: str, value: str = "PRESS", aside: int = 0, **held: bool) -> None:
-    """An event so many pixels to the right of the view's middle."""
-    x, y = seen["middle"]
-    bpy.context.window_manager.windows[0].event_simulate(key, value, x=x + aside, y=y, **held)
 
 
 def move(*way: int, **held: bool) -> Iterator[float]:

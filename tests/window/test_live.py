@@ -21,7 +21,9 @@ COLOR = (204, 102, 51)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """What `live_scene.py` saw, and the folder of its pictures."""
-    found, folder, output = told("live", tmp_path_factory, longest=LONGEST)
+    found, folder, output = told(
+        "live", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
+    )
     assert "Traceback" not in output, output
     return found, folder
 

@@ -60,6 +60,21 @@ def look_down() -> bpy.types.RegionView3D:
     return view
 
 
+def send(key: str, value: str = "PRESS", right: int = 0, up: int = 0, **held: bool) -> None:
+    """An event, for which Blender needs `--enable-event-simulate`.
+
+    Args:
+        key: What it is of, in Blender's word.
+        value: The same.
+        right: Pixels of the mouse to the right of the view's middle.
+        up: Above it.
+        held: Keys that are down meanwhile.
+    """
+    shown = region()
+    x, y = shown.x + shown.width // 2 + right, shown.y + shown.height // 2 + up
+    bpy.context.window_manager.windows[0].event_simulate(key, value, x=x, y=y, **held)
+
+
 def shoot(file: Path) -> None:
     """The screen as a file."""
     subprocess.run(["import", "-window", "root", str(file)], check=True)
