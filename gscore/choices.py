@@ -42,6 +42,17 @@ class Switch(StrEnum):
     OFF = "off"
 
 
+class Stereo(StrEnum):
+    """When photos are asked for points of the surfaces that they show."""
+
+    AUTO = "auto"
+    """Unless the capture's points are half of `max_splats` already."""
+    MISSING = "missing"
+    """Where the capture has no points."""
+    ON = "on"
+    OFF = "off"
+
+
 class Skip(StrEnum):
     """Work that a training leaves out because the scene has no use for it. Each can be switched
     off (`TrainConfig.without`) to prove or to measure what it brings; `gscore bench skips`

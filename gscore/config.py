@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from .choices import Background, Doubling, Skip, Strategy, Switch
+from .choices import Background, Doubling, Skip, Stereo, Strategy, Switch
 from .errors import ConfigError
 from .options import LARGEST, Range, check_options, option
 
@@ -400,11 +400,11 @@ class TrainConfig:
         group="start",
         when="points",
     )
-    stereo: Switch = option(
-        Switch.OFF,
+    stereo: Stereo = option(
+        Stereo.MISSING,
         "Start from more points than SfM found: those whose depth the photos agree on. Found in "
         "the training photos alone, in some seconds; `auto`: unless SfM's points are half of "
-        "`max_splats` already.",
+        "`max_splats` already; `missing`: where the capture has no points.",
         group="start",
         when="points",
     )
@@ -832,7 +832,7 @@ class TrainConfig:
 
 _LIMITED = TrainConfig(opaque_weight=0.005, steps_a_photo=80)
 """What all but previews share: more steps for each photo lose on views between the photos."""
-_LONG = replace(_LIMITED, stereo=Switch.AUTO, drop_rate=0.1, drop_below=0.35)
+_LONG = replace(_LIMITED, stereo=Stereo.AUTO, drop_rate=0.1, drop_below=0.35)
 """What the longer presets share: points of stereo place what they grow, and what photos do not
 agree on is not learnt by heart."""
 

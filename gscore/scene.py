@@ -102,6 +102,15 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    def with_more(self, more: "PointCloud") -> "PointCloud":
+        """These and `more`, in whose favour places that were made up are given up."""
+        if self.made_up:
+            return more
+        return PointCloud(
+            points=np.concatenate([self.points, more.points]),
+            colors=np.concatenate([self.colors, more.colors]),
+        )
+
     def content_hash(self) -> str:
         """Short hash of positions and colours."""
         digest = hashlib.sha256(np.ascontiguousarray(self.points).data)

@@ -169,7 +169,6 @@ def train_measured(
         thinned = thins_subject(
             config,
             mask_mode=photos.mask_mode,
-            made_up=photos.scene.points.made_up,
             known=start.known,
         )
         if thinned and not at:  # who names steps wants them

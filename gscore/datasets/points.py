@@ -21,9 +21,9 @@ def told_of_points(points: PointCloud, usable: np.ndarray) -> list[str]:
     """
     if not usable.any():
         return [
-            f"The capture has no {'usable ' if len(usable) else ''}points; starting from "
-            "random ones, which takes longer and gives floaters. Run COLMAP's triangulation for "
-            "better results."
+            f"The capture has no {'usable ' if len(usable) else ''}points. A training starts from "
+            "those that its photos agree on, else from random ones, which takes longer and gives "
+            "floaters. Run COLMAP's triangulation for better results."
         ]
     told = []
     if not usable.all():

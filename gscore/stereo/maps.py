@@ -78,7 +78,8 @@ def stereo_maps(
     """
     if len(used) < FEWEST_VIEWS:
         return StereoMaps(maps={}, reason=f"it takes at least {count_words(FEWEST_VIEWS, 'photo')}")
-    plans = plan_views(dataset.scene.cameras, seen_points(dataset), used)
+    subject = dataset.mask_mode == "composite"
+    plans = plan_views(dataset.scene.cameras, seen_points(dataset), used, subject=subject)
     if not any(plans):
         return StereoMaps(maps={}, reason="no two photos show the same from different places")
     photos = list(

@@ -28,6 +28,10 @@ _FARTHER, _NEARER = 0.5, 1.3
 """The range goes beyond them by these factors."""
 _FEWEST_POINTS = 8
 """Points that a view must see for them to tell its range."""
+_AROUND = (0.4, 2.5)
+"""Inverse depths of what stands where the axes of all views meet, in those of that place."""
+_BEHIND = 0.01
+"""Least such inverse depth of what stands behind it: by inverse depth, far is next to nothing."""
 _STEP = 1.0
 """Pixels between the places of a point on neighbouring planes."""
 _FEWEST_PLANES = 16
@@ -49,13 +53,16 @@ class ViewPlan:
     """That of the last plane."""
 
 
-def plan_views(cameras: Cameras, tracks: SeenPoints, used: Sequence[int]) -> list[ViewPlan | None]:
+def plan_views(
+    cameras: Cameras, tracks: SeenPoints, used: Sequence[int], *, subject: bool = False
+) -> list[ViewPlan | None]:
     """A plan for each of the views `used`; None where nothing can be compared with it.
 
     Args:
         cameras: Of all views.
         tracks: Points and who sees them; may be none.
         used: Views that take part: no other one has a say.
+        subject: Whether only what their axes meet at counts, and nothing behind it.
     """
     centers, axes = cameras.centers[list(used)], cameras.viewmats[list(used), 2, :3]
     seen = _seen(tracks, used)
@@ -63,7 +70,7 @@ def plan_views(cameras: Cameras, tracks: SeenPoints, used: Sequence[int]) -> lis
     for place, index in enumerate(used):
         points = tracks.points[tracks.seen[index]]
         depth_range = _range(points, cameras.viewmats[index]) or _range_by_axes(
-            centers, axes, place
+            centers, axes, place, farthest=_AROUND[0] if subject else _BEHIND
         )
         if depth_range is None:
             plans.append(None)
@@ -161,12 +168,14 @@ def _range(points: np.ndarray, viewmat: np.ndarray) -> tuple[float, float] | Non
     return float(_FARTHER * far), float(_NEARER * near)
 
 
-def _range_by_axes(centers: np.ndarray, axes: np.ndarray, place: int) -> tuple[float, float] | None:
-    """The same around where the axes of all views meet; None where they do not."""
+def _range_by_axes(
+    centers: np.ndarray, axes: np.ndarray, place: int, *, farthest: float
+) -> tuple[float, float] | None:
+    """The same by where the axes of all views meet; None where they do not."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix = across.sum(axis=0)
     if np.linalg.eigvalsh(matrix)[0] < 1e-3 * len(axes):
         return None
     focus = np.linalg.solve(matrix, np.einsum("cij,cj->i", across, centers))
     z = float((focus - centers[place]) @ axes[place])
-    return (1 / (2.5 * z), 1 / (0.4 * z)) if z > 0 else None
+    return (farthest / z, _AROUND[1] / z) if z > 0 else None

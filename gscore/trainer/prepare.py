@@ -139,7 +139,6 @@ def prepare(
             thinned = thins_subject(
                 config,
                 mask_mode=photos.mask_mode,
-                made_up=photos.scene.points.made_up,
                 known=added.known,
             )
             config, enough = limited(thinned=thinned)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..config import DataConfig, Switch, TrainConfig
+from ..config import DataConfig, Stereo, TrainConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import GsError
@@ -109,7 +109,7 @@ def train(
                 session.warn(message, "depth")
             for message in found.guide.warnings:
                 session.warn(message, "guide")
-            if found.stereo.why and not found.stereo.added and config.stereo is Switch.ON:
+            if found.stereo.why and not found.stereo.added and config.stereo is Stereo.ON:
                 session.warn(found.stereo.why, "stereo")
             with _kept_for(agent, folder) as end:
                 result = session.run()

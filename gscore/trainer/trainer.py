@@ -610,7 +610,6 @@ class Trainer:
             self.config,
             known=self._known,
             mask_mode=self.photos.mask_mode,
-            made_up=self.photos.scene.points.made_up,
         )
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:

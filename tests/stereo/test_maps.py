@@ -210,3 +210,20 @@ def test_points_that_are_not_finite_have_no_say(tmp_path: Path) -> None:
     tracks = SeenPoints(points=points, seen=[np.zeros(0, np.int64) for _ in ANGLES])
     for plan in plan_views(dataset.scene.cameras, tracks, dataset.train):
         assert plan is not None and 0 < plan.farthest < 1 / 5 < plan.nearest < 2
+
+
+@pytest.mark.parametrize("subject", [False, True])
+def test_without_points_the_range_ends_behind_a_subject_alone(
+    subject: bool, tmp_path: Path
+) -> None:
+    """Oracle: the axes meet 5 units away; what stands behind may be as far as it likes."""
+    from gscore.depth.observations import SeenPoints
+    from gscore.stereo.plan import plan_views
+
+    scene = Scene(80, 60)
+    write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES], points=0)
+    dataset = opened(tmp_path)
+    tracks = SeenPoints(points=np.zeros((0, 3)), seen=[np.zeros(0, np.int64) for _ in ANGLES])
+    for plan in plan_views(dataset.scene.cameras, tracks, dataset.train, subject=subject):
+        assert plan is not None and 0 < plan.farthest < 1 / 5 < plan.nearest
+        assert (1 / plan.farthest > 100) == (not subject)

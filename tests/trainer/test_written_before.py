@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gscore.commands import main
-from gscore.config import PRESETS, Background, Skip, Strategy, Switch
+from gscore.config import PRESETS, Background, Skip, Stereo, Strategy
 from gscore.config_file import load_config
 from gscore.io.ply.splats import read_ply
 from gscore.trainer.files import checkpoint
@@ -24,7 +24,7 @@ WANTED = (
     replace(
         TRAIN,
         steps_a_photo=0,  # the preset had neither this limit
-        stereo=Switch.OFF,  # nor points of stereo
+        stereo=Stereo.MISSING,  # nor points of stereo beside those of a capture
         opaque_weight=0.0,  # nor this weight
         drop_rate=0.0,  # and left no splats out
         drop_below=0.0,

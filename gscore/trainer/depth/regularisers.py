@@ -13,9 +13,7 @@ _MOST = 0.999
 """Highest opacity that making up for the others leads to; no more than 0.99 is drawn anyway."""
 
 
-def drop_rate_of(
-    config: TrainConfig, *, known: float | None, mask_mode: str, made_up: bool = False
-) -> tuple[float, str]:
+def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) -> tuple[float, str]:
     """The share of splats that a run leaves out of its last step, for these photos.
 
     Args:
@@ -23,7 +21,6 @@ def drop_rate_of(
         known: Share of the pixels that masks leave whose depth stereo found; None: nobody
             looked.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
-        made_up: Whether there are no points of structure from motion to start from.
 
     Returns:
         The share, and a sentence where a condition holds; empty where there is none.
@@ -32,7 +29,7 @@ def drop_rate_of(
     if not (rate and config.drop_below):
         return rate, ""
     if mask_mode == "composite":
-        if not thins_subject(config, mask_mode=mask_mode, made_up=made_up, known=known):
+        if not thins_subject(config, mask_mode=mask_mode, known=known):
             return 0.0, ""
         why = f"Photos agree on the depth of {known:.0%} of the subject's pixels"
     elif known is None or known >= config.drop_below:

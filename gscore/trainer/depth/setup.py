@@ -98,11 +98,7 @@ def prepare_depth(
         most = config.max_splats // SPLATS_A_POINT if config.depth_points < 0 else None
         added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
         known = photos.scene.points
-        points = PointCloud(
-            points=np.concatenate([known.points, added.points]),
-            colors=np.concatenate([known.colors, added.colors]),
-            made_up=known.made_up,
-        )
+        points = known.with_more(added) if len(added) else known
         why += (
             f" {count_words(len(added), 'point was', 'points were')} added from the maps to "
             f"{number(len(known))} of SfM."

@@ -1,11 +1,10 @@
-"""A dense start: points of surfaces that the photos themselves show, beside those of SfM."""
+"""A dense start: points of surfaces that the photos themselves show, beside those of SfM, or in
+their place where there are none."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from ...config import Switch, TrainConfig
+from ...config import Stereo, TrainConfig
 from ...datasets import Dataset
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
@@ -26,7 +25,7 @@ class StereoStart:
     """What stereo adds to the points that a run starts from."""
 
     points: PointCloud | None = None
-    """Those of the capture and more; None: nothing is added."""
+    """Those of the capture, unless they are made up, and more; None: nothing is added."""
     added: int = 0
     known: float | None = None
     """Share of the pixels that masks leave whose depth others confirm; None: nobody looked."""
@@ -49,11 +48,12 @@ def stereo_start(
         known: Points that the run starts from otherwise.
         on_view: Called with (done, total) after each photo; may raise to stop.
     """
-    if config.stereo is Switch.OFF or config.start_splats is not None:
+    if config.start_splats is not None or not _asked(config.stereo, known):
         return StereoStart()
-    most = _wanted(config, known)
+    given = 0 if known.made_up else len(known)
+    most = _wanted(config, given)
     if most <= 0:
-        return _nothing(f"{number(len(known))} points leave no room for more")
+        return _nothing(f"{number(given)} points leave no room for more")
     used = evenly(photos.train, _MOST_VIEWS)
     found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
     if found.reason:
@@ -62,21 +62,21 @@ def stereo_start(
     if len(added) < min(_FEWEST, most):
         return _nothing("photos agree on the depth of hardly anything", known=found.known)
     return StereoStart(
-        points=PointCloud(
-            points=np.concatenate([known.points, added.points]),
-            colors=np.concatenate([known.colors, added.colors]),
-            made_up=known.made_up,
-        ),
+        points=known.with_more(added),
         added=len(added),
         known=found.known,
-        why=f"{count_words(len(added), 'point')} of surfaces that photos agree on were added to "
-        f"{number(len(known))} of the capture.",
+        why=f"{count_words(len(added), 'point')} of surfaces that photos agree on "
+        + (f"were added to {number(given)} of the capture." if given else "are started from."),
     )
 
 
-def _wanted(config: TrainConfig, known: PointCloud) -> int:
-    room = config.max_splats - len(known)
-    if config.stereo is Switch.AUTO and room < config.max_splats // 2:
+def _asked(stereo: Stereo, known: PointCloud) -> bool:
+    return known.made_up if stereo is Stereo.MISSING else stereo is not Stereo.OFF
+
+
+def _wanted(config: TrainConfig, given: int) -> int:
+    room = config.max_splats - given
+    if config.stereo is Stereo.AUTO and room < config.max_splats // 2:
         return 0
     return min(config.stereo_points or min(MOST_ADDED, config.max_splats // SPLATS_A_POINT), room)
 

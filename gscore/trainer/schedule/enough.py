@@ -14,22 +14,19 @@ _FEWEST_STEPS, _FEWEST_SPLATS = 1500, 300_000
 too little time to grow, and the splats of `normal`."""
 
 
-def thins_subject(
-    config: TrainConfig, *, mask_mode: str, made_up: bool, known: float | None
-) -> bool:
+def thins_subject(config: TrainConfig, *, mask_mode: str, known: float | None) -> bool:
     """Whether a subject that masks cut out grows many splats, of which each step leaves some out.
 
     That takes half the steps for 0.2 dB more where photos agree, and loses as much where they do
-    not. Without points its shape has to be found first, which takes all splats and the longer run.
+    not.
 
     Args:
         config: `drop_rate`.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
-        made_up: Whether there are no points of structure from motion to start from.
         known: Share of the pixels that masks leave whose depth stereo found; None: nobody looked.
     """
     agrees = known is not None and known >= _AGREE
-    return mask_mode == "composite" and config.drop_rate > 0 and agrees and not made_up
+    return mask_mode == "composite" and config.drop_rate > 0 and agrees
 
 
 def limit_by_photos(

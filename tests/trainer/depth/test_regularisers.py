@@ -48,13 +48,6 @@ def test_where_splats_are_left_out(
     assert drop_rate_of(replace(config, drop_rate=0.0), known=known, mask_mode=mask_mode)[0] == 0
 
 
-def test_a_subject_without_points_keeps_its_splats() -> None:
-    """Oracle: the text of the option."""
-    config = TrainConfig(drop_rate=0.1, drop_below=0.35)
-    assert drop_rate_of(config, known=0.9, mask_mode="composite", made_up=True) == (0.0, "")
-    assert drop_rate_of(config, known=0.1, mask_mode="none", made_up=True)[0] == 0.1
-
-
 def test_which_presets_leave_splats_out() -> None:
     """Oracle: those that ask stereo, without which the condition is never met."""
     for name, make in PRESETS.items():

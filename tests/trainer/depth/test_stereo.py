@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from gscore.commands import main
-from gscore.config import DataConfig, Switch, TrainConfig
+from gscore.config import DataConfig, Stereo, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply.splats import read_ply
 from gscore.scene import PointCloud
-from gscore.trainer.depth.stereo import stereo_start
+from gscore.trainer.depth.stereo import StereoStart, stereo_start
 from gscore.trainer.files.folder import RunFolder
 from tests.stereo.captures import ANGLES, write_capture
 from tests.stereo.scene import Scene
 
-ON = TrainConfig(stereo=Switch.AUTO, max_splats=4000)
+ON = TrainConfig(stereo=Stereo.AUTO, max_splats=4000)
 
 
 def start(folder: Path, config: TrainConfig = ON, known: PointCloud | None = None):
@@ -42,17 +42,51 @@ def test_points_are_added_and_none_is_lost(arc: Path) -> None:
 
 def test_the_option_says_how_many(arc: Path) -> None:
     """Oracle: the number that is asked for."""
-    found = start(arc, TrainConfig(stereo=Switch.ON, stereo_points=300, max_splats=4000))
+    found = start(arc, TrainConfig(stereo=Stereo.ON, stereo_points=300, max_splats=4000))
     assert 200 < found.added <= 300
 
 
 @pytest.mark.parametrize("config", [
-    TrainConfig(stereo=Switch.OFF), TrainConfig(stereo=Switch.ON, start_splats=Path("x.ply")),
+    TrainConfig(stereo=Stereo.OFF), TrainConfig(stereo=Stereo.ON, start_splats=Path("x.ply")),
 ])  # fmt: skip
 def test_nothing_is_looked_for_where_nobody_asks(config: TrainConfig, arc: Path) -> None:
     """Oracle: no points and no sentence."""
     found = start(arc, config)
     assert found.points is None and found.known is None and found.why == ""
+
+
+def without_points(folder: Path) -> Path:
+    """A capture in `folder` of an arc of views, around whose subject their axes meet."""
+    scene = Scene(80, 60)
+    write_capture(folder, scene, [scene.viewmat(angle) for angle in ANGLES], points=0)
+    return folder
+
+
+@pytest.mark.parametrize("stereo", [Stereo.MISSING, Stereo.AUTO, Stereo.ON])
+def test_made_up_points_make_room(stereo: Stereo, tmp_path: Path) -> None:
+    """Oracle: the scene's surfaces; none of the random points is left, whatever room they take."""
+    config = TrainConfig(stereo=stereo, max_splats=4000)
+    found = start(without_points(tmp_path), config)
+    assert found.points is not None and not found.points.made_up
+    assert len(found.points) == found.added > 100
+    x, y, z = found.points.points.T
+    off = np.minimum(np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8))
+    assert np.quantile(off, 0.95) < 0.08
+    assert found.why.endswith("are started from.")
+
+
+def test_points_that_are_there_are_enough_where_only_missing_ones_are_asked_for(arc: Path) -> None:
+    """Oracle: the text of the option, and of its default."""
+    found = start(arc, TrainConfig(max_splats=4000))
+    assert found == StereoStart()
+
+
+def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> None:
+    """Oracle: two photos, of which neither can be judged by two others."""
+    scene = Scene(80, 60)
+    write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]], points=0)
+    found = start(tmp_path, TrainConfig(max_splats=4000))
+    assert found.points is None and "at least 3 photos" in found.why
 
 
 def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
@@ -62,7 +96,7 @@ def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
     assert "leave no room" in full.why and full.known is None
     half = PointCloud(points=many.points[:2100], colors=many.colors[:2100])
     assert "leave no room" in start(arc, known=half).why
-    asked = start(arc, replace(ON, stereo=Switch.ON), known=half)
+    asked = start(arc, replace(ON, stereo=Stereo.ON), known=half)
     assert 0 < asked.added <= 800
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]])

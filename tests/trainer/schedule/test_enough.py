@@ -40,24 +40,23 @@ def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
 
 
 @pytest.mark.parametrize(
-    ("known", "made_up", "rate", "steps"),
+    ("known", "rate", "steps"),
     [
-        (0.5, False, 0.1, 4000),
-        (0.49, False, 0.1, 8000),
-        (None, False, 0.1, 8000),
-        (0.9, True, 0.1, 8000),
-        (0.9, False, 0.0, 8000),
+        (0.5, 0.1, 4000),
+        (0.49, 0.1, 8000),
+        (None, 0.1, 8000),
+        (0.9, 0.0, 8000),
     ],
 )
 def test_a_subject_of_which_splats_are_left_out(
-    known: float | None, made_up: bool, rate: float, steps: int
+    known: float | None, rate: float, steps: int
 ) -> None:
     """Oracle: the texts of the options; 80 or 160 times 50 photos."""
     config = replace(TRAIN, iterations=15_000, drop_rate=rate)
-    thinned = thins_subject(config, mask_mode="composite", made_up=made_up, known=known)
+    thinned = thins_subject(config, mask_mode="composite", known=known)
     found, _ = limit_by_photos(config, photos=50, mask_mode="composite", thinned=thinned)
     assert found.iterations == steps
-    assert not thins_subject(config, mask_mode="ignore", made_up=made_up, known=known)
+    assert not thins_subject(config, mask_mode="ignore", known=known)
 
 
 @pytest.mark.parametrize(
