@@ -75,7 +75,7 @@ def test_where_all_are_taken(config: TrainConfig, mask_mode: str) -> None:
 def test_which_presets_have_the_limit() -> None:
     """Oracle: all but previews have it, `high` for splats too."""
     limits = {name: make(Path())[1].steps_a_photo for name, make in PRESETS.items()}
-    assert limits == {"preview": 0, "draft": 80, "normal": 80, "high": 80}
+    assert limits == {"preview": 0, "draft": 68, "normal": 80, "high": 80}
     limits = {name: make(Path())[1].splats_a_photo for name, make in PRESETS.items()}
     assert limits == {"preview": 0, "draft": 0, "normal": 0, "high": 6000}
 
