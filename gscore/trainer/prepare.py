@@ -18,7 +18,7 @@ from ..events import Event
 from ..io.block_record import read_block
 from ..splats import Splats
 from .depth.setup import DepthSetup, prepare_depth
-from .depth.stereo import StereoStart, stereo_start
+from .depth.stereo import StereoStart, points_to_expect, stereo_start
 from .guide.setup import GuideSetup, prepare_guide
 from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
@@ -117,7 +117,7 @@ def prepare(
     loaded = load_photos(
         photos,
         config,
-        splats=start,
+        points=points_to_expect(config, photos.scene.points) if start is None else len(start),
         depths=bool(data.depths),
         announce=world is None,
         emit=emit,

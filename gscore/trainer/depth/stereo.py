@@ -70,6 +70,12 @@ def stereo_start(
     )
 
 
+def points_to_expect(config: TrainConfig, known: PointCloud) -> int:
+    """How many of the capture's points a run starts from, before photos are compared."""
+    gives_up = known.made_up and config.stereo is not Stereo.OFF
+    return _wanted(config, 0) if gives_up else len(known)
+
+
 def _asked(stereo: Stereo, known: PointCloud) -> bool:
     return known.made_up if stereo is Stereo.MISSING else stereo is not Stereo.OFF
 

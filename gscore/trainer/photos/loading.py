@@ -12,7 +12,6 @@ from ...datasets import Dataset
 from ...datasets.dataset import map_threads
 from ...errors import Cancelled, DatasetError
 from ...events import Estimated, Event, Progress
-from ...splats import Splats
 from ...words import count_words
 from ..estimate.forecast import Estimate, check_fits, estimate
 
@@ -36,7 +35,7 @@ def load_photos(
     photos: Dataset,
     config: TrainConfig,
     *,
-    splats: Splats | None,
+    points: int,
     depths: bool,
     announce: bool,
     emit: Callable[[Event], None],
@@ -47,7 +46,7 @@ def load_photos(
     Args:
         photos: Their headers have been read.
         config: How to train.
-        splats: To start from; None: from the points.
+        points: Splats that it starts from, as far as that is known.
         depths: Whether there are depth maps.
         announce: Whether to tell what the training will take: all of it, not the rest of it.
         emit: Told of the estimate and how far reading is.
@@ -58,7 +57,7 @@ def load_photos(
         DatasetError: The masks leave nothing to train on.
         Cancelled: Stopped.
     """
-    found = _estimate(photos, config, splats, depths)
+    found = _estimate(photos, config, points, depths)
     check_fits(found, config)
     if announce:
         emit(_event(found, config))
@@ -77,16 +76,14 @@ def load_photos(
     return Loaded(cache=None if all_there else found.photo_bytes, warnings=warnings)
 
 
-def _estimate(
-    photos: Dataset, config: TrainConfig, splats: Splats | None, depths: bool
-) -> Estimate:
+def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -> Estimate:
     cameras = photos.scene.cameras
     sizes = list(zip(cameras.widths.tolist(), cameras.heights.tolist(), strict=True))
     pixels = int((cameras.widths * cameras.heights).sum())
     return estimate(
         config,
         sizes,
-        points=len(photos.scene.points) if splats is None else len(splats),
+        points=points,
         masks=photos.nbytes > 3 * pixels,
         subject=photos.mask_mode == "composite",
         depths=depths,

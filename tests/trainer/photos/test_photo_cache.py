@@ -46,7 +46,7 @@ def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None
         load_photos(
             load_dataset(DataConfig(source=root)),
             config,
-            splats=None,
+            points=100,
             depths=depths,
             announce=True,
             emit=events.append,
@@ -70,7 +70,7 @@ def test_masks_of_several_labels_are_told(capture: Path, tmp_path: Path) -> None
     loaded = load_photos(
         load_dataset(DataConfig(source=tmp_path / "in")),
         CONFIG,
-        splats=None,
+        points=100,
         depths=False,
         announce=False,
         emit=lambda event: None,
