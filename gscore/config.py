@@ -404,7 +404,8 @@ class TrainConfig:
         Stereo.MISSING,
         "Start from more points than SfM found: those whose depth the photos agree on. Found in "
         "the training photos alone, in some seconds; `auto`: unless SfM's points are half of "
-        "`max_splats` already; `missing`: where the capture has no points.",
+        "`max_splats` already; `missing`: where the capture has none. Else a capture without "
+        "points starts from random ones.",
         group="start",
         when="points",
     )
@@ -554,8 +555,8 @@ class TrainConfig:
         0.0,
         "Splats are left out only where stereo, asked for points, finds the depth of less than "
         "this share of the pixels that masks leave: where photos agree in more, it costs fine "
-        "detail. Where masks are opacity they are where it finds half of these and more, and there "
-        "are points to start from. 0: always, as where `--drop-rate` is given by itself.",
+        "detail. Where masks are opacity they are where it finds half of these and more. 0: "
+        "always, as where `--drop-rate` is given by itself.",
         group="loss",
         range=Range(high=1),
         when="dropping",

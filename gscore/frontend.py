@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from .extras import offered
 
 if TYPE_CHECKING:
-    from .config import Switch
+    from .config import Stereo, Switch
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path, write_nerfstudio_path
     from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
@@ -89,7 +89,7 @@ if TYPE_CHECKING:
     from .sh import rgb_to_sh0, sh0_to_rgb, sh_basis
     from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
-    from .trainer.schedule.enough import limit_by_photos
+    from .trainer.schedule.enough import limit_by_photos, points_to_expect
     from .transforms import quat_to_rotmat, rotmat_to_quat
     from .video import VIDEO_ENDINGS, is_video
 
@@ -142,6 +142,7 @@ _HOME = {
     "SplatFile": "formats",
     "Started": "events",
     "StatedDepth": "depth.stated",
+    "Stereo": "config",
     "Switch": "config",
     "Undistortion": "datasets.undistort",
     "VIDEO_ENDINGS": "video",
@@ -163,6 +164,7 @@ _HOME = {
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.pictures.resample",
     "limit_by_photos": "trainer.schedule.enough",
+    "points_to_expect": "trainer.schedule.enough",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
@@ -261,6 +263,7 @@ __all__ = [
     "SplatFile",
     "Started",
     "StatedDepth",
+    "Stereo",
     "Switch",
     "Undistortion",
     "View",
@@ -302,6 +305,7 @@ __all__ = [
     "of_size",
     "options_of",
     "plan_undistortion",
+    "points_to_expect",
     "quat_to_rotmat",
     "reached_from",
     "read_camera_path",

@@ -103,12 +103,11 @@ class PointCloud:
         return len(self.points)
 
     def with_more(self, more: "PointCloud") -> "PointCloud":
-        """These and `more`, in whose favour places that were made up are given up."""
-        if self.made_up:
-            return more
+        """These and `more`."""
         return PointCloud(
             points=np.concatenate([self.points, more.points]),
             colors=np.concatenate([self.colors, more.colors]),
+            made_up=self.made_up,
         )
 
     def content_hash(self) -> str:

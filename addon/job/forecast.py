@@ -11,6 +11,7 @@ from ..core import (
     TrainConfig,
     estimate,
     limit_by_photos,
+    points_to_expect,
     target_size,
 )
 from .options import AS_PRESET, BY_WIDTH, Settings
@@ -63,7 +64,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
             mask_mode="composite" if settings.use_masks and facts.alphas else "none",
         )[0],
         sizes=tuple(sorted(sizes.items())),
-        points=facts.points,
+        points=points_to_expect(train, facts.points),
         masks=settings.use_masks and bool(facts.masks or facts.alphas),
         depths=bool(facts.depths) and settings.depth_mode != "off",
     )

@@ -192,7 +192,7 @@ class Painter:
                 self._cancel,
             )
             took = time.perf_counter() - began
-            self.made, self.pixels, self.problem, self.fresh = request, pixels, "", True
+            self.pixels, self.made, self.problem, self.fresh = pixels, request, "", True
             if factor > 1 and self._is_old(request):
                 self._factor = min(COARSEST, factor + (took > 2 * QUICK))
                 return

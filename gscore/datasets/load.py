@@ -15,14 +15,12 @@ from .dataset import Dataset
 from .decode import ViewFile, decode_view
 from .headers import PhotoFit, check_fit, fit_photos, told_of_photos
 from .masks import MaskChoice, choose_masks
-from .points import colors_from_photos, random_points, told_of_points
+from .points import RANDOM_POINTS, colors_from_photos, random_points, told_of_points
 from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
 from .split import split_views, told_of_split
 from .undistort import Undistortion, plan_undistortion
 
-RANDOM_POINTS = 100_000
-"""Points made up for a capture without any, as the 3DGS paper does for synthetic scenes."""
 RANDOM_SEED = 0
 """Of those points."""
 

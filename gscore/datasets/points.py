@@ -8,6 +8,8 @@ from ..scene import FARTHEST, Cameras, PointCloud
 from ..words import count_words, number
 from .dataset import map_threads
 
+RANDOM_POINTS = 100_000
+"""Points made up for a capture without any, as the 3DGS paper does for synthetic scenes."""
 GREY = 128
 """Colour of points that no photo shows, sRGB byte."""
 
@@ -21,8 +23,8 @@ def told_of_points(points: PointCloud, usable: np.ndarray) -> list[str]:
     """
     if not usable.any():
         return [
-            f"The capture has no {'usable ' if len(usable) else ''}points. A training starts from "
-            "those that its photos agree on, else from random ones, which takes longer and gives "
+            f"The capture has no {'usable ' if len(usable) else ''}points. Where photos do "
+            "not tell better, a training starts from random ones, which takes longer and gives "
             "floaters. Run COLMAP's triangulation for better results."
         ]
     told = []

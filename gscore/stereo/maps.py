@@ -79,9 +79,13 @@ def stereo_maps(
     if len(used) < FEWEST_VIEWS:
         return StereoMaps(maps={}, reason=f"it takes at least {count_words(FEWEST_VIEWS, 'photo')}")
     subject = dataset.mask_mode == "composite"
-    plans = plan_views(dataset.scene.cameras, seen_points(dataset), used, subject=subject)
+    tracks = seen_points(dataset)
+    plans = plan_views(dataset.scene.cameras, tracks, used, subject=subject)
     if not any(plans):
-        return StereoMaps(maps={}, reason="no two photos show the same from different places")
+        why = "no two photos show the same from different places"
+        if len(tracks.points) == 0:
+            why += ", or they look at no common place, which without points must tell how far"
+        return StereoMaps(maps={}, reason=why)
     photos = list(
         map_threads(
             lambda i: small_photo(dataset, i, side=side, rim=RADIUS), list(used), threads=threads

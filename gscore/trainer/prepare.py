@@ -18,7 +18,7 @@ from ..events import Event
 from ..io.block_record import read_block
 from ..splats import Splats
 from .depth.setup import DepthSetup, prepare_depth
-from .depth.stereo import StereoStart, points_to_expect, stereo_start
+from .depth.stereo import StereoStart, stereo_start
 from .guide.setup import GuideSetup, prepare_guide
 from .photos.loading import Loaded, load_photos, progress_of
 from .ranks.agree import crc_of
@@ -26,7 +26,7 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import limit_by_photos, thins_subject
+from .schedule.enough import limit_by_photos, points_to_expect, thins_subject
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -114,10 +114,11 @@ def prepare(
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
+    given = 0 if photos.scene.points.made_up else len(photos.scene.points)
     loaded = load_photos(
         photos,
         config,
-        points=points_to_expect(config, photos.scene.points) if start is None else len(start),
+        points=points_to_expect(config, given) if start is None else len(start),
         depths=bool(data.depths),
         announce=world is None,
         emit=emit,

@@ -109,7 +109,7 @@ def train(
                 session.warn(message, "depth")
             for message in found.guide.warnings:
                 session.warn(message, "guide")
-            if found.stereo.why and not found.stereo.added and config.stereo is Stereo.ON:
+            if found.stereo.why and not found.stereo.added and config.stereo == Stereo.ON:
                 session.warn(found.stereo.why, "stereo")
             with _kept_for(agent, folder) as end:
                 result = session.run()

@@ -609,7 +609,7 @@ class TestPoints:
         first, second = _load(capture.root), _load(capture.root)
         assert len(first.scene.points) == 100_000
         np.testing.assert_array_equal(first.scene.points.points, second.scene.points.points)
-        assert any("no points. A training starts from" in w for w in first.warnings)
+        assert any("no points. Where photos do not tell better" in w for w in first.warnings)
 
     @pytest.mark.parametrize(("black", "far"), [(False, np.nan), (True, np.nan), (False, -1e300)])
     def test_points_that_are_not_finite(

@@ -51,7 +51,7 @@ _WHEN: dict[str, _Rule] = {
     "points": ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None),
     "stereo": (
         "stereo adds no points: --stereo off or --start-splats",
-        lambda a, d, c: c.stereo is Stereo.OFF or c.start_splats is not None,
+        lambda a, d, c: c.stereo == Stereo.OFF or c.start_splats is not None,
     ),
     "dropping": ("--drop-rate 0 leaves none out", lambda a, d, c: c.drop_rate == 0),
     "guide_surface": ("of --guide-surface alone", lambda a, d, c: c.guide_surface is None),

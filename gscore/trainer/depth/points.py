@@ -9,10 +9,6 @@ from ..photos.views import Photos
 from ..rows.near import Nearest
 from .targets import Prior
 
-MOST_ADDED = 10_000
-"""Most points that are added where the option leaves it open."""
-SPLATS_A_POINT = 5
-"""And at most one of so many splats: growth needs room to put them where photos ask for them."""
 _SURE = 0.5
 """Least confidence of a pixel."""
 _AGREE = 0.05

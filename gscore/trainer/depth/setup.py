@@ -12,8 +12,9 @@ from ...depth import load_priors
 from ...errors import ConfigError
 from ...scene import PointCloud
 from ...words import count_words, number
+from ..schedule.enough import MOST_ADDED, SPLATS_A_POINT
 from .loss import with_weights
-from .points import MOST_ADDED, SPLATS_A_POINT, depth_points
+from .points import depth_points
 from .rule import coverage, decide
 from .targets import DepthTargets
 
@@ -98,11 +99,10 @@ def prepare_depth(
         most = config.max_splats // SPLATS_A_POINT if config.depth_points < 0 else None
         added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
         known = photos.scene.points
-        points = known.with_more(added) if len(added) else known
-        why += (
-            f" {count_words(len(added), 'point was', 'points were')} added from the maps to "
-            f"{number(len(known))} of SfM."
-        )
+        points = known.with_more(added)
+        among = "random ones" if known.made_up else f"{number(len(known))} of SfM"
+        count = count_words(len(added), "point was", "points were")
+        why += f" {count} added from the maps to {among}."
     return DepthSetup(
         targets=DepthTargets(priors.views, train=photos.train, views=facts.views_of_point),
         supervises=supervises,

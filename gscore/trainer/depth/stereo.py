@@ -10,7 +10,7 @@ from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
 from ...words import count_words, number
 from ..photos.views import evenly
-from .points import MOST_ADDED, SPLATS_A_POINT
+from ..schedule.enough import points_to_add
 
 _MOST_VIEWS = 120
 """Photos that take part; of more, this many at even distances: enough for so few points."""
@@ -18,6 +18,9 @@ _SIDE = 300
 """Longer side of the photos, pixels: points may be a pixel off, and time is short."""
 _FEWEST = 100
 """Fewer points than this are no surface: what few places agree on is mostly chance."""
+_CHANCE = 4e-4
+"""Share of the pixels from which on points are worth more than random ones: photos of noise agree
+on up to .0003, and those of a walk that gains by its points on .0006."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,21 +51,26 @@ def stereo_start(
         known: Points that the run starts from otherwise.
         on_view: Called with (done, total) after each photo; may raise to stop.
     """
-    if config.start_splats is not None or not _asked(config.stereo, known):
-        return StereoStart()
     given = 0 if known.made_up else len(known)
-    most = _wanted(config, given)
-    if most <= 0:
+    if config.start_splats is not None:
+        return StereoStart()
+    if not _asked(config.stereo, known):
+        if config.stereo_points and config.stereo == Stereo.MISSING:
+            return _nothing(f"the capture has {number(given)} (--stereo on looks for more)")
+        return StereoStart()
+    most = points_to_add(config, given)
+    if not most:
         return _nothing(f"{number(given)} points leave no room for more")
     used = evenly(photos.train, _MOST_VIEWS)
     found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
     if found.reason:
         return _nothing(found.reason, known=0.0)
     added = dense_points(found, most=most)
-    if len(added) < min(_FEWEST, most):
+    by_chance = known.made_up and found.known < _CHANCE
+    if len(added) < min(_FEWEST, most) or by_chance:
         return _nothing("photos agree on the depth of hardly anything", known=found.known)
     return StereoStart(
-        points=known.with_more(added),
+        points=added if known.made_up else known.with_more(added),
         added=len(added),
         known=found.known,
         why=f"{count_words(len(added), 'point')} of surfaces that photos agree on "
@@ -70,21 +78,8 @@ def stereo_start(
     )
 
 
-def points_to_expect(config: TrainConfig, known: PointCloud) -> int:
-    """How many of the capture's points a run starts from, before photos are compared."""
-    gives_up = known.made_up and config.stereo is not Stereo.OFF
-    return _wanted(config, 0) if gives_up else len(known)
-
-
 def _asked(stereo: Stereo, known: PointCloud) -> bool:
-    return known.made_up if stereo is Stereo.MISSING else stereo is not Stereo.OFF
-
-
-def _wanted(config: TrainConfig, given: int) -> int:
-    room = config.max_splats - given
-    if config.stereo is Stereo.AUTO and room < config.max_splats // 2:
-        return 0
-    return min(config.stereo_points or min(MOST_ADDED, config.max_splats // SPLATS_A_POINT), room)
+    return known.made_up if stereo == Stereo.MISSING else stereo != Stereo.OFF
 
 
 def _nothing(why: str, *, known: float | None = None) -> StereoStart:

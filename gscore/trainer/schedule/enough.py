@@ -1,17 +1,40 @@
-"""How many steps and splats pay: beyond some for each photo a training learns the photos, not the
-scene."""
+"""How many steps, splats and points pay: beyond some for each photo a training learns the photos,
+not the scene."""
 
 from dataclasses import replace
 
-from ...config import TrainConfig
+from ...config import Stereo, TrainConfig
+from ...datasets.points import RANDOM_POINTS
 from ...words import count_words, number
 
+MOST_ADDED = 10_000
+"""Most points that are added where the option leaves it open."""
+SPLATS_A_POINT = 5
+"""And at most one of so many splats: growth needs room to put them where photos ask for them."""
 _AGREE = 0.5
 """Share of a subject's pixels whose depth stereo finds where photos agree: .68 and .84 of two, .34
 and .39 of two others."""
 _FEWEST_STEPS, _FEWEST_SPLATS = 1500, 300_000
 """What is always allowed if it was asked for: the steps of the preset `preview`, for fewer leave
 too little time to grow, and the splats of `normal`."""
+
+
+def points_to_add(config: TrainConfig, given: int) -> int:
+    """How many points stereo may add, where it is asked, to those that are `given`; 0: there is no
+    room."""
+    room = config.max_splats - given
+    if config.stereo == Stereo.AUTO and room < config.max_splats // 2:
+        return 0
+    most = config.stereo_points or min(MOST_ADDED, config.max_splats // SPLATS_A_POINT)
+    return max(min(most, room), 0)
+
+
+def points_to_expect(config: TrainConfig, given: int) -> int:
+    """How many points a run starts from, before photos are compared: those that are `given`; if
+    there are none, as many as stereo may add, or random ones."""
+    if given:
+        return given
+    return RANDOM_POINTS if config.stereo == Stereo.OFF else points_to_add(config, 0)
 
 
 def thins_subject(config: TrainConfig, *, mask_mode: str, known: float | None) -> bool:

@@ -11,7 +11,7 @@ from gscore.config import DataConfig, Stereo, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply.splats import read_ply
 from gscore.scene import PointCloud
-from gscore.trainer.depth.stereo import StereoStart, points_to_expect, stereo_start
+from gscore.trainer.depth.stereo import StereoStart, stereo_start
 from gscore.trainer.files.folder import RunFolder
 from tests.stereo.captures import ANGLES, write_capture
 from tests.stereo.scene import Scene
@@ -81,14 +81,21 @@ def test_points_that_are_there_are_enough_where_only_missing_ones_are_asked_for(
     assert found == StereoStart()
 
 
-def test_how_many_points_are_expected() -> None:
-    """Oracle: those of the capture; in place of made up ones the number that is looked for."""
-    points = PointCloud(points=np.zeros((3000, 3)), colors=np.zeros((3000, 3), np.uint8))
-    made_up = replace(points, made_up=True)
-    config = TrainConfig(max_splats=20_000)
-    assert points_to_expect(config, points) == 3000
-    assert points_to_expect(config, made_up) == 4000
-    assert points_to_expect(replace(config, stereo=Stereo.OFF), made_up) == 3000
+def test_what_photos_agree_on_by_chance_replaces_nothing(
+    arc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: a share above that on which these photos agree; beside points it does no harm."""
+    monkeypatch.setattr("gscore.trainer.depth.stereo._CHANCE", 0.95)
+    found = start(without_points(tmp_path), TrainConfig(max_splats=4000))
+    assert found.points is None and found.known is not None and found.known > 0.1
+    assert "hardly anything" in found.why
+    assert start(arc).added > 100
+
+
+def test_a_number_of_points_that_nobody_looks_for_is_told(arc: Path) -> None:
+    """Oracle: the text of the option: such points are looked for where the capture has none."""
+    found = start(arc, TrainConfig(stereo_points=500, max_splats=4000))
+    assert found.points is None and "--stereo on looks for more" in found.why
 
 
 def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> None:

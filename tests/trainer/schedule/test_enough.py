@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS, TrainConfig
-from gscore.trainer.schedule.enough import limit_by_photos, thins_subject
+from gscore.config import PRESETS, Stereo, TrainConfig
+from gscore.trainer.schedule.enough import limit_by_photos, points_to_expect, thins_subject
 
 TRAIN = TrainConfig(iterations=7000, steps_a_photo=80)
 
@@ -37,6 +37,14 @@ def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
         found, why = limit_by_photos(long, photos=photos, mask_mode="composite")
         assert found == replace(long, iterations=steps)
         assert why.count("steps are taken") == (steps < 15_000)
+
+
+def test_how_many_points_are_expected() -> None:
+    """Oracle: those of the capture; else the number that is looked for, or 100,000 random ones."""
+    config = TrainConfig(max_splats=20_000)
+    assert points_to_expect(config, 3000) == 3000
+    assert points_to_expect(config, 0) == 4000
+    assert points_to_expect(replace(config, stereo=Stereo.OFF), 0) == 100_000
 
 
 @pytest.mark.parametrize(
