@@ -106,6 +106,7 @@ from gscore.frontend import (
     of_size,
     options_of,
     plan_undistortion,
+    points_to_expect,
     quat_to_rotmat,
     reached_from,
     read_camera_path,

@@ -250,12 +250,6 @@ QUOTES = (
         r"([\d.]+) dB on drafts of studio, ([\d.]+) on plush, ([\d.]+) on lund",
         (_freed("studio"), _freed("plush"), _freed("lund")),
     ),
-    Quote(
-        BENCHMARKS,
-        r"([\d.]+) dB of colour-corrected PSNR more than `draft` on garden, ([\d.]+) on "
-        r"stone_horse, ([\d.]+) on lund, ([\d.]+) on plush and ([\d.]+) on studio",
-        tuple(map(_climbed, ("garden", "stone_horse", "lund", "plush", "studio"))),
-    ),
     Quote(EXPERIMENTS.format("ladder"), r"it gained ([\d.]+) dB over drafts", (_climbed("all"),)),
     Quote(
         "docs/experiments/README.md",

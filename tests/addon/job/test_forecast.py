@@ -1,12 +1,13 @@
 """Oracle: gscore's own estimate, and sentences and sizes by hand."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import pytest
 
-from addon.core import PRESETS, CaptureFacts, Estimate, Strategy, estimate
+from addon.core import PRESETS, CaptureFacts, Estimate, Strategy, estimate, limit_by_photos
 from addon.job import facts, forecast
 from addon.process import beat
 from tests.addon.captures import STUDIO
@@ -33,6 +34,8 @@ def test_the_question_follows_the_settings(scene: bpy.types.Scene) -> None:
     assert (asked.train.iterations, asked.train.max_splats) == (1500, train.max_splats)
     assert (asked.train.threads, asked.points, asked.masks, asked.depths) == (3, 77, True, False)
     assert asked.sizes == (((300, 400), 1), ((1000, 500), 5))
+    none = forecast.question(settings, replace(FOUND, points=0), threads=3)
+    assert none.points == 10_000  # those that photos agree on
     settings.resolution = "4"
     settings.iterations, settings.strategy, settings.use_masks = 123, "mcmc", False
     asked = forecast.question(settings, FOUND, threads=0)
@@ -73,7 +76,7 @@ def test_the_panel_never_waits(scene: bpy.types.Scene) -> None:
     assert facts.look_again(scene)[0].can_train
     assert facts.forecast_of(scene) == (None, "")
     known = wait(scene)
-    _, train = PRESETS["draft"](Path())
+    train, _ = limit_by_photos(PRESETS["draft"](Path())[1], photos=52)  # eight are held out
     capture = facts.capture(scene)[0]
     direct = estimate(train, [(480, 640)] * 60, points=capture.points, masks=True, depths=True)
     assert known.peak_bytes == direct.peak_bytes
