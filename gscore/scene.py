@@ -102,6 +102,11 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def given(self) -> int:
+        """How many the capture has: none where they are made up."""
+        return 0 if self.made_up else len(self)
+
     def with_more(self, more: "PointCloud") -> "PointCloud":
         """These and `more`."""
         return PointCloud(

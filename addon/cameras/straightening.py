@@ -112,15 +112,16 @@ _FOLLOWERS = (
 )
 
 
+HANDLERS = {"load_post": _file_loaded}
+
+
 def on_register() -> None:
-    """Follow the beat, and files that are opened."""
+    """Follow the beat."""
     beat.FOLLOWERS.extend(_FOLLOWERS)
-    bpy.app.handlers.load_post.append(_file_loaded)
 
 
 def on_unregister() -> None:
     """Follow no more; a copy that is half made is left undone."""
-    bpy.app.handlers.load_post.remove(_file_loaded)
     for follower in _FOLLOWERS:
         beat.FOLLOWERS.remove(follower)
     QUEUE.kill()

@@ -101,13 +101,10 @@ def _file_loaded(*_: object) -> None:
     ensure()
 
 
-def on_register() -> None:
-    """Follow the loading of files."""
-    bpy.app.handlers.load_post.append(_file_loaded)
+HANDLERS = {"load_post": _file_loaded}
 
 
 def on_unregister() -> None:
     """Beat no more."""
     if bpy.app.timers.is_registered(_beat):
         bpy.app.timers.unregister(_beat)
-    bpy.app.handlers.load_post.remove(_file_loaded)

@@ -12,7 +12,7 @@ import numpy as np
 from .. import attributes
 from ..core import Splats, transform_splats
 from ..splats.filters import Filters, filters_of
-from ..splats.objects import ANTIALIAS, is_native, is_splats
+from ..splats.objects import ANTIALIAS, chain, is_native, is_splats
 from ..timeline.moment import Moment, moment_of
 from . import apart
 from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
@@ -218,7 +218,7 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
     if filters is not None and not filters.leave_out_anything:
         filters = None
     return Placed(
-        identity=Identity(ob.name, _uppermost(ob.original).name, ob.pass_index),
+        identity=Identity(ob.name, chain(ob.original)[-1].name, ob.pass_index),
         uid=source.uid,
         frozen=frozen,
         matrix=source.matrix,
@@ -227,12 +227,6 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
         edited=source.is_edited,
         holdout=source.is_holdout,
     )
-
-
-def _uppermost(ob: bpy.types.Object) -> bpy.types.Object:
-    while ob.parent is not None:
-        ob = ob.parent
-    return ob
 
 
 def marks_of(placed: Placed, *, selected: bool) -> np.ndarray | None:

@@ -159,7 +159,7 @@ def apply_transform(held: Held) -> Pieces[None]:
     ob = held.there()
     lag.forget(mesh)
     attributes.leave_points_unselected(mesh)
-    swap(ob.data, mesh)
+    swap(ob, mesh)
     if len(numbers):  # what lagged does so still, as seen from the new axes
         turn = matrix[:3, :3]
         lag.note(mesh, turn @ lags @ np.linalg.inv(turn), numbers)

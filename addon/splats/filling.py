@@ -120,13 +120,16 @@ def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     objects.check_writable(ob)
     for material in ob.data.materials:
         mesh.materials.append(material)
-    swap(ob.data, mesh)
+    swap(ob, mesh)
 
 
-def swap(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
-    """Let a mesh take the place of another one, which goes, and its name."""
+def swap(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    """Let a mesh take the place of an object's own, which goes, and its name, for all that share
+    it; which of its vertex groups is active and which are locked stays."""
+    old = ob.data
     name = old.name
     mesh.use_fake_user = old.use_fake_user
-    old.user_remap(mesh)
+    with weights.settings_kept(ob):
+        old.user_remap(mesh)
     bpy.data.meshes.remove(old)
     mesh.name = name

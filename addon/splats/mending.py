@@ -9,7 +9,7 @@ from mathutils import Matrix
 from .. import attributes
 from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
-from . import carried, lag, objects, parts, weights
+from . import carried, lag, objects, parts
 from .carried import Column
 from .filling import Filling, filled, swap
 from .fitted import is_similarity
@@ -113,8 +113,7 @@ class Mend:
         ob, (own, *others) = self._held.there(), meshes
         for mesh in meshes:
             lag.forget(mesh)
-        with weights.settings_kept(ob):
-            swap(ob.data, own)
+        swap(ob, own)
         taken = [] if self._own is None else [ob]
         for user in _users(ob) if taken else ():
             _take_back(user, self._lags[self._own])

@@ -37,8 +37,7 @@ def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
     fillings = [Filling(one, held.emptied_mesh) for one in split]
     own, other = yield from filled(fillings, held.to_change)
     ob = held.there()
-    with weights.settings_kept(ob):
-        swap(ob.data, own)
+    swap(ob, own)
     return split_off(ob, other)
 
 
@@ -82,8 +81,7 @@ def kept(held: Held, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.
     wanted = yield from aside(partial(_picked, table, rows), "Deleting splats")
     [mesh] = yield from filled([Filling(wanted, held.emptied_mesh)], held.to_change)
     ob = held.there()
-    with weights.settings_kept(ob):
-        swap(ob.data, mesh)
+    swap(ob, mesh)
     return ob
 
 
@@ -148,8 +146,7 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     [mesh] = yield from filled([Filling(points, held.emptied_mesh)], check)
     lag.forget(mesh)
     ob, *gone = (one.there() for one in (held, *others))
-    with weights.settings_kept(ob):
-        swap(ob.data, mesh)  # which is that of those who shared it too
+    swap(ob, mesh)  # which is that of those who shared it too
     for one in gone:
         _take_children(ob, one)
         data = one.data

@@ -166,14 +166,10 @@ def train_measured(
     with ordinary_state():
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
-        thinned = thins_subject(
-            config,
-            mask_mode=photos.mask_mode,
-            known=start.known,
-        )
-        if thinned and not at:  # who names steps wants them
+        mode, known = photos.mask_mode, start.known
+        if not at and thins_subject(config, mask_mode=mode, known=known):  # named steps are wanted
             config, _ = limit_by_photos(
-                config, photos=len(photos.train), mask_mode=photos.mask_mode, thinned=True
+                config, photos=len(photos.train), mask_mode=mode, known=known
             )
         seconds += time.perf_counter() - began
         exposure, placing = judge_photos(config, photos)
@@ -181,7 +177,7 @@ def train_measured(
             config,
             photos,
             points=start.points,
-            known=start.known,
+            known=known,
             gains=exposure.gains,
             placing=placing,
         )

@@ -26,7 +26,7 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import limit_by_photos, points_to_expect, thins_subject
+from .schedule.enough import limit_by_photos, points_to_expect
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -114,7 +114,7 @@ def prepare(
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
-    given = 0 if photos.scene.points.made_up else len(photos.scene.points)
+    given = photos.scene.points.given
     loaded = load_photos(
         photos,
         config,
@@ -137,12 +137,7 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
-            thinned = thins_subject(
-                config,
-                mask_mode=photos.mask_mode,
-                known=added.known,
-            )
-            config, enough = limited(thinned=thinned)
+            config, enough = limited(known=added.known)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,

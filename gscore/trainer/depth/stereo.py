@@ -51,7 +51,7 @@ def stereo_start(
         known: Points that the run starts from otherwise.
         on_view: Called with (done, total) after each photo; may raise to stop.
     """
-    given = 0 if known.made_up else len(known)
+    given = known.given
     if config.start_splats is not None:
         return StereoStart()
     if not _asked(config.stereo, known):

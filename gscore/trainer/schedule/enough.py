@@ -57,7 +57,7 @@ def limit_by_photos(
     *,
     photos: int,
     mask_mode: str = "none",
-    thinned: bool = False,
+    known: float | None = None,
     taken: int = 0,
 ) -> tuple[TrainConfig, str]:
     """The options with no more steps and splats than so many photos are good for.
@@ -71,7 +71,7 @@ def limit_by_photos(
         config: How to train.
         photos: Number of training photos.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
-        thinned: Whether splats of a subject are left out of steps, as `thins_subject` says.
+        known: As `thins_subject`.
         taken: Steps that a run has taken already, which nothing takes back.
 
     Returns:
@@ -79,6 +79,7 @@ def limit_by_photos(
     """
     subject = mask_mode == "composite"
     words, of_photos = [], count_words(photos, "photo")
+    thinned = thins_subject(config, mask_mode=mask_mode, known=known)
     each = config.steps_a_photo * (2 if subject and not thinned else 1)
     asked, steps = config.iterations, max(each * photos, _FEWEST_STEPS, taken)
     if config.steps_a_photo and not config.time_budget and steps < asked:

@@ -25,6 +25,14 @@ def start(folder: Path, config: TrainConfig = ON, known: PointCloud | None = Non
     return stereo_start(config, dataset, dataset.scene.points if known is None else known)
 
 
+def off_surfaces(points: np.ndarray) -> np.ndarray:
+    """How far each of [P, 3] is from the wall and the ball of the scene."""
+    x, y, z = points.T
+    return np.minimum(
+        np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8)
+    )
+
+
 def test_points_are_added_and_none_is_lost(arc: Path) -> None:
     """Oracle: the capture's points come first, a fifth of `max_splats` is added, on surfaces."""
     dataset = load_dataset(DataConfig(source=arc))
@@ -33,9 +41,7 @@ def test_points_are_added_and_none_is_lost(arc: Path) -> None:
     known = dataset.scene.points
     np.testing.assert_array_equal(found.points.points[: len(known)], known.points)
     assert len(found.points) == len(known) + found.added
-    x, y, z = found.points.points[len(known) :].T
-    off = np.minimum(np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8))
-    assert np.quantile(off, 0.95) < 0.06
+    assert np.quantile(off_surfaces(found.points.points[len(known) :]), 0.95) < 0.06
     assert f"{found.added:,} points" in found.why
     assert found.known is not None and 0.1 < found.known < 0.9
 
@@ -69,9 +75,7 @@ def test_made_up_points_make_room(stereo: Stereo, tmp_path: Path) -> None:
     found = start(without_points(tmp_path), config)
     assert found.points is not None and not found.points.made_up
     assert len(found.points) == found.added > 100
-    x, y, z = found.points.points.T
-    off = np.minimum(np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8))
-    assert np.quantile(off, 0.95) < 0.08
+    assert np.quantile(off_surfaces(found.points.points), 0.95) < 0.08
     assert found.why.endswith("are started from.")
 
 

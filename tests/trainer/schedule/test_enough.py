@@ -61,8 +61,7 @@ def test_a_subject_of_which_splats_are_left_out(
 ) -> None:
     """Oracle: the texts of the options; 80 or 160 times 50 photos."""
     config = replace(TRAIN, iterations=15_000, drop_rate=rate)
-    thinned = thins_subject(config, mask_mode="composite", known=known)
-    found, _ = limit_by_photos(config, photos=50, mask_mode="composite", thinned=thinned)
+    found, _ = limit_by_photos(config, photos=50, mask_mode="composite", known=known)
     assert found.iterations == steps
     assert not thins_subject(config, mask_mode="ignore", known=known)
 
