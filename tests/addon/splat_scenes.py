@@ -97,9 +97,10 @@ def moving(ob: bpy.types.Object, pace: float) -> None:
 
 
 def curves(ob: bpy.types.Object) -> list:
-    """The curves of an object's action, which since 4.4 lie in its layers."""
+    """The curves of an object's action, which since 4.4 lie in its layers: `fcurves` then are those
+    of its first user alone."""
     action = ob.animation_data.action
-    if hasattr(action, "fcurves"):
+    if not hasattr(action, "layers"):
         return list(action.fcurves)
     return [c for s in action.layers[0].strips for bag in s.channelbags for c in bag.fcurves]
 
