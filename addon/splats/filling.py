@@ -91,8 +91,9 @@ class Filling(Generic[ReadyT]):
         return mesh
 
 
+# Quoted: see ready.py.
 def filled(
-    fillings: Sequence[Filling[Any]], check: Callable[[], object] = lambda: None
+    fillings: "Sequence[Filling[Any]]", check: Callable[[], object] = lambda: None
 ) -> Pieces[list[bpy.types.Mesh]]:
     """Meshes that were filled, which are the caller's; where this fails, none is left.
 
