@@ -183,6 +183,7 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take it back."""
+    """Take it back. The add-on's own keep it: Blender enables the same classes again."""
     for panel in bpy.types.Panel.__subclasses__():
-        getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)
+        if panel not in CLASSES:
+            getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)

@@ -13,7 +13,7 @@ from addon import compat
 from addon.cameras import captures
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
-from addon.render import engine, picture
+from addon.render import engine, panels, picture
 from addon.render.copies import Copies
 from addon.render.scene import sources
 from addon.splats import objects
@@ -480,3 +480,12 @@ def test_blenders_panels_are_shown(panel, switch):
     assert engine.NAME not in engines
     switch(True)
     assert engine.NAME in engines
+
+
+def test_panels_of_its_own_are_shown_again(switch):
+    """Oracle: the lists of engines of panels that the add-on brings, after it was enabled again."""
+    own = [kind for kind in panels.CLASSES if issubclass(kind, bpy.types.Panel)]
+    assert len(own) == 4
+    switch(False)
+    switch(True)
+    assert [kind.COMPAT_ENGINES for kind in own] == [{engine.NAME}] * 4
