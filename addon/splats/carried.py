@@ -8,6 +8,10 @@ import numpy as np
 
 from ..attributes import BASE, FORMATS, POSITION, ROTATION, SCALE, SELECTION, SH, SH_COUNTS
 
+GROUP = "GROUP"
+"""Data type of columns of vertex groups: the weights of splats that are in one; NaN: it is not."""
+TEXT = "STRING"
+"""That of text: bytes."""
 # As Blender keeps them: others it takes number by number, of a million splats in 0.1 s.
 _DTYPES = {
     "INT": np.int32,
@@ -15,15 +19,17 @@ _DTYPES = {
     "INT8": np.int8,
     "INT16_2D": np.int16,
     "INT32_2D": np.int32,
+    TEXT: np.object_,
 }
 _HIDDEN = ".hide_vert"
-GROUP = "GROUP"
-"""Data type of columns of vertex groups: the weights of splats that are in one; NaN: it is not."""
 _GROUP_NAME = ".group:"
 """Before the names of groups, so that they are no attributes' among columns."""
 _ENTRIES = np.dtype([("row", np.int32), ("weight", np.float32)])
+_TEXTS = np.dtype([("row", np.int32), ("text", np.object_)])
+_LACKING = {GROUP: np.nan, TEXT: b""}
+"""What points have of what their object lacks; else 0."""
 _BLOCK = 1 << 12
-"""Splats of a group that are handed over at once: a few milliseconds."""
+"""Splats of a group, or with a text, that are handed over at once: a few milliseconds."""
 
 
 class Column(NamedTuple):
@@ -36,24 +42,42 @@ class Column(NamedTuple):
     """[N, width]"""
 
 
-def kinds(mesh: Any) -> dict[str, str]:
+def kinds(mesh: Any, *, whole: bool = False) -> dict[str, str]:
     """Data types by name of all attributes of points of numbers and vectors, those of others among
-    them: what follows where points are deleted or joined."""
-    return {
+    them: what follows where points are deleted or joined.
+
+    Args:
+        mesh: Or point cloud.
+        whole: Text too, which is all that Blender has.
+
+    Raises:
+        ValueError: `whole`, and there is one of a later Blender's types, which would be lost.
+    """
+    found = {
         a.name: a.data_type
         for a in mesh.attributes
-        if a.domain == "POINT" and a.data_type in FORMATS and not a.name.startswith(".")
+        if a.domain == "POINT" and not a.name.startswith(".")
     }
+    known = {name: kind for name, kind in found.items() if kind in FORMATS or kind == TEXT}
+    if whole:
+        if lost := [name for name in found if name not in known]:
+            raise ValueError(
+                f"The attribute {lost[0]} is of a type that this add-on cannot keep, "
+                f"{found[lost[0]]}: convert or remove it first, under Object Data > Attributes."
+            )
+        return known
+    return {name: kind for name, kind in known.items() if kind != TEXT}
 
 
 def empty_values(kind: str, count: int) -> np.ndarray:
     """[N, width] for an attribute of this data type, not yet set."""
-    width = 1 if kind == GROUP else FORMATS[kind][1]
+    width = 1 if kind in _LACKING else FORMATS[kind][1]
     return np.empty((count, width), _DTYPES.get(kind, np.float32))
 
 
 def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
-    """Copy an attribute into what `empty_values` made; the mesh is not in Edit Mode."""
+    """Copy an attribute, which is no text, into what `empty_values` made; the mesh is not in Edit
+    Mode."""
     attribute = mesh.attributes[name]
     attribute.data.foreach_get(FORMATS[attribute.data_type][0], values.reshape(-1))
 
@@ -78,21 +102,25 @@ def of_groups(names: list[str], weights: np.ndarray) -> list[Column]:
 
 
 def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
-    """A vertex group by its own name, its data type, and numbers `row` and weights `weight` of
-    splats in it, some at a time; at least one such block.
+    """What is handed over some splats at a time: name, data type, and numbers `row` and weights
+    `weight` of those in a vertex group, which goes by its own name, or texts `text` of those that
+    have one; at least one such block.
 
-    Within each, splats of the same weight are side by side, which so are handed over at once. The
-    blocks are in the order of splats: Blender gives each memory of its own, and goes through all of
-    it when it copies or frees a mesh.
+    Within each of a group, splats of the same weight are side by side, which so are handed over at
+    once. The blocks are in the order of splats: Blender gives each memory of its own, and goes
+    through all of it when it copies or frees a mesh.
     """
     values, found = column.values[:, 0], []
-    rows = np.flatnonzero(~np.isnan(values)).astype(np.int32)
+    grouped = column.kind == GROUP
+    has = ~np.isnan(values) if grouped else values.astype(np.bool_)
+    rows = np.flatnonzero(has).astype(np.int32)
     for at in range(0, len(rows) or 1, _BLOCK):
         some = rows[at : at + _BLOCK]
-        some = some[np.argsort(values[some], kind="stable")]
-        entries = np.empty(len(some), _ENTRIES)
-        entries["row"], entries["weight"] = some, values[some]
-        found.append((column.name.removeprefix(_GROUP_NAME), GROUP, entries))
+        if grouped:
+            some = some[np.argsort(values[some], kind="stable")]
+        entries = np.empty(len(some), _ENTRIES if grouped else _TEXTS)
+        entries["row"], entries["weight" if grouped else "text"] = some, values[some]
+        found.append((column.name.removeprefix(_GROUP_NAME), column.kind, entries))
     return found
 
 
@@ -115,8 +143,8 @@ def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
 
 
 def joined(tables: list[list[Column]]) -> list[Column]:
-    """The points of some tables, one after the other; 0 where one lacks an attribute, and none in a
-    vertex group that it lacks.
+    """The points of some tables, one after the other; 0, or no text, where one lacks an attribute,
+    and none in a vertex group that it lacks.
 
     Raises:
         ValueError: an attribute has two data types.
@@ -129,7 +157,7 @@ def joined(tables: list[list[Column]]) -> list[Column]:
     made = []
     for name, kind in found.items():
         values, at = empty_values(kind, sum(counts)), 0
-        lacking = np.nan if kind == GROUP else 0
+        lacking = _LACKING.get(kind, 0)
         for table, count in zip(tables, counts, strict=True):
             own = next((c.values for c in table if c.name == name), lacking)
             values[at : at + count], at = own, at + count

@@ -149,7 +149,7 @@ def apply_transform(held: Held) -> Pieces[None]:
     matrix = local_matrix(ob)
     objects.moved(attributes.NO_SPLATS, matrix, held.name)  # refuses what cannot be
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)
-    table = yield from Leaving(ob).table(groups=False)
+    table = yield from Leaving(ob).table(whole=False)
     changed = yield from aside(
         partial(moved, table, matrix, held.name), f"Turning splats of {held.name}"
     )

@@ -12,8 +12,8 @@ import bpy
 
 from .. import attributes
 from ..process.pieces import Pieces
-from . import objects, weights
-from .carried import GROUP
+from . import objects, texts, weights
+from .carried import GROUP, TEXT
 from .ready import ReadyT
 from .temporary import Temporary
 
@@ -63,7 +63,10 @@ class Filling(Generic[ReadyT]):
                     attributes.declare(mesh, name, kind)
                     if time.perf_counter() > until:
                         return False
-                attributes.fill(mesh, name, kind, values)
+                if kind == TEXT:
+                    texts.write(mesh, name, values)
+                else:
+                    attributes.fill(mesh, name, kind, values)
             self._next += 1
             if time.perf_counter() > until:
                 return False

@@ -9,8 +9,8 @@ import numpy as np
 
 from .. import attributes
 from ..process.pieces import Check, Pieces, aside
-from . import carried, objects, weights
-from .carried import Column
+from . import carried, objects, texts, weights
+from .carried import TEXT, Column
 from .temporary import Temporary
 
 BUDGET = 0.008
@@ -61,20 +61,23 @@ class Leaving:
         yield from aside(partial(_check_finite, found, self._data), self._sentence(1.0))
         return {column.name: column.values for column in found}
 
-    def table(self, *, groups: bool = True) -> Pieces[list[Column]]:
-        """Read all attributes of numbers and vectors, those of others among them, and what is
-        selected and hidden.
+    def table(self, *, whole: bool = True) -> Pieces[list[Column]]:
+        """Read all attributes, those of others among them, and what is selected and hidden.
 
         Args:
-            groups: Read vertex groups too, which takes a second of a million splats.
+            whole: Read vertex groups and text too, each of which takes a second of a million
+                splats.
 
         Raises:
-            ValueError: the copy is gone.
+            ValueError: the copy is gone; or as `carried.kinds`.
         """
         copy = self._copy()
-        marks = carried.marks(copy)
-        names = self._groups if groups else []
-        return (yield from self._read(carried.kinds(copy), names)) + marks
+        try:
+            marks, kinds = carried.marks(copy), carried.kinds(copy, whole=whole)
+        except ValueError:
+            self.drop()
+            raise
+        return (yield from self._read(kinds, self._groups if whole else [])) + marks
 
     def _read(self, kinds: dict[str, str], groups: list[str]) -> Pieces[list[Column]]:
         try:
@@ -83,12 +86,16 @@ class Leaving:
             own = (yield from self._weights(groups, count)) if groups else []
             columns = yield from aside(partial(_made, kinds, count), self._sentence(0.0))
             until = time.perf_counter() + BUDGET
-            for done, (name, _, values) in enumerate(columns):
+            for done, (name, kind, values) in enumerate(columns):
                 if time.perf_counter() > until:
                     yield self._sentence(done / len(columns))
                     until = time.perf_counter() + BUDGET
                 copy = self._copy()
-                carried.copy_values(copy, name, values)
+                if kind == TEXT:
+                    yield from self._text(name, values)
+                    copy = self._copy()
+                else:
+                    carried.copy_values(copy, name, values)
                 if name != attributes.POSITION:  # a little at a time: all at once takes long
                     copy.attributes.remove(copy.attributes[name])
             return columns + own
@@ -104,6 +111,15 @@ class Leaving:
                 until = time.perf_counter() + BUDGET
             weights.read(self._copy(), begin, made)
         return carried.of_groups(groups, made)
+
+    def _text(self, name: str, values: np.ndarray) -> Pieces[None]:
+        known: dict[bytes, bytes] = {}
+        until = time.perf_counter() + BUDGET
+        for begin in range(0, len(values), texts.BLOCK):
+            if time.perf_counter() > until:
+                yield f"Reading {name} of {self._of}: {begin / len(values):.0%}"
+                until = time.perf_counter() + BUDGET
+            texts.read(self._copy(), name, begin, values, known)
 
     def drop(self) -> None:
         """Remove the copy."""

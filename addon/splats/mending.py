@@ -76,7 +76,7 @@ class Mend:
         Raises:
             ValueError: attributes are missing or not finite.
         """
-        table = yield from Leaving(self._held.there()).table(groups=bool(self._apart))
+        table = yield from Leaving(self._held.there()).table(whole=bool(self._apart))
         own, *others = yield from aside(
             partial(self._mended, table), f"Turning splats of {self._held.name}"
         )

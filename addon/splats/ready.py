@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from .carried import GROUP, Column, blocks
+from .carried import GROUP, TEXT, Column, blocks
 
 
 class Ready(Protocol):
@@ -22,7 +22,7 @@ class Ready(Protocol):
 
     @property
     def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
-        """As `attributes.columns`; vertex groups as `carried.blocks`."""
+        """As `attributes.columns`; vertex groups and text as `carried.blocks`."""
         ...
 
 
@@ -42,7 +42,12 @@ class Points:
 def points_of(table: list[Column]) -> Points:
     """The points of a table of at least one attribute; sorts the weights of vertex groups."""
     groups = [column for column in table if column.kind == GROUP]
-    columns = [(name, kind, v.reshape(-1)) for name, kind, v in table if kind != GROUP]
+    columns = []
+    for column in table:
+        if column.kind == TEXT:
+            columns += blocks(column)
+        elif column.kind != GROUP:
+            columns.append((column.name, column.kind, column.values.reshape(-1)))
     # After all attributes: Blender gives none the name that a group has.
     columns += [block for column in groups for block in blocks(column)]
     return Points(count=len(table[0].values), columns=tuple(columns))

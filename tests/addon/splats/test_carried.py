@@ -7,7 +7,7 @@ from mathutils import Matrix
 
 from addon import attributes
 from addon.splats import carried as carrying
-from addon.splats import objects, weights
+from addon.splats import objects, texts, weights
 from tests.addon import splat_scenes as lab
 
 COUNT = 300
@@ -70,6 +70,96 @@ def ob(scene: bpy.types.Scene) -> bpy.types.Object:
     made.select_set(True)
     bpy.context.view_layer.update()
     return made
+
+
+def give_all(ob: bpy.types.Object) -> None:
+    """Attributes of all data types, whose values tell the splat, with a long text and none."""
+    for kind in sorted(KINDS):
+        name = f"of {kind}"
+        ob.data.attributes.new(name, kind, "POINT")
+        if kind == "STRING":
+            for row, text in enumerate(ob.data.attributes[name].data):
+                text.value = (b"", b"\xc3\xa9 %d" % row, b"\xff%d" % row + b"-" * 250)[row % 3]
+            continue
+        values = carrying.empty_values(kind, COUNT)
+        numbers = np.arange(values.size).reshape(values.shape) % 100
+        values[:] = numbers / 255 if kind == "BYTE_COLOR" else numbers
+        attributes.fill(ob.data, name, kind, values.reshape(-1))
+
+
+def others_of(ob: bpy.types.Object) -> dict[str, list[object]]:
+    """What `give_all` gave, point by point, as Blender shows it."""
+    found: dict[str, list[object]] = {}
+    for kind in sorted(KINDS):
+        attribute = ob.data.attributes.get(f"of {kind}")
+        if attribute is not None:
+            assert (attribute.data_type, attribute.domain) == (kind, "POINT")
+            key = attribute.data[0].bl_rna.properties[-1].identifier
+            values = [getattr(one, key) for one in attribute.data]
+            found[kind] = [v if isinstance(v, bytes) else np.array(v).tolist() for v in values]
+    return found
+
+
+@pytest.mark.parametrize(
+    "edit", ["separate_splats", "decimate_splats", "apply_filters", "apply_splat_transform"]
+)
+def test_attributes_of_all_types_follow(
+    ob: bpy.types.Object, edit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: what each point had, as Blender shows it; its number tells which it is."""
+    for module, name in ((carrying, "_BLOCK"), (texts, "BLOCK")):
+        monkeypatch.setattr(module, name, 7)
+    give_all(ob)
+    ids = ob.data.attributes.new("id", "INT", "POINT")
+    ids.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
+    before = others_of(ob)
+    assert before.keys() == KINDS and set(before["STRING"]) > {b"", b"\xc3\xa9 1"}
+    attributes.select(ob.data, np.arange(COUNT) % 7 == 3)
+    ob.gscore.opacity_min, ob.location = 0.5, (1, 2, 3)
+    bpy.context.view_layer.update()
+    getattr(bpy.ops.gscore, edit)(**({"count": 100} if edit == "decimate_splats" else {}))
+    for one in bpy.data.objects:
+        rows = [value.value for value in one.data.attributes["id"].data]
+        assert (0 < len(rows) < COUNT) == (edit != "apply_splat_transform")
+        kept = {kind: [values[row] for row in rows] for kind, values in before.items()}
+        assert others_of(one) == kept
+    assert len(bpy.data.objects) == (2 if edit == "separate_splats" else 1)
+
+
+def test_attributes_of_all_types_are_joined(ob: bpy.types.Object) -> None:
+    """Oracle: what each point had; what one lacks is 0, and no text; undo brings all back."""
+    other = add("other", {}, seed=3)
+    give_all(other)
+    before = others_of(other)
+    other.select_set(True)
+    bpy.context.view_layer.update()
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.gscore.join_splats()
+    bpy.ops.ed.undo_push(message="joined")
+    joined = others_of(ob)
+    assert joined.keys() == KINDS
+    for kind, values in joined.items():
+        assert values[COUNT:] == before[kind], kind
+        assert not np.any(values[0]) and values[:COUNT] == [values[0]] * COUNT
+    bpy.ops.ed.undo()
+    assert others_of(bpy.data.objects["other"]) == before
+
+
+def test_what_cannot_be_kept_is_named(
+    ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the sentence, and nothing is lost; moving keeps it, so that is done."""
+    give_all(ob)
+    before = others_of(ob)
+    monkeypatch.delitem(carrying.FORMATS, "FLOAT2")  # as a type of a later Blender
+    attributes.select(ob.data, np.arange(COUNT) % 7 == 3)
+    with pytest.raises(RuntimeError, match="of FLOAT2 is of a type that this add-on cannot keep"):
+        bpy.ops.gscore.separate_splats()
+    assert others_of(ob) == before and len(bpy.data.objects) == len(bpy.data.meshes) == 1
+    ob.location = (1, 2, 3)
+    bpy.context.view_layer.update()
+    bpy.ops.gscore.apply_splat_transform()
+    assert others_of(ob) == before and not ob.location[0]
 
 
 def check(ob: bpy.types.Object, before: dict[str, dict[int, float]], rows: np.ndarray) -> None:
@@ -143,7 +233,10 @@ def test_stretched_parts_are_taken_apart(ob: bpy.types.Object) -> None:
     """Oracle: what was there, of each object that Blender's Join has put together."""
     other = add("other", BEFORE, seed=5)
     other.scale = (1, 2, 1)
+    for one in (ob, other):
+        give_all(one)
     befores = [carried(one) for one in (ob, other)]
+    texts_before = others_of(ob)["STRING"]
     other.select_set(True)
     bpy.context.view_layer.update()
     bpy.ops.object.join()
@@ -151,6 +244,7 @@ def test_stretched_parts_are_taken_apart(ob: bpy.types.Object) -> None:
     bpy.ops.gscore.mend_splats()
     for name, before in zip(("splats", "splats part"), befores, strict=True):
         check(bpy.data.objects[name], before, np.arange(COUNT))
+        assert others_of(bpy.data.objects[name])["STRING"] == texts_before
 
 
 def test_joined(ob: bpy.types.Object) -> None:
