@@ -2,6 +2,8 @@
 
 import re
 
+from ..core import GsError
+
 LABELS: dict[str, str] = {}
 """Option to its name in a panel; `declared` notes them."""
 CHOICES: dict[tuple[str, str], str] = {}
@@ -12,6 +14,11 @@ _FLAG = re.compile(r"(?<![\w/-])--([a-z][a-z0-9-]*)(?: (on|off|auto|none|ignore|
 def panel_words(sentence: str) -> str:
     """`sentence` with the names of panels for flags; those that no panel has become options."""
     return _FLAG.sub(_label, sentence)
+
+
+def error_words(error: Exception) -> str:
+    """The sentence of an error, with the names of panels where it is one of gscore's."""
+    return panel_words(str(error)) if isinstance(error, GsError) else str(error)
 
 
 def _label(found: re.Match[str]) -> str:

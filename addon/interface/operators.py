@@ -6,6 +6,7 @@ import bpy
 
 from ..core import GsError
 from . import writable
+from .flags import error_words
 
 
 class Acting:
@@ -33,7 +34,7 @@ class Acting:
             writable.check(*self.changes(context))
             told = self.act(context)
         except (GsError, ValueError, OSError) as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error_words(error))
             return {"CANCELLED"}
         if told:
             self.report({"INFO"}, told)

@@ -7,6 +7,7 @@ import bpy
 from ..core import GsError
 from ..process.pieces import Going, Pieces, at_once
 from . import writable
+from .flags import error_words
 from .operators import Acting
 from .waiting import Waiting
 
@@ -44,7 +45,7 @@ class Stepping(Acting):
             going = Going(_in_words(self.pieces(context)))
             done = going.step()
         except (GsError, ValueError, OSError) as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error_words(error))
             return {"CANCELLED"}
         if done:
             return self._finished(going)
@@ -65,7 +66,7 @@ class Stepping(Acting):
             done = own.going.step()
         except (GsError, ValueError, OSError) as error:
             own.give_up()
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error_words(error))
             return {"CANCELLED"}
         except Exception:
             own.give_up()  # or its timer would go on

@@ -55,7 +55,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
             sentence(layout, context, text, icon="INFO")
             return
         if problem:
-            sentence(layout, context, problem, icon="ERROR")
+            sentence(layout, context, panel_words(problem), icon="ERROR")
         elif found is None:
             layout.label(text="Looking into it...", icon="TIME")
         else:
@@ -68,7 +68,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
             if found.bare:
                 draw_search(layout, context, found)
                 return
-        layout.prop(settings, "images", text="Photos in")
+        layout.prop(settings, "images")
 
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: ShownFacts) -> None:

@@ -6,6 +6,7 @@ import bpy
 
 from ..cameras.lookup import root_from
 from ..core import GsError, SequenceFrame, choose_frames
+from ..interface.flags import error_words, panel_words
 from ..job import guides, verb_job
 from ..sequence import work
 from ..sequence.job import SequenceJob
@@ -30,7 +31,7 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
             return
         frames, problem = work.frames_of(scene)
         if problem:
-            sentence(layout, context, problem, icon="INFO")
+            sentence(layout, context, panel_words(problem), icon="INFO")
             return
         if frames is None:
             layout.label(text="Looking for frames...", icon="TIME")
@@ -58,7 +59,7 @@ def draw_guides(
     try:
         first = choose_frames(frames, own.frames.strip() or ":")[0]
     except GsError as error:
-        sentence(layout, context, str(error), icon="ERROR")
+        sentence(layout, context, error_words(error), icon="ERROR")
         return
     if root_from(scene, first.data.source) is None:
         text = f"Guide meshes stand among the photos of frame {first.number}: import its cameras."

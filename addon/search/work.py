@@ -12,6 +12,7 @@ from ..cameras.lookup import chosen_root
 from ..capture.folders import same_folder
 from ..core import GsError, capture_beside
 from ..interface import undo, writable
+from ..interface.flags import error_words
 from ..job import facts, lookups, options
 from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
@@ -93,7 +94,7 @@ def bring_in(job: SearchJob) -> bool:
             try:
                 job.warnings += _arrive(scene, job.capture)
             except (GsError, ValueError, OSError) as error:
-                job.warnings.append(str(error))
+                job.warnings.append(error_words(error))
     return True
 
 

@@ -77,8 +77,8 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
     if not found:
         raise DatasetError(
             f"{data.source} holds no frames; expected a numbered folder for each, with photos and "
-            f"a COLMAP model in it. Where one model serves all frames, give its folder and the "
-            f"photos with --images frames/{{frame:06d}}."
+            f"a COLMAP model in it. Where one model serves all frames, give its folder, and "
+            f"frames/{{frame:06d}} as --images."
         )
     return [
         SequenceFrame(number=n, data=replace(data, source=path))

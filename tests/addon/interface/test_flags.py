@@ -3,7 +3,9 @@
 import bpy
 import pytest
 
+from addon.core import GsError
 from addon.interface.flags import panel_words
+from addon.interface.operators import Acting
 from addon.job.session import read_event
 from gscore.events import Failed, Warn, to_line
 
@@ -31,3 +33,26 @@ def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
     assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Never".'
     failed = read_event(to_line(Failed(message="Needs --max-splats.")))
     assert isinstance(failed, Failed) and failed.message == 'Needs "Most Splats".'
+
+
+@pytest.mark.parametrize(
+    ("error", "shown"),
+    [
+        (GsError("Give its name with --images."), 'Give its name with "Photo Folder".'),
+        (ValueError("There is no folder /a b/ --images."), "There is no folder /a b/ --images."),
+    ],
+)
+def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: str) -> None:
+    """Oracle: the field's name for what gscore raised; what the add-on says itself stays."""
+
+    class Refusing(Acting):
+        def act(self, context: bpy.types.Context) -> str:
+            raise error
+
+        def report(self, kinds: set[str], text: str) -> None:
+            said.append((kinds, text))
+
+    assert scene.gscore.bl_rna.properties["images"].name == "Photo Folder"
+    said: list[tuple[set[str], str]] = []
+    assert Refusing().execute(bpy.context) == {"CANCELLED"}
+    assert said == [({"ERROR"}, shown)]

@@ -19,7 +19,7 @@ from addon.process import beat
 from addon.sequence import arguments, registry, work
 from gscore.io.sequences import write_sequence
 from tests.addon.captures import STUDIO
-from tests.addon.drawn import drawn
+from tests.addon.drawn import drawn, labels
 from tests.addon.fake_trainer import fake_python, step
 from tests.addon.trainings import splats, until
 
@@ -154,6 +154,19 @@ def test_failures_are_told_where_the_button_is(video, play: Play) -> None:
     assert "holds no frames" in panel()
     video.gscore.capture_path = str(STUDIO / "gone")
     assert "There is no folder" in drawn(TrainSequencePanel)
+
+
+def test_what_is_missing_is_told_in_words_of_the_panel(video, tmp_path: Path) -> None:
+    """Oracle: the name of the field that takes the photos' folder; no flag of the command line."""
+    (tmp_path / "empty").mkdir()
+    video.gscore.capture_path = str(tmp_path / "empty")
+    name = video.gscore.bl_rna.properties["images"].name
+    text = panel()
+    assert f'give its folder, and frames/{{frame:06d}} as "{name}".' in text and "--" not in text
+    facts.look_again(video)
+    video.gscore.capture_path = str(STUDIO)
+    until(lambda: "<images>" in drawn(CapturePanel))
+    assert name not in labels(CapturePanel)  # the field stands under its own name
 
 
 def test_arguments_are_those_of_a_training_and_its_own(scene) -> None:
