@@ -142,6 +142,12 @@ def alpha_over_sockets(node: bpy.types.Node) -> dict[str, bpy.types.NodeSocket]:
     return dict(zip(("factor", "below", "above"), node.inputs[:3], strict=True))
 
 
+def tool_settings(context: bpy.types.Context) -> bpy.types.ToolSettings:
+    """Those of the scene. Asked for them itself, the context of Blender 4.2 takes the scene for its
+    owner for good: in the next file what it gives, as its window, points to freed memory."""
+    return context.scene.tool_settings
+
+
 _DECLARES_DEPTH = hasattr(gpu.types.GPUShaderCreateInfo, "depth_write")
 
 

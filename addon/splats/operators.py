@@ -14,6 +14,7 @@ from bpy.props import (
 )
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from .. import compat
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.operators import Acting, make_active
@@ -360,7 +361,7 @@ def edit_vertices(context: bpy.types.Context, ob: bpy.types.Object) -> None:
     """
     check_shown(ob)
     make_active(context, ob)
-    context.tool_settings.mesh_select_mode = (True, False, False)
+    compat.tool_settings(context).mesh_select_mode = (True, False, False)
     bpy.ops.object.mode_set(mode="EDIT")
 
 

@@ -6,6 +6,7 @@ from typing import ClassVar
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
+from .. import compat
 from ..cameras.lookup import find_camera, find_root
 from ..interface.images import editor_of, fit
 from ..interface.operators import Acting
@@ -165,7 +166,7 @@ def use_brush(context: bpy.types.Context, *, hides: bool) -> bool:
 
     Builds of Blender without its assets have none.
     """
-    brush = context.tool_settings.image_paint.brush
+    brush = compat.tool_settings(context).image_paint.brush
     if brush is None:
         return False
     brush.blend = "ERASE_ALPHA" if hides else "ADD_ALPHA"

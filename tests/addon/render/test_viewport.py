@@ -214,7 +214,7 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
         before = None
         assert (look() == some[keep]).all()  # stored, in Object Mode
         bpy.ops.object.mode_set(mode="EDIT")
-        bpy.context.tool_settings.mesh_select_mode = (True, False, False)
+        bpy.context.scene.tool_settings.mesh_select_mode = (True, False, False)
         bpy.context.view_layer.update()
         look()
         before = copied().frozen.attributes["position"]

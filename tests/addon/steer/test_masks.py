@@ -91,7 +91,7 @@ def test_what_painting_needs_is_at_hand(studio: bpy.types.Scene) -> None:
         assert bpy.ops.gscore.paint_mask() == {"FINISHED"}
         assert masks.is_mask(space.image)
         assert space.ui_mode == "PAINT"
-        assert bpy.context.tool_settings.image_paint.brush.blend == "ERASE_ALPHA"
+        assert bpy.context.scene.tool_settings.image_paint.brush.blend == "ERASE_ALPHA"
     finally:
         area.type = before
 
