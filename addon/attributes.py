@@ -170,6 +170,16 @@ def check_vectors(datablock: Any, name: str, *, called: str = "") -> Any:
     return attribute
 
 
+def choose_alike(mesh: Any, old: Any) -> None:
+    """Have those of a mesh active, and shown by renders, that are so in another one."""
+    ours, theirs = mesh.attributes, old.attributes
+    if theirs.active is not None and theirs.active.name in ours:
+        ours.active = ours[theirs.active.name]
+    for which in ("active_color_name", "default_color_name"):
+        if getattr(theirs, which) in ours:
+            setattr(ours, which, getattr(theirs, which))
+
+
 def point_count(datablock: Any) -> int:
     """The vertices of a mesh, or points of a point cloud."""
     return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)

@@ -129,10 +129,11 @@ def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
 
 def swap(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     """Let a mesh take the place of an object's own, which goes, and its name, for all that share
-    it; which of its vertex groups is active and which are locked stays."""
+    it; which of its attributes and vertex groups are active and which are locked stays."""
     old = ob.data
     name = old.name
     mesh.use_fake_user = old.use_fake_user
+    attributes.choose_alike(mesh, old)
     with weights.settings_kept(ob):
         old.user_remap(mesh)
     bpy.data.meshes.remove(old)

@@ -59,6 +59,7 @@ def _let_go(table: list[Column]) -> None:
 def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
     """An object like another one, for a mesh with some of its splats."""
     other = ob.copy()
+    attributes.choose_alike(mesh, ob.data)
     with weights.settings_kept(other):
         other.data = mesh
     other.name = mesh.name = f"{ob.name} part"

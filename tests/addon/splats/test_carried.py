@@ -321,6 +321,64 @@ def test_shape_keys_are_refused(ob: bpy.types.Object, edit: str) -> None:
     assert len(bpy.data.objects) == len(bpy.data.meshes) == 1
 
 
+def of_the_mesh(ob: bpy.types.Object) -> tuple[object, ...]:
+    """Its action and drivers, and which attributes are chosen."""
+    animated, own = ob.data.animation_data, ob.data.attributes
+    drivers = [(d.data_path, d.driver.expression) for d in animated.drivers]
+    slot = getattr(animated, "action_slot", None)
+    chosen = own.active.name, own.active_color_name, own.default_color_name
+    return (*chosen, animated.action, slot and slot.identifier, drivers)
+
+
+@pytest.mark.parametrize("edit", ["separate_splats", "decimate_splats", "apply_splat_transform"])
+def test_what_the_mesh_has_stays(ob: bpy.types.Object, edit: str) -> None:
+    """Oracle: animation and drivers of its properties, which still play, and chosen attributes."""
+    mesh = ob.data
+    for name in ("one", "other"):
+        mesh.attributes.new(name, "FLOAT_COLOR", "POINT")
+        mesh[name] = 1.0
+    mesh.attributes.active = mesh.attributes["one"]
+    mesh.attributes.active_color_name = "one"
+    mesh.attributes.default_color_name = "other"
+    mesh.keyframe_insert('["one"]', frame=1)
+    mesh.driver_add('["other"]').driver.expression = "frame + 1"
+    attributes.select(mesh, np.arange(COUNT) % 7 == 3)
+    bpy.context.view_layer.update()
+    before = of_the_mesh(ob)
+    getattr(bpy.ops.gscore, edit)(**({"count": 100} if edit == "decimate_splats" else {}))
+    for one in bpy.data.objects:
+        assert of_the_mesh(one) == before
+        one.data["one"] = 5.0
+    bpy.context.scene.frame_set(7)
+    assert [(one.data["one"], one.data["other"]) for one in bpy.data.objects] == [(1.0, 8.0)] * len(
+        bpy.data.objects
+    )
+
+
+def test_what_would_be_lost_is_named(ob: bpy.types.Object) -> None:
+    """Oracle: the sentence, and the edge and the track as they were; what the sentences say
+    helps."""
+    mesh = ob.data
+    mesh["one"] = 1.0
+    track = mesh.animation_data_create().nla_tracks.new()
+    mesh.edges.add(1)
+    mesh.edges[0].vertices = 0, 1
+    with pytest.raises(RuntimeError, match="splats has edges or faces"):
+        bpy.ops.gscore.decimate_splats(count=100)
+    assert ob.data == mesh and len(mesh.edges) == 1
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.mesh.delete(type="EDGE_FACE")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(mesh.vertices) == COUNT
+    with pytest.raises(RuntimeError, match="mesh of splats has NLA tracks"):
+        bpy.ops.gscore.decimate_splats(count=100)
+    assert list(mesh.animation_data.nla_tracks) == [track]
+    mesh.animation_data.nla_tracks.remove(track)
+    bpy.ops.gscore.decimate_splats(count=100)
+    assert len(ob.data.vertices) == 100
+
+
 @pytest.mark.parametrize("below", [False, True])
 def test_what_hangs_from_joined_objects_stays(ob: bpy.types.Object, below: bool) -> None:
     """Oracle: places in the world before, of the object too where it hangs from one that goes."""
