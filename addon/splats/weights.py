@@ -21,8 +21,12 @@ def made(names: list[str], count: int) -> np.ndarray:
 def read(mesh: bpy.types.Mesh, begin: int, weights: np.ndarray) -> None:
     """Read those of `BLOCK` vertices from one on into what `made` made; the mesh is not in Edit
     Mode."""
-    vertices = enumerate(mesh.vertices[begin : begin + BLOCK], begin)
-    found = [(e.group, row, e.weight) for row, vertex in vertices for e in vertex.groups]
+    vertices = mesh.vertices
+    found: list[float] = []
+    # One by one: as many Python objects at once as a slice has would start garbage collection.
+    for row in range(begin, min(begin + BLOCK, len(vertices))):
+        for entry in vertices[row].groups:
+            found += entry.group, row, entry.weight
     groups, rows, values = np.array(found, np.float64).reshape(-1, 3).T
     known = groups < len(weights)  # else Blender has forgotten that it was removed
     weights[groups[known].astype(int), rows[known].astype(int)] = values[known]
