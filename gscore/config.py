@@ -223,6 +223,26 @@ class TrainConfig:
         metavar="N",
         basic=True,
     )
+    ensemble: int = option(
+        1,
+        "Models that are trained side by side, each with its share of max_splats, and shown as "
+        "one: what each of them makes up between the photos differs, and fades. A step of each "
+        "takes as long as a step of one with as many splats.",
+        group="run",
+        range=Range(low=1, high=8),
+        unit="models",
+        when="one_model",
+    )
+    ensemble_below: float = option(
+        0.0,
+        "There is more than one model only where stereo, asked for points, finds the depth of less "
+        "than this share of the pixels, and masks are not opacity: where photos agree in more, "
+        "one model with all splats shows finer detail. 0: always, as where `--ensemble` is given "
+        "by itself.",
+        group="run",
+        range=Range(high=1),
+        when="ensemble",
+    )
     strategy: Strategy = option(
         Strategy.DEFAULT,
         "How splats are added and removed; `mcmc`, Markov chain Monte Carlo, moves useless ones "
@@ -833,9 +853,16 @@ class TrainConfig:
 
 _LIMITED = TrainConfig(opaque_weight=0.005, steps_a_photo=80)
 """What all but previews share: more steps for each photo lose on views between the photos."""
-_LONG = replace(_LIMITED, stereo=Stereo.AUTO, drop_rate=0.1, drop_below=0.35)
+_LONG = replace(
+    _LIMITED,
+    stereo=Stereo.AUTO,
+    drop_rate=0.1,
+    drop_below=0.35,
+    ensemble=2,
+    ensemble_below=0.35,
+)
 """What the longer presets share: points of stereo place what they grow, and what photos do not
-agree on is not learnt by heart."""
+agree on is neither learnt by heart nor left to one model."""
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
@@ -880,6 +907,7 @@ LIFTED_BY = {
     "iterations": "steps_a_photo",
     "max_splats": "splats_a_photo",
     "drop_rate": "drop_below",
+    "ensemble": "ensemble_below",
 }
 """Limits by what the photos are like, by the option that lifts them where it is given by itself."""
 

@@ -49,6 +49,9 @@ class Started(Event):
     drops: str = ""
     """One on splats that are left out of steps for these photos; empty: none are, or the options
     say so."""
+    ensemble: str = ""
+    """One on models that are trained side by side for these photos; empty: there is one, or the
+    options say so."""
     exposure: str = ""
     """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
     poses: str = ""

@@ -105,8 +105,8 @@ class RunState:
         panels."""
         if (told := self.started) is None:
             return []
-        said = (told.enough, told.stereo, told.drops, told.depth, told.guide, told.exposure)
-        return [panel_words(text) for text in (*said, told.poses) if text]
+        said = (told.enough, told.stereo, told.drops, told.ensemble, told.depth, told.guide)
+        return [panel_words(text) for text in (*said, told.exposure, told.poses) if text]
 
     @property
     def ended(self) -> bool:

@@ -61,6 +61,7 @@ class Prepared:
             ),
             "the plan": repr(trainer.plan),
             "the share of splats that is left out": trainer.drop_rate,
+            "the number of models": len(trainer.members),
             "the meshes that guide it": trainer.guide_digest,
             "the first splats": crc_of(trainer.tensors()),
         }

@@ -226,6 +226,7 @@ class Session:
                 depth=self._depth.decision,
                 stereo=self._stereo.why,
                 drops=self._trainer.drop_words,
+                ensemble=self._trainer.ensemble_words,
                 exposure=self._exposure.why,
                 poses=self._placing.why,
                 viewer=self._onlookers.why,
@@ -284,8 +285,8 @@ class Session:
             self._trainer.steps,
             result.mse,
             skipped=result.skipped,
-            lost=result.lost_rows / max(len(self._trainer.model), 1),
-            cleared=result.cleared_rows / max(len(self._trainer.model), 1),
+            lost=result.lost_rows / max(self._trainer.trained_count, 1),
+            cleared=result.cleared_rows / max(self._trainer.trained_count, 1),
         )
         return self._config.watchdog and diverged
 
@@ -400,7 +401,7 @@ class Session:
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
         cleared = trainer.removal.around.count
-        if cleared > _MANY_CLEARED * len(trainer.model):
+        if cleared > _MANY_CLEARED * trainer.trained_count:
             self.warn(
                 f"{count_words(cleared, 'splat was', 'splats were')} taken out, standing nearer to "
                 f"a camera than {self._config.free_space:g} of its distance from the nearest "

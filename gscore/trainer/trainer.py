@@ -36,18 +36,20 @@ from .photos.views import Photos, Sampler
 from .ranks import losses, orders
 from .ranks.agree import crc_of
 from .ranks.alike import alike_together
-from .ranks.gradients import BatchGradients, gathered_of
+from .ranks.member import Member, members_in
 from .ranks.team import Team
 from .region.box import Box
 from .region.still import Still, parted
 from .rows import bounds, finest, guard
+from .rows.ensemble import shared_opacities
 from .rows.frame import Frame
-from .rows.model import Model, Moments, ShN
+from .rows.model import Model, ShN
 from .rows.near import Nearest
 from .rows.params import splats_of_tensors, tensors_from_splats
 from .rows.start import splats_of_cloud, splats_to_go_on_with
-from .rows.stored import check_tensors, choices, measurements, real, whole
+from .rows.stored import choices, measurements, real, whole
 from .schedule.batches import photos_at_once
+from .schedule.enough import models_of
 from .schedule.plan import Plan
 from .strategy import Change, DrawnView, everywhere, make_strategy, ops
 from .strategy.free_space import FreeSpace
@@ -171,14 +173,14 @@ class Trainer:
         self.config = config
         self.photos = photos
         self._known = known
-        self.drop_rate, self.drop_words = self._drops()
-        """Share of the splats that is left out of the last step, and a sentence on it where these
-        photos decide; empty: none are, or the options say so."""
+        self._given = start is not None
+        self._judge()
         self.team = team
         """Those with whom each step is taken together; None: this process trains alone."""
         self.frame = frame or Frame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
-        count = min(len(cloud), config.max_splats) if start is None else len(start)
+        most = max(config.max_splats // self._models, 1)
+        count = min(len(cloud), most) if start is None else len(start)
         given = photos.scene.cameras
         self._plan_of = partial(
             Plan.of,
@@ -217,7 +219,6 @@ class Trainer:
         """All learning rates are multiplied by this."""
         self._skipped = 0
         self._v_rgb = empty(0)
-        self._batch = BatchGradients(team) if team else None
         self.laps = Laps()
         """What the parts of the last step took."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
@@ -228,17 +229,18 @@ class Trainer:
         """The box that matters, training world; of given splats, those in it may not leave it."""
         self.still: Still | None = None
         """What stands around them and is drawn with them; None: nothing does."""
-        self._given = start is not None
         if region is not None and start is not None:
             start, self.still = parted(start, region, config, self.frame)
         first, free_space = self._first_splats(start, cloud, count, cameras)
+        self.members = self._members_of(first)
+        """The models that are trained side by side; of given splats there is one."""
         self.sight = Sight(
             config,
             photos,
             self.frame,
             cameras,
             self.learnt,
-            Model(tensors_from_splats(first)),
+            lambda: [member.model for member in self.members],
             cache=photo_cache,
             still=self.still,
         )
@@ -259,19 +261,25 @@ class Trainer:
         self._given_degree = first.sh_degree
         self.cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
         """SH degree of given splats before it was cut to what the config allows."""
-        if Skip.SH_BANDS in config.without:
-            ops.widen_sh(self.model, config.sh_degree)
-        self.strategy.start(self.model)
+        for member in self.members:
+            if Skip.SH_BANDS in config.without:
+                ops.widen_sh(member.model, config.sh_degree)
+            self.strategy.start(member.model)
 
     @property
     def model(self) -> Model:
-        """The splats with all that is kept for each of them."""
-        return self.sight.model
+        """The splats of the first model with all that is kept for each of them."""
+        return self.members[0].model
 
     @property
     def splat_count(self) -> int:
         """How many splats there are, with those that stand still."""
-        return len(self.model) + self._standing
+        return self.trained_count + self._standing
+
+    @property
+    def trained_count(self) -> int:
+        """How many splats are trained."""
+        return sum(len(member.model) for member in self.members)
 
     @property
     def _standing(self) -> int:
@@ -285,13 +293,13 @@ class Trainer:
             return _IN_CELL if self._block else ""
         if not self._given:
             return "Only pixels that look at the region count."
-        count = count_words(len(self.model), "splat")
+        count = count_words(self.trained_count, "splat")
         return f"{count} in the region; {number(self._standing)} around it stand still."
 
     def plan_of(self, iterations: int) -> Plan:
         """The plan of a run of this length; costs next to nothing."""
         config = replace(self.config, iterations=iterations)
-        return self._plan_of(config, drops=self.drop_rate > 0)
+        return self._plan_of(config, drops=self.drop_rate > 0, models=self._models)
 
     def replan(self, iterations: int) -> None:
         """Change the length of the run: from the next step on all schedules are those of a run
@@ -336,77 +344,90 @@ class Trainer:
 
     def _step(self, count: int) -> StepResult:
         """A step that takes `count` views at once, on this rank one of them."""
-        step, config, model = self.steps + count, self.config, self.model
+        step, laps = self.steps + count, Laps()
+        self.laps = laps
+        self.sight.forget()
         cleared = self.removal.guided.count
-        laps = self.laps = Laps()
-        self._widen_to(self.plan.sh_degree_at(step))
-        turn = self._turn(step, count)
-        laps.pixels = turn.view.width * turn.view.height
+        for member in self.members:
+            self._widen_to(member, self.plan.sh_degree_at(step))
+        turns = self._turns(step, count)
+        laps.pixels = sum(turn.view.width * turn.view.height for turn in turns)
         laps.lap("photo")
+        pairs = zip(self.members, turns, strict=True)
+        result = _together([self._step_of(member, turn, step) for member, turn in pairs])
+        self._note_skipped(result.skipped)
+        return result._replace(cleared_rows=self.removal.guided.count - cleared)
+
+    def _step_of(self, member: Member, turn: _Turn, step: int) -> StepResult:
+        """The part of `step` that one of the models takes."""
+        config, model, laps, count = self.config, member.model, self.laps, len(turn.indices)
         for index in turn.indices:  # also for those of other ranks, whose rows are then the same
             model.settle_for(self.sight.view(index, self._factor), threads=config.threads)
         laps.lap("settle")
-        opacities, leaf = self._step_opacities(step)
-        picture = self._draw(turn, opacities, step)
+        opacities, leaf = self._step_opacities(model, step)
+        picture = self._draw(model, turn, opacities, step)
         laps.lap("draw")
         loss = self._compare(turn, picture)
-        values, errors = self._of_all(turn, loss)
+        values, errors = self._of_all(member, turn, loss)
         value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
         laps.lap("loss")
-        self._assert_finite(turn, value)
+        self._assert_finite(model, turn, value)
         # What breaks a loss is often a splat that ran away; the next views do without it.
         sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
-        lost_rows = 0 if sane else self._hold()
+        lost_rows = 0 if sane else self._hold(model)
         if lost_rows or not math.isfinite(value):
-            return self._skip(value, mse, lost_rows)
-        self._skipped = 0
-        v_means2d = self._gradients(turn, picture, loss, opacities, leaf)
-        laps.raster = self._painter.stats()
-        self._assert_finite(turn, value)
-        change, bad_rows = self._learn(step, v_means2d, turn.view, count)
+            return StepResult(value, mse, Change(), 0, True, lost_rows)
+        v_means2d = self._gradients(member, turn, picture, loss, opacities, leaf)
+        laps.add_raster(self._painter.stats())
+        self._assert_finite(model, turn, value)
+        change, bad_rows = self._learn(member, step, v_means2d, turn.view, count)
         self.bad_rows += bad_rows
-        pruned = self.removal.prune(model, self.plan, step)
+        pruned = self.removal.prune(model, self.plan, step, place=member.place)
         change = replace(change, removed=change.removed + pruned)
         laps.lap("learn")
-        lost_rows = self._hold() if step % _HOLD_EVERY == 0 else 0
+        lost_rows = self._hold(model) if step % _HOLD_EVERY == 0 else 0
         if config.finest > 0 and self.plan.clears_at(step):
             finest.widen(model, map(self.sight.view, self.sampler.indices), config.finest)
-        cleared = self.removal.guided.count - cleared
-        return StepResult(value, mse, change, bad_rows, False, lost_rows, cleared)
+        return StepResult(value, mse, change, bad_rows, False, lost_rows)
 
-    def _turn(self, step: int, count: int) -> _Turn:
-        """Draw the views of a step and take out this rank's photo.
+    def _turns(self, step: int, count: int) -> list[_Turn]:
+        """Draw the views of a step, for each model others, and take out this rank's photos.
 
         Raises:
-            DatasetError, FormatError: it cannot be had; nothing was done.
+            DatasetError, FormatError: one cannot be had; nothing was done.
         """
-        indices = self._next_views(count)
+        batches = self._next_views(count)
         # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
         place = min(self.team.rank, count - 1) if self.team else 0
-        index = indices[place]
         # A run that becomes longer does not go back to smaller photos.
         self._factor = min(self._factor, self.plan.factor_at(step))
         try:
-            sized = self.sight.sized(index, self._factor, upcoming=self._upcoming())
+            found = [
+                self.sight.sized(indices[place], self._factor, upcoming=self._upcoming())
+                for indices in batches
+            ]
         except GsError as error:  # a checkpoint can be gone on from
             self.sampler.put_back(count)
             if self.team:
                 losses.fail(self.team, error)
                 self._collect_now()
             raise
-        return _Turn(
-            indices=indices,
-            index=index,
-            sized=sized,
-            background=[self._step_background() for _ in range(count)][place],
-            gain=self.learnt.gain_of(index),
-            depth_terms=self._depth_terms(index, step),
-        )
+        return [
+            _Turn(
+                indices=indices,
+                index=indices[place],
+                sized=sized,
+                background=[self._step_background() for _ in range(count)][place],
+                gain=self.learnt.gain_of(indices[place]),
+                depth_terms=self._depth_terms(indices[place], step),
+            )
+            for indices, sized in zip(batches, found, strict=True)
+        ]
 
-    def _next_views(self, count: int) -> list[int]:
-        """The views of a batch; in a team of photos that cost alike."""
-        views = []
+    def _next_views(self, count: int) -> list[list[int]]:
+        """The views of a batch for each model; in a team of photos that cost alike."""
+        rows = []
         for missing in range(count, 0, -1):
             if self.team and self.sampler.through:
                 self.sampler.begin(self.generator)
@@ -414,8 +435,9 @@ class Trainer:
                 self.sampler.order = alike_together(
                     self.sampler.order, self._costs, size, first=missing % size
                 )
-            views.append(self.sampler.next(self.generator))
-        return views
+            self.sampler.next(self.generator)
+            rows.append(self.sampler.beside(self._models))
+        return [list(views) for views in zip(*rows, strict=True)]
 
     def _depth_terms(self, index: int, step: int) -> list[tuple[float, DepthLoss | GuideLoss]]:
         """Losses of the inverse depth of a view that count at a step, with their weights."""
@@ -426,10 +448,10 @@ class Trainer:
             found.append((self.guide.weight(index), self.guide))
         return [(weight, loss) for weight, loss in found if weight > 0]
 
-    def _draw(self, turn: _Turn, opacities: torch.Tensor, step: int) -> Picture:
+    def _draw(self, model: Model, turn: _Turn, opacities: torch.Tensor, step: int) -> Picture:
         config = self.config
         return self._painter.draw(
-            tuple((self.model.params | {"opacities": opacities}).values()),
+            tuple((model.params | {"opacities": opacities}).values()),
             turn.view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
@@ -467,16 +489,16 @@ class Trainer:
             v_inverse_depth=v_inverse_depth,
         )
 
-    def _of_all(self, turn: _Turn, loss: _Loss) -> tuple[list[float], list[float]]:
+    def _of_all(self, member: Member, turn: _Turn, loss: _Loss) -> tuple[list[float], list[float]]:
         """Losses and mean squared errors of all photos of a batch.
 
         Raises:
             DatasetError: another rank's photo cannot be had; nothing was done.
         """
-        if self.team is None or self._batch is None:
+        if self.team is None or member.batch is None:
             return [loss.value], [loss.mse]
         count = len(turn.indices)
-        sizes = self._batch.sizes(self._painter.radii, count)
+        sizes = member.batch.sizes(self._painter.radii, count)
         try:
             found = losses.of_all(
                 self.team,
@@ -484,19 +506,20 @@ class Trainer:
                 loss.mse,
                 cost=self._painter.stats()["entries"],
                 photos=count,
-                mark=self._mark,
+                mark=self._mark(member.model),
                 sizes=sizes,
             )
         except DatasetError:
             self.sampler.put_back(count)
             self._collect_now()
             raise
-        self._batch.hear(found.sizes)
+        member.batch.hear(found.sizes)
         self._costs.update(zip(turn.indices, found.costs, strict=True))
         return found.values, found.errors
 
     def _gradients(
         self,
+        member: Member,
         turn: _Turn,
         picture: Picture,
         loss: _Loss,
@@ -505,16 +528,17 @@ class Trainer:
     ) -> torch.Tensor:
         """Fill the model's gradients, and let gains and poses learn of theirs; returns those in
         the splats' places in the picture."""
+        model, batch = member.model, member.batch
         moves = self.learnt.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._painter.gradients(
-            self._batch.into(self.model, len(turn.indices)) if self._batch else self.model.grads,
+            batch.into(model, len(turn.indices)) if batch else model.grads,
             self._v_rgb,
             loss.v_alpha,
             loss.v_inverse_depth,
             viewmat=self._v_viewmat if moves else None,
         )
         if leaf is not None:
-            grad = self.model.grads["opacities"]
+            grad = model.grads["opacities"]
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
         self.laps.lap("gradients")
         v_log_gain = loss.v_log_gain
@@ -535,16 +559,19 @@ class Trainer:
     def splats(self) -> Splats:
         """The splats as they are now, in COLMAP world, with the SH degrees in use so far; first
         those that stand still."""
-        settled = self.model.settled(threads=self.config.threads)
-        return self._whole(self._in_world({name: p.clone() for name, p in settled.items()}))
+        shown = self.sight.splats()
+        return self._whole(self._in_world({name: p.clone() for name, p in shown.items()}))
 
     def parts(self) -> Iterator[Splats]:
         """What `splats` gives, some rows at a time, which are only good until the next step."""
         if self.still is not None:
             yield from self.still.parts(_ROWS_A_PART, self.model.sh_degree)
-        for at in range(0, len(self.model), _ROWS_A_PART):
-            rows = slice(at, at + _ROWS_A_PART)
-            yield self._in_world(self.model.settled_rows(rows, threads=self.config.threads))
+        for model in self.sight.models():
+            for at in range(0, len(model), _ROWS_A_PART):
+                rows = slice(at, at + _ROWS_A_PART)
+                part = model.settled_rows(rows, threads=self.config.threads)
+                opacities = shared_opacities(part["opacities"], self._models)
+                yield self._in_world(part | {"opacities": opacities})
 
     def make_room(self) -> None:
         """Give back what the rasterizer keeps from step to step, before something else takes
@@ -555,62 +582,79 @@ class Trainer:
         """What `splats` gives, when no step will follow: without a copy, and the memory that only
         steps need is given back. Views can still be drawn."""
         self.make_room()
-        self.model.settle(threads=self.config.threads)
-        self.model.drop_moments()
-        return self._whole(self._in_world(self.model.params))
+        for model in self.sight.models():
+            model.settle(threads=self.config.threads)
+            model.drop_moments()
+        return self._whole(self._in_world(self.sight.splats()))
 
     def release(self) -> None:
         """Give back what `restore` will replace; until then nothing else may be asked for."""
         self.make_room()
-        self.model.drop_moments()
+        for model in self.sight.models():
+            model.drop_moments()
 
     def state(self) -> dict[str, Any]:
         """What is not a tensor, as JSON values."""
-        return {
+        found = {
             "steps": self.steps,
             "iterations": self.plan.iterations,
             "frame": self.frame.to_dict(),
             "order": self.sampler.order,
             "position": self.sampler.position,
             "costs": sorted(self._costs.items()),
-            "adam_steps": {name: self.model.steps(name) for name in self.model.params},
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
             "known": self._known,
             "skipped": self._skipped,
             "factor": self._factor if math.isfinite(self._factor) else None,
-        } | self.removal.state()
+        }
+        for member in self.members:
+            found |= member.state()
+        return found | self.removal.state()
 
     def collect(self) -> None:
         """Bring what other ranks know alone to rank 0, which calls for it."""
-        if self._batch and not self._batch.complete:
-            assert self.team is not None
+        if self.team and not self._collected:
             self.team.say(orders.collect())
-            self._batch.collect(self.model)
+            self._collect_now()
 
     def _collect_now(self) -> None:
         """As `collect`, where all ranks are about to end for the same error."""
-        if self._batch and not self._batch.complete:
-            self._batch.collect(self.model)
+        for member in self.members:
+            if member.batch and not member.batch.complete:
+                member.batch.collect(member.model)
+
+    @property
+    def _collected(self) -> bool:
+        """Whether rank 0 knows all that a checkpoint needs; the same on all ranks."""
+        return all(member.batch is None or member.batch.complete for member in self.members)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All tensors that the next step depends on, by name; no copies. Of a team, those of this
         rank; after `collect` rank 0 has all."""
         out = {"generator": self.generator.get_state()}
-        for name, p in self.model.params.items():
-            moment1, moment2 = self.model.moments(name)
-            out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
-        out |= {"gathered/shN": self.model.grads["shN"], "drift": self.model.drift}
-        out |= self._batch.tensors() if self._batch else {}
-        out |= self.learnt.tensors()
-        return out | {f"row/{name}": counter for name, counter in self.model.rows.items()}
+        for member in self.members:
+            out |= member.tensors()
+        return out | self.learnt.tensors()
 
-    def _drops(self) -> tuple[float, str]:
-        return drop_rate_of(
-            self.config,
-            known=self._known,
-            mask_mode=self.photos.mask_mode,
+    def _judge(self) -> None:
+        """Decide what photos decide by how much they agree."""
+        config, known, mask_mode = self.config, self._known, self.photos.mask_mode
+        self.drop_rate, self.drop_words = drop_rate_of(config, known=known, mask_mode=mask_mode)
+        """Share of the splats that is left out of the last step, and a sentence on it where these
+        photos decide; empty: none are, or the options say so."""
+        self._models, self.ensemble_words = models_of(
+            config, known=known, mask_mode=mask_mode, given=self._given
         )
+        """A sentence on models that are trained side by side where these photos decide that there
+        are; empty: there is one, or the options say so."""
+
+    def _members_of(self, first: Splats) -> list[Member]:
+        """As many models as there are to be, all of these splats."""
+        return [
+            Member(place, Model(tensors_from_splats(first)), self.team)
+            for place in range(self._models)
+        ]
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Go on from what `state` and `tensors` of another trainer with this config returned; the
@@ -621,39 +665,31 @@ class Trainer:
         Raises:
             ValueError, KeyError: they are not what those return.
         """
-        check_tensors(tensors, self.model)
+        # What was found of the photos then: a run that stereo gave no points does not ask it again.
+        if state.get("known") is not None:
+            self._known = real("known", state["known"], low=0)
+            self._judge()
+        if members_in(tensors) != self._models:
+            raise ValueError(f"it has {members_in(tensors)} models, expected {self._models}")
+        like = self.model
+        members = [Member(place, like, self.team) for place in range(self._models)]
+        for member in members:
+            member.check(tensors, like)
         if self.team and self.team.leads:
             self.team.say(orders.restore(state))
             self.team.share(tensors)
         length = self.config.iterations
         if self.config.time_budget:
             length = whole("iterations", state.get("iterations", length), low=1)
-        # What was found of the photos then: a run that stereo gave no points does not ask it again.
-        if state.get("known") is not None:
-            self._known = real("known", state["known"], low=0)
-            self.drop_rate, self.drop_words = self._drops()
         self.replan(length)
         factor = state.get("factor")
         self._factor = math.inf if factor is None else real("factor", factor, low=1)
-        names = list(self.model.params)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
-        gathered = gathered_of(tensors, rank, size)
-        moments = {
-            name: Moments(
-                tensors[f"m1/{name}"],
-                tensors[f"m2/{name}"],
-                whole(f"adam_steps of {name}", state["adam_steps"][name]),
-                gathered if name == "shN" else None,
-            )
-            for name in names
-        }
-        if self._batch:
-            self._batch.forget()
         self._painter.release()
-        self.sight.model = Model({name: tensors[f"param/{name}"] for name in names}, moments)
-        rows = {key.removeprefix("row/"): t for key, t in tensors.items() if key[:4] == "row/"}
-        self.model.rows = rows
-        self.model.drift = tensors["drift"]
+        self.sight.forget()
+        self.members = members
+        for member in members:
+            member.restore(state, tensors, rank=rank, size=size)
         self.learnt.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
         self.generator.set_state(tensors["generator"])
         self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
@@ -696,12 +732,12 @@ class Trainer:
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
         return self.frame.similarity.splats_from_training(splats_of_tensors(params))
 
-    def _widen_to(self, degree: int) -> None:
-        if self.model.sh_degree < degree:
+    def _widen_to(self, member: Member, degree: int) -> None:
+        if member.model.sh_degree < degree:
             self._painter.release()
-            ops.widen_sh(self.model, degree)
-            if self._batch:
-                self._batch.forget()
+            ops.widen_sh(member.model, degree)
+            if member.batch:
+                member.batch.forget()
 
     def _learn_of_photos(
         self, indices: Sequence[int], v_log_gain: tuple[float, float, float]
@@ -714,10 +750,10 @@ class Trainer:
         slopes = self.team.numbers(mine) if self.team else np.array([mine])
         self.learnt.learn(indices, slopes, done=done, factor=self.rate_factor)
 
-    def _step_opacities(self, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _step_opacities(self, model: Model, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
         that their gradients belong to."""
-        opacities = self.model.params["opacities"]
+        opacities = model.params["opacities"]
         rate = drop_rate_at(self.drop_rate, step, self.plan.iterations)
         if rate <= 0:
             return opacities, None
@@ -761,15 +797,13 @@ class Trainer:
 
     def _upcoming(self) -> list[int]:
         """Views that this rank will need, as far as they are drawn already."""
-        if self.team is None:
-            return self.sampler.upcoming(AHEAD)
-        size = self.team.size
-        return self.sampler.upcoming(AHEAD * size)[self.team.rank :: size]
+        rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
+        batches = self.sampler.upcoming(AHEAD * size, self._models)[rank::size]
+        return [view for views in batches for view in views]
 
-    @property
-    def _mark(self) -> float:
+    def _mark(self, model: Model) -> float:
         """A number of the splats, where a team compares them: as often as they are held."""
-        return float(crc_of(self.model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
+        return float(crc_of(model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
 
     def _training_views(self) -> Iterator[Sized]:
         """All training views at the size of the last step."""
@@ -814,13 +848,13 @@ class Trainer:
             v_alpha = slope if v_alpha is None else v_alpha + slope
         return value, v_alpha, v_inverse_depth
 
-    def _assert_finite(self, turn: _Turn, value: float) -> None:
+    def _assert_finite(self, model: Model, turn: _Turn, value: float) -> None:
         if self.config.detect_anomaly:
             name = self.photos.scene.cameras.names[turn.index]
-            guard.assert_finite(self.model, value, step=self.steps, view=name)
+            guard.assert_finite(model, value, step=self.steps, view=name)
 
-    def _skip(self, value: float, mse: float, lost_rows: int) -> StepResult:
-        self._skipped += 1
+    def _note_skipped(self, skipped: bool) -> None:
+        self._skipped = self._skipped + 1 if skipped else 0
         if self._skipped >= _MAX_SKIPPED:
             raise GsError(
                 f"Training diverged: the loss was not finite for "
@@ -828,25 +862,24 @@ class Trainer:
                 f"the last one step {self.steps}. Lower the learning rates; --detect-anomaly says "
                 "where it begins."
             )
-        return StepResult(value, mse, Change(), 0, True, lost_rows)
 
-    def _hold(self) -> int:
-        lost = bounds.hold(self.model, extent=self.frame.extent)
+    def _hold(self, model: Model) -> int:
+        lost = bounds.hold(model, extent=self.frame.extent)
         self.lost_rows += lost
         return lost
 
     def _learn(
-        self, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
+        self, member: Member, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
     ) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
-        model, radii = self.model, self._painter.radii
-        counters = self._batch.counters(model) if self._batch else model.rows
+        model, batch, radii = member.model, member.batch, self._painter.radii
+        counters = batch.counters(model) if batch else model.rows
         drawn = DrawnView(
             step=step, radii=radii, v_means2d=v_means2d, width=view.width, height=view.height
         )
         self.strategy.observe(counters, drawn)
-        if self._batch:
-            radii = self._batch.add_up(
+        if batch:
+            radii = batch.add_up(
                 model, counters=counters, photos=count, threads=self.config.threads
             )
         self.strategy.shape_gradients(model)
@@ -854,8 +887,8 @@ class Trainer:
         model.set_rates(self._rates_at(step, count) | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         rest = self._rest_at(step, count)
-        if self._batch:
-            self._batch.add_up_rest(model, rest, threads=self.config.threads)
+        if batch:
+            batch.add_up_rest(model, rest, threads=self.config.threads)
         bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
         if self.plan.refines_at(step):
             self._painter.release()
@@ -871,6 +904,27 @@ class Trainer:
         if self.region is not None and self._given:
             self.region.keep_inside(model.params["means"])
         return replace(change, removed=change.removed + removed), bad_rows
+
+
+def _together(results: Sequence[StepResult]) -> StepResult:
+    """What the steps of all models measured and did."""
+    count = len(results)
+    if count == 1:
+        return results[0]
+    changes = [result.change for result in results]
+    return StepResult(
+        loss=sum(result.loss for result in results) / count,
+        mse=sum(result.mse for result in results) / count,
+        change=Change(
+            added=sum(change.added for change in changes),
+            removed=sum(change.removed for change in changes),
+            moved=sum(change.moved for change in changes),
+            reset=any(change.reset for change in changes),
+        ),
+        bad_rows=sum(result.bad_rows for result in results),
+        skipped=any(result.skipped for result in results),
+        lost_rows=sum(result.lost_rows for result in results),
+    )
 
 
 def _slopes(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:

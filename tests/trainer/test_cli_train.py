@@ -157,8 +157,8 @@ def test_resuming_with_other_options_says_which(
     assert "cameras" not in err
     assert main([*again, "--preset", "draft"]) == 2
     err = capsys.readouterr().err
-    changed = "max_splats was 200, is 150000; sh_degree was 0, is 2; drop_rate was 0.1, is 0; "
-    changed += "drop_below was 0.35, is 0"
+    changed = "max_splats was 200, is 150000; ensemble was 2, is 1; ensemble_below was 0.35, is 0; "
+    changed += "sh_degree was 0, is 2; drop_rate was 0.1, is 0; drop_below was 0.35, is 0"
     assert f"another run: {changed}. A run" in err
     same = ["--preset", "normal", *SHORT]
     assert main([*again, *same, "--iterations", "14"]) == 0

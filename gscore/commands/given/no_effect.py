@@ -53,6 +53,11 @@ _WHEN: dict[str, _Rule] = {
         "stereo adds no points: --stereo off or --start-splats",
         lambda a, d, c: c.stereo == Stereo.OFF or c.start_splats is not None,
     ),
+    "one_model": ("--start-splats are one model", lambda a, d, c: c.start_splats is not None),
+    "ensemble": (
+        "there is one model: --ensemble 1 or --start-splats",
+        lambda a, d, c: c.ensemble == 1 or c.start_splats is not None,
+    ),
     "dropping": ("--drop-rate 0 leaves none out", lambda a, d, c: c.drop_rate == 0),
     "guide_surface": ("of --guide-surface alone", lambda a, d, c: c.guide_surface is None),
     "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),

@@ -204,8 +204,9 @@ def _texts(event: Event) -> Iterator[str]:
                 yield event.region
             if sentence := _MASKS.get(event.mask_mode):
                 yield sentence
-            said = (event.enough, event.stereo, event.drops, event.depth, event.guide)
-            yield from filter(None, (*said, event.exposure, event.poses, event.viewer))
+            said = (event.enough, event.stereo, event.drops, event.ensemble, event.depth)
+            said += (event.guide, event.exposure, event.poses, event.viewer)
+            yield from filter(None, said)
         case Warn():
             yield f"Warning: {event.message}"
 

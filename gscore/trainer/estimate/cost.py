@@ -29,7 +29,8 @@ class Cost:
         self.plan = plan
 
     def seconds_at(self, step: int, splats: float) -> float:
-        """What `step` takes with that many splats on the machine of `_SECONDS_A_STEP`.
+        """What `step` takes with that many splats, those of all models, on the machine of
+        `_SECONDS_A_STEP`.
 
         Other machines differ by a factor that is much the same for all steps.
         """
@@ -37,7 +38,8 @@ class Cost:
         numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[plan.sh_degree_at(step)])
         a_splat = _SECONDS_A_SPLAT + _SECONDS_A_NUMBER * numbers
         drawn = plan.pixels / plan.factor_at(step) ** 2
-        return _SECONDS_A_STEP + _SECONDS_A_PIXEL * drawn + a_splat * splats
+        a_model = _SECONDS_A_STEP + _SECONDS_A_PIXEL * drawn
+        return plan.models * a_model + a_splat * splats
 
     def seconds_after(self, step: int, splats: int) -> float:
         """What the steps after `step`, at which there are `splats`, take on that machine."""
@@ -60,7 +62,7 @@ class Cost:
         first = max(step + 1, plan.refine_start)
         last = min(later - 1, plan.refine_stop)
         last -= last % plan.refine_every
-        cap = plan.cap_for(plan.factor_at(last))
+        cap = plan.models * plan.cap_for(plan.factor_at(last))
         if last < first or splats >= cap:
             return kept * splats
         before, there = self._refinements(first - 1), self._refinements(last)

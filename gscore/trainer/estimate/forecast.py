@@ -141,6 +141,9 @@ def estimate(
         fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0
         fitting_width = _most(lambda width: fit(config.max_splats, width), widest)
         fitting_width = fitting_width if fitting_width >= _SMALLEST_WIDTH else 0
+    # Whether photos agree is not known yet; where they do, it is sooner done.
+    models = 1 if subject and config.ensemble_below else min(config.ensemble, config.max_splats)
+    models = 1 if config.start_splats else models
     plan = Plan.of(
         config,
         extent=1.0,
@@ -148,11 +151,12 @@ def estimate(
         side=int(min(widths.min(initial=1 << 30), heights.min(initial=1 << 30))),
         pixels=int(pixels.mean()) if len(pixels) else 1,
         subject=subject,
+        models=models,
     )
     seconds = config.time_budget
     if not seconds:
         pace = machine_pace(config.threads) if pace is None else pace
-        seconds = pace * Cost(plan).seconds_after(0, min(points, config.max_splats))
+        seconds = pace * Cost(plan).seconds_after(0, models * min(points, plan.max_splats))
     return Estimate(
         seconds=seconds,
         peak_bytes=RUNTIME + rest + held,

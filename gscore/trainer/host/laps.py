@@ -1,6 +1,7 @@
 """Seconds that the parts of a step take."""
 
 import time
+from collections.abc import Mapping
 
 
 class Laps:
@@ -14,6 +15,11 @@ class Laps:
         self.seconds: dict[str, float] = {}
         """By part, in the order in which they came."""
         self._last = time.perf_counter()
+
+    def add_raster(self, stats: Mapping[str, float]) -> None:
+        """Add what another picture took to that of those before."""
+        for name, value in stats.items():
+            self.raster[name] = self.raster.get(name, 0.0) + value
 
     def lap(self, name: str) -> None:
         """What has passed since the last call belongs to `name`."""

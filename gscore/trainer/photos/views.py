@@ -75,9 +75,20 @@ class Sampler:
         self.position = 0
         """Next place in `order`."""
 
-    def upcoming(self, count: int) -> list[int]:
-        """The next views as far as they are drawn already, at most `count`."""
-        return self.order[self.position : self.position + count]
+    def upcoming(self, count: int, parts: int = 1) -> list[list[int]]:
+        """What `beside` gives of the next views as far as they are drawn already, at most
+        `count`."""
+        ahead = range(self.position, min(self.position + count, len(self.order)))
+        return [self._beside(at, parts) for at in ahead]
+
+    def beside(self, parts: int) -> list[int]:
+        """The view drawn last, and others of its epoch for all but the first of so many `parts`:
+        each of them sees each view once an epoch."""
+        return self._beside(self.position - 1, parts)
+
+    def _beside(self, at: int, parts: int) -> list[int]:
+        count = len(self.order)
+        return [self.order[(at + part * count // parts) % count] for part in range(parts)]
 
     @property
     def through(self) -> bool:

@@ -52,6 +52,34 @@ def thins_subject(config: TrainConfig, *, mask_mode: str, known: float | None) -
     return mask_mode == "composite" and config.drop_rate > 0 and agrees
 
 
+def models_of(
+    config: TrainConfig, *, mask_mode: str, known: float | None, given: bool
+) -> tuple[int, str]:
+    """How many models are trained side by side for these photos.
+
+    Args:
+        config: `ensemble`, and `ensemble_below`, its condition.
+        mask_mode: What masks are for, as `Dataset.mask_mode`.
+        known: As `thins_subject`.
+        given: Whether the run starts from splats that were given, which are one model.
+
+    Returns:
+        The number, and a sentence where photos decide that there are several; empty: they do not.
+    """
+    models = min(config.ensemble, config.max_splats)
+    if given or models == 1:
+        return 1, ""
+    if not config.ensemble_below:
+        return models, ""
+    if mask_mode == "composite" or known is None or known >= config.ensemble_below:
+        return 1, ""
+    return models, (
+        f"Photos agree on the depth of {known:.0%} of their pixels: {models} models, each with its "
+        "share of the splats, are trained side by side and shown as one, for unseen views "
+        "(--ensemble 1 trains one)."
+    )
+
+
 def limit_by_photos(
     config: TrainConfig,
     *,

@@ -30,6 +30,8 @@ class Plan:
 
     iterations: int
     """Last step."""
+    models: int
+    """Trained side by side; what is said of splats is said of each."""
     max_splats: int
     """Never more splats than this."""
     first_cap: int
@@ -86,19 +88,21 @@ class Plan:
         pixels: int,
         subject: bool = False,
         drops: bool = False,
+        models: int = 1,
     ) -> "Plan":
         """Resolve `config` for a capture.
 
         Args:
             config: The options.
             extent: Camera extent, training units.
-            points: Number of splats at the start.
+            points: Number of splats at the start, of each model.
             side: Shorter side of the smallest photo, pixels.
             pixels: Of a photo, on average.
             subject: Whether masks are opacity, so that there is nothing but a subject.
             drops: Whether splats are left out of its steps.
+            models: How many are trained side by side, which share `max_splats`.
         """
-        n = config.iterations
+        n, most = config.iterations, max(config.max_splats // models, 1)
         mcmc = config.strategy is Strategy.MCMC
         # Runs shorter than the paper's 30,000 steps keep its proportions where a splat still sees
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
@@ -127,14 +131,15 @@ class Plan:
         pull = _LONG_GRAD if fine else 2e-4 / min(boost, 2.0)
         # The cap is reached halfway through the refinements even if the run is short.
         growths = max((stop - start) // (2 * every), 1)
-        growth = max(0.05, (config.max_splats / max(points, 1)) ** (1 / growths) - 1)
+        growth = max(0.05, (most / max(points, 1)) ** (1 / growths) - 1)
         # Gradients of several views point the way better than one's. Held-out PSNR did not fall.
         every_shN = config.shN_every or max(1, min(8, n // 125))
         every_shN = 1 if Skip.RARE_SH in config.without else every_shN
         return cls(
             iterations=n,
-            max_splats=config.max_splats,
-            first_cap=min(points, config.max_splats) if coupled else config.max_splats,
+            models=models,
+            max_splats=most,
+            first_cap=min(points, most) if coupled else most,
             pixels=pixels,
             sh_degree=config.sh_degree,
             sh_every=config.sh_every or max(1, min(1000, n // (2 * max(config.sh_degree, 1)))),

@@ -1,7 +1,7 @@
 """Splats that go because of what photos, masks and cameras say, whatever the strategy does."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 
@@ -81,7 +81,7 @@ class Removal:
         """The space around cameras."""
         self.guided = Emptied(guided)
         """The space before a guide."""
-        self._pruned = 0
+        self._pruned: dict[int, int] = {}
 
     def clear(self, model: Model, plan: Plan, step: int) -> int:
         """Take out what stands where nothing is to stand: around cameras and before a guide."""
@@ -106,26 +106,28 @@ class Removal:
         self._take_out(model, hidden)
         return count
 
-    def prune(self, model: Model, plan: Plan, step: int) -> int:
-        """Take out what adds least to the photos, once there are to be fewer splats."""
-        count = plan.surplus_at(step, len(model), self._pruned)
+    def prune(self, model: Model, plan: Plan, step: int, *, place: int = 0) -> int:
+        """Take out what adds least to the photos, once there are to be fewer splats; `place` is
+        that of the model among those that are trained side by side."""
+        before = self._pruned.get(place, 0)
+        count = plan.surplus_at(step, len(model), before)
         if count == 0:
             return 0
         self._take_out(model, least(most_in_a_view(self._weights(model), len(model)), count))
-        self._pruned += count
+        self._pruned[place] = before + count
         return count
 
-    def state(self) -> dict[str, int | bool]:
+    def state(self) -> dict[str, Any]:
         """All that the next removals depend on, as JSON values."""
         return {
             "cleared": self.around.count,
             "crowded": self.around.crowded,
             "guide_cleared": self.guided.count,
             "guide_crowded": self.guided.crowded,
-            "pruned": self._pruned,
+            "pruned": [self._pruned.get(i, 0) for i in range(max(self._pruned, default=-1) + 1)],
         }
 
-    def restore(self, state: dict[str, int | bool]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` returned, among other keys.
 
         Raises:
@@ -133,7 +135,9 @@ class Removal:
         """
         self.around.restore(state, "cleared", "crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")
-        self._pruned = whole("pruned", state["pruned"])
+        pruned = state["pruned"]
+        counts = pruned if isinstance(pruned, list) else [pruned]
+        self._pruned = {place: whole("pruned", count) for place, count in enumerate(counts)}
 
     def _weights(self, model: Model) -> Iterator[Weights]:
         return weights_by_view(

@@ -1,7 +1,7 @@
 """The splats in training as cameras see them: pictures for people, metrics and decisions."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from ..photos.pyramid import Pyramid, Sized, view_of
 from ..photos.views import Photos
 from ..region.narrow import narrowed
 from ..region.still import PainterAround, Still
+from ..rows.ensemble import shown_as_one
 from ..rows.frame import Frame
 from ..rows.model import Model
 from .alignment import aligned
@@ -36,7 +37,7 @@ _Color = tuple[float, float, float]
 
 
 class Sight:
-    """Draws views of a model as it is at the moment. Looking changes no bit of its training.
+    """Draws views of the models as they are at the moment. Looking changes no bit of the training.
 
     Pictures are good until the next one is drawn, unless it says otherwise.
     """
@@ -48,15 +49,16 @@ class Sight:
         frame: Frame,
         cameras: Cameras,
         learnt: Learnt,
-        model: Model,
+        models: Callable[[], list[Model]],
         *,
         cache: int | None = None,
         still: Still | None = None,
     ) -> None:
-        """Look at `model` from `cameras`, those of `photos` in the training world.
+        """Look from `cameras`, those of `photos` in the training world, at what `models` gives,
+        shown as one.
 
         `learnt` says how photos were exposed and where cameras stand; `cache` is how many bytes of
-        photos may be kept, None: all; `still` stands around the model and is drawn with it.
+        photos may be kept, None: all; `still` stands around the splats and is drawn with them.
         """
         self._config = config
         self._photos = photos
@@ -66,13 +68,29 @@ class Sight:
         self._still = still
         self.painter = Painter() if still is None else PainterAround(still)
         """Draws the steps of the training too, so that both use the same memory."""
-        self.model = model
-        """What is looked at; another one may take its place."""
+        self.models = models
+        """What is looked at."""
+        self._seen: tuple[list[dict[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
 
     @property
     def background(self) -> _Color:
         """Background for pictures that people and metrics look at."""
         return COLORS.get(self._config.background, COLORS[Background.BLACK])
+
+    def splats(self) -> dict[str, torch.Tensor]:
+        """The raw parameters of what is drawn, training world; good until the next step."""
+        parts = [model.settled(threads=self._config.threads) for model in self.models()]
+        if len(parts) == 1:
+            return parts[0]
+        before, joined = self._seen or ([], {})
+        if len(before) != len(parts) or any(a is not b for a, b in zip(before, parts, strict=True)):
+            joined = shown_as_one(parts)
+            self._seen = parts, joined
+        return joined
+
+    def forget(self) -> None:
+        """Give back what is kept for pictures between two steps."""
+        self._seen = None
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
         """View `index` with sides divided by `factor`, from where its camera stands."""
@@ -85,7 +103,7 @@ class Sight:
         """
         found = self._pyramid.at(index, factor, upcoming=upcoming)
         if self._still is not None and self._photos.mask_mode == "ignore":
-            found = narrowed(found, self.model.params)
+            found = narrowed(found, self.models()[0].params)
         return found._replace(view=self._learnt.from_its_place(found.view, index))
 
     def behind(self, background: _Color, gain: torch.Tensor | None) -> _Color:
@@ -108,7 +126,7 @@ class Sight:
         settings = Settings(
             antialias=config.antialias, threads=config.threads, background=background
         )
-        settled = self.model.settled(threads=config.threads)
+        settled = self.splats()
         pose = aligned(
             settled if self._still is None else self._still.before(settled),
             self.sized(index, factor),
@@ -123,7 +141,7 @@ class Sight:
         viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
         size = request.width, request.height
         view = view_of(viewmats[0], request.K, *size, self._frame.near)
-        shown = dict(self.model.settled(threads=self._config.threads))
+        shown = dict(self.splats())
         if request.scaling != 1:
             shown["scales"] = shown["scales"] + math.log(request.scaling)
         return self._draw(shown, view, background=self.background).rgb
@@ -168,7 +186,7 @@ class Sight:
         return picture if gain is None else picture.mul_(gain)
 
     def _show(self, view: Frustum, **options: Any) -> Picture:
-        return self._draw(self.model.settled(threads=self._config.threads), view, **options)
+        return self._draw(self.splats(), view, **options)
 
     def _draw(self, splats: dict[str, torch.Tensor], view: Frustum, **options: Any) -> Picture:
         """The whole view; `options` are those of `Settings`."""

@@ -168,6 +168,26 @@ def test_seconds_said_for_the_presets(
 ) -> None:
     """Oracle: what trainings of plush took on the machine whose step times the plan holds
     (docs/benchmarks.md, "Captures"), some of them with growth that does not wait for photos."""
-    config = replace(PRESETS[preset](Path("plush"))[1], grow_with_photos=waits)
+    config = replace(PRESETS[preset](Path("plush"))[1], grow_with_photos=waits, ensemble=1)
     found = estimate(config, [size] * 51, points=6903, pace=1.0)
     assert found.seconds == pytest.approx(taken, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("photos", "draft", "normal", "ratio"),
+    [
+        (51, (640, 480), (800, 600), 3.1),
+        (52, (510, 510), (510, 510), 2.55),
+        (25, (640, 427), (800, 533), 3.3),
+    ],
+)
+def test_seconds_said_for_two_models(
+    photos: int, draft: tuple[int, int], normal: tuple[int, int], ratio: float
+) -> None:
+    """Oracle: how much longer trainings of plush, stone_horse and lund took than their drafts
+    (docs/experiments/2026-11-ensembles.md)."""
+    seconds = []
+    for preset, each, size in (("draft", 68, draft), ("normal", 80, normal)):
+        config = replace(PRESETS[preset](Path())[1], iterations=each * photos)
+        seconds.append(estimate(config, [size] * photos, points=17_000, pace=1.0).seconds)
+    assert seconds[1] / seconds[0] == pytest.approx(ratio, rel=0.1)

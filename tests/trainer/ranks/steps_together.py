@@ -32,7 +32,7 @@ def alone(index: int) -> dict[str, torch.Tensor]:
     """As `learnt_from`, of one photo, at the step that both ranks take together."""
     trainer = Trainer(CONFIG, toy_photos())
     trainer.steps = 1
-    trainer._widen_to(1)
+    trainer._widen_to(trainer.members[0], 1)
     trainer.sampler.order, trainer.sampler.position = [index], 0
     return learnt_from(trainer)
 
@@ -43,7 +43,7 @@ def main() -> int:
     torch.set_num_threads(1)
     with Team() as team:
         trainer = Trainer(CONFIG, toy_photos(), team=team)
-        trainer._widen_to(1)
+        trainer._widen_to(trainer.members[0], 1)
         if not team.leads:
             team.hear()
         together = learnt_from(trainer)

@@ -52,10 +52,13 @@ def test_the_same_ranks_give_the_same_bits_and_rank_0_alone_writes(
     assert checkpoint.load(last).steps == 60
 
 
-def test_what_each_rank_has_gathered_is_in_a_checkpoint(capture: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("models", ["1", "2"])
+def test_what_each_rank_has_gathered_is_in_a_checkpoint(
+    capture: Path, tmp_path: Path, models: str
+) -> None:
     """Oracle: the PLY of the run that went on, to the bit, where the checkpoint lies between two
     steps of the higher coefficients; the sum for another number of ranks, in numpy."""
-    line = ("--shN-every", "7", "--checkpoint-iterations", "38")
+    line = ("--shN-every", "7", "--checkpoint-iterations", "38", "--ensemble", models)
     assert_fine(train(capture, tmp_path / "a", *line))
     kept = tmp_path / "a" / "checkpoints" / "step_00000038.safetensors"
     assert_fine(train(capture, tmp_path / "b", *line, "--start-checkpoint", str(kept)))

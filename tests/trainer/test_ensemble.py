@@ -1,0 +1,248 @@
+"""Models that are trained side by side and shown as one."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gscore.config import PRESETS, Strategy, TrainConfig
+from gscore.raster.api import render
+from gscore.raster.loss import LossValues
+from gscore.splats import PARAMETERS, Splats
+from gscore.trainer import trainer as module
+from gscore.trainer.estimate.cost import Cost
+from gscore.trainer.photos.views import Sampler
+from gscore.trainer.ranks.member import members_in
+from gscore.trainer.rows.ensemble import shared_opacities
+from gscore.trainer.schedule.enough import models_of
+from gscore.trainer.trainer import Trainer
+
+ONE = TrainConfig(
+    iterations=60,
+    max_splats=200,
+    sh_degree=1,
+    sh_every=12,
+    refine_start=10,
+    refine_stop=50,
+    refine_every=10,
+    reset_every=25,
+    grow_grad=1e-5,
+    prune_share=0.2,
+)
+"""Draws no random number but the order of the views, so that runs can be compared."""
+TWO = replace(ONE, ensemble=2, max_splats=400)
+RANDOM = replace(TWO, drop_rate=0.2, seed=3)
+
+
+def bits(tensors: dict[str, torch.Tensor]) -> dict[str, bytes]:
+    return {name: t.contiguous().numpy().tobytes() for name, t in tensors.items()}
+
+
+def trained(config: TrainConfig, photos: Any, steps: int = 60) -> Trainer:
+    trainer = Trainer(config, photos)
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def test_each_model_is_as_if_it_were_trained_alone(
+    photos: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: runs of one model with half the splats, the second with half an epoch's other views;
+    to the bit."""
+    both = trained(TWO, photos)
+    beside = Sampler.beside
+    for place, member in enumerate(both.members):
+        monkeypatch.setattr(Sampler, "beside", lambda self, parts, k=place: [beside(self, 2)[k]])
+        alone = trained(ONE, photos)
+        mine = {key.removeprefix(f"{place}/"): t for key, t in member.tensors().items()}
+        assert bits(mine) == bits(alone.members[0].tensors())
+        assert len(member.model) > 100
+    first, second = (member.model.params["means"] for member in both.members)
+    assert first.shape != second.shape or not torch.equal(first, second)
+
+
+def test_each_model_sees_each_view_once_an_epoch() -> None:
+    """Oracle: the set of views; no two see the same at one step; what comes next is foretold."""
+    sampler, generator = Sampler(range(7)), torch.Generator(device="cpu").manual_seed(1)
+    seen: list[list[int]] = []
+    for _ in range(7):
+        ahead = sampler.upcoming(1, 3)
+        sampler.next(generator)
+        seen.append(sampler.beside(3))
+        assert ahead in ([], [seen[-1]])
+        assert seen[-1][0] == sampler.order[sampler.position - 1]
+        assert len(set(seen[-1])) == 3
+    assert all(sorted(views) == list(range(7)) for views in zip(*seen, strict=True))
+
+
+def light_taken(opacity: float) -> float:
+    """Optical depth of a round splat where it is drawn, added up ring by ring, float64."""
+    if opacity <= 1 / 255:
+        return 0.0
+    radii = np.linspace(0, math.sqrt(2 * math.log(255 * opacity)), 20_001)
+    rings = -np.log1p(-opacity * np.exp(-0.5 * radii**2)) * radii
+    return float(((rings[1:] + rings[:-1]) / 2 * np.diff(radii)).sum())
+
+
+@pytest.mark.parametrize("models", [2, 3, 8])
+def test_as_many_splats_in_one_place_take_as_much_light_as_one_did(models: int) -> None:
+    """Oracle: optical depths of rings; what is not drawn stays, what is drawn is still drawn."""
+    for opacity in (0.0045, 0.01, 0.1, 0.5, 0.9, 0.99):
+        logit = torch.logit(torch.tensor([opacity]))
+        shared = float(torch.sigmoid(shared_opacities(logit, models).double()))
+        assert 1 / 255 < shared < opacity
+        assert models * light_taken(shared) == pytest.approx(light_taken(opacity), rel=2e-3)
+    extremes = torch.tensor([-200.0, -6.0, 30.0, 200.0])
+    shared = shared_opacities(extremes, models)
+    assert torch.isfinite(shared).all()
+    assert torch.equal(shared[:2], extremes[:2])
+    assert shared_opacities(extremes, 1) is extremes
+
+
+def test_what_is_shown_is_what_is_written(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the renderer on the splats that come out; parts and the whole are the same splats."""
+    monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 70)
+    trainer = trained(RANDOM, photos, 30)
+    whole, parts = trainer.splats(), list(trainer.parts())
+    for name in PARAMETERS:
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert np.array_equal(joined, getattr(whole, name)), name
+    assert len(whole) == trainer.splat_count == sum(len(m.model) for m in trainer.members)
+    cameras = photos.scene.cameras
+    picture = trainer.sight.picture(0, background=(0.0, 0.0, 0.0)).numpy()
+    size = int(cameras.widths[0]), int(cameras.heights[0])
+    drawn = render(whole, cameras.Ks[0], cameras.viewmats[0], *size).rgb
+    np.testing.assert_allclose(picture, drawn, atol=2e-5)
+    ended = trainer.finish()
+    for name in PARAMETERS:
+        assert np.array_equal(getattr(ended, name), getattr(whole, name)), name
+    assert np.array_equal(trainer.sight.picture(0, background=(0.0, 0.0, 0.0)).numpy(), picture)
+
+
+def test_it_shows_the_mean_of_its_models(make_photos: Callable[..., Any]) -> None:
+    """Oracle: the mean of the pictures of both; the better of them alone is further from it."""
+    photos = make_photos()
+    trainer = trained(replace(RANDOM, iterations=400, max_splats=800), photos, 400)
+    cameras = photos.scene.cameras
+
+    def drawn(splats: Splats) -> np.ndarray:
+        size = int(cameras.widths[1]), int(cameras.heights[1])
+        return render(splats, cameras.Ks[1], cameras.viewmats[1], *size).rgb
+
+    first = len(trainer.members[0].model)
+    alone = [trainer._in_world(dict(member.model.settled())) for member in trainer.members]
+    pictures = [drawn(splats) for splats in alone]
+    mean, shown = (pictures[0] + pictures[1]) / 2, drawn(trainer.splats())
+    assert first < trainer.splat_count
+    error = float(np.abs(shown - mean).mean())
+    assert error < 0.8 * min(float(np.abs(picture - mean).mean()) for picture in pictures)
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_same_bits_for_any_number_of_threads_and_after_going_on(
+    photos: Any, strategy: Strategy
+) -> None:
+    """Oracle: bit equality of all state after 60 steps, and of a run that goes on from step 33."""
+    config = replace(RANDOM, strategy=strategy)
+    once, threads = trained(config, photos), trained(replace(config, threads=3), photos)
+    begun, after = trained(config, photos, 33), Trainer(config, photos)
+    after.restore(begun.state(), {name: t.clone() for name, t in begun.tensors().items()})
+    for _ in range(27):
+        after.step()
+    assert bits(once.tensors()) == bits(threads.tensors()) == bits(after.tensors())
+    assert once.state() == after.state()
+    assert members_in(once.tensors()) == 2
+
+
+def test_a_state_of_other_models_is_refused(photos: Any) -> None:
+    """Oracle: the sentence; nothing of it is taken over."""
+    one, two = trained(ONE, photos, 3), trained(TWO, photos, 3)
+    before = bits(two.tensors())
+    with pytest.raises(ValueError, match="it has 1 models, expected 2"):
+        two.restore(one.state(), one.tensors())
+    assert bits(two.tensors()) == before
+    broken = dict(two.tensors())
+    broken["1/param/means"] = broken["1/param/means"][1:].clone()
+    with pytest.raises(ValueError, match="float32, got"):
+        two.restore(two.state(), broken)
+    assert bits(two.tensors()) == before
+
+
+def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
+    photos: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the bits of a run whose losses are finite; those of before."""
+    well, ill = Trainer(TWO, photos), Trainer(TWO, photos)
+    before = bits(ill.members[1].tensors())
+    found = module.image_loss_gradient
+    bad = iter((False, True))
+
+    def once(*arguments: Any, **options: Any) -> LossValues:
+        loss = found(*arguments, **options)
+        return replace(loss, loss=math.nan) if next(bad) else loss
+
+    well.step()
+    monkeypatch.setattr(module, "image_loss_gradient", once)
+    assert ill.step().skipped
+    assert bits(ill.members[0].tensors()) == bits(well.members[0].tensors())
+    assert bits(ill.members[1].tensors()) == before
+
+
+@pytest.mark.parametrize(
+    ("ensemble", "below", "known", "mask_mode", "given", "models"),
+    [
+        (2, 0.35, 0.25, "none", False, 2),
+        (3, 0.35, 0.25, "ignore", False, 3),
+        (2, 0.35, 0.35, "none", False, 1),
+        (2, 0.35, None, "none", False, 1),
+        (2, 0.35, 0.25, "composite", False, 1),
+        (2, 0.0, 0.9, "composite", False, 2),
+        (2, 0.0, None, "none", False, 2),
+        (2, 0.0, None, "none", True, 1),
+        (1, 0.35, 0.1, "none", False, 1),
+    ],
+)
+def test_how_many_models_there_are(
+    ensemble: int, below: float, known: float | None, mask_mode: str, given: bool, models: int
+) -> None:
+    """Oracle: the text of the options; the sentence comes with the condition."""
+    config = TrainConfig(ensemble=ensemble, ensemble_below=below)
+    found, words = models_of(config, mask_mode=mask_mode, known=known, given=given)
+    assert found == models
+    assert bool(words) == (models > 1 and below > 0)
+    if words:
+        assert "the depth of 25% of their pixels" in words and f"{models} models" in words
+
+
+def test_which_presets_train_several() -> None:
+    """Oracle: those that ask stereo, without which the condition is never met."""
+    for name, make in PRESETS.items():
+        config = make(Path())[1]
+        longer = name in ("normal", "high")
+        assert (config.ensemble, config.ensemble_below) == ((2, 0.35) if longer else (1, 0))
+
+
+def test_given_splats_are_one_model(photos: Any) -> None:
+    """Oracle: as many splats as were given."""
+    start = trained(ONE, photos, 20).splats()
+    assert Trainer(
+        replace(TWO, start_splats=Path("x.ply")), photos, start=start
+    ).splat_count == len(start)
+
+
+def test_models_share_the_splats_and_cost_more(photos: Any) -> None:
+    """Oracle: halves; at the start as many splats as two runs have; a step of two models of half
+    the splats costs more than one of them and less than twice that of one with all."""
+    one, two = Trainer(replace(TWO, ensemble=1), photos), Trainer(TWO, photos)
+    assert two.plan.max_splats == 200 and one.plan.max_splats == 400
+    assert two.splat_count == 2 * one.splat_count
+    costs = [Cost(trainer.plan).seconds_at(50, 400) for trainer in (one, two)]
+    assert costs[0] < costs[1] < 2 * costs[0]
+    grown = Cost(two.plan).splats_at(60, 0, two.splat_count)
+    assert two.splat_count < grown <= 400
