@@ -26,6 +26,8 @@ class Question:
     """Sizes of photos as trained on, pixels, and how many photos have each."""
     points: int
     masks: bool
+    subject: bool
+    """Whether these are opacity, as far as that is known without decoding a photo."""
     depths: bool
 
 
@@ -49,6 +51,8 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         steps_a_photo=train.steps_a_photo if settings.iterations == train.iterations else 0,
         splats_a_photo=train.splats_a_photo if settings.max_splats == train.max_splats else 0,
     )
+    # Alpha is most often a matte, of which more steps are taken; photos are not decoded here.
+    subject = settings.use_masks and bool(facts.alphas)
     photos = sum(facts.sizes.values())
     if settings.eval:
         photos -= -(-photos // settings.test_every)
@@ -57,15 +61,15 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         size = target_size(width, height, resolution, max_width=data.max_width)
         sizes[size] = sizes.get(size, 0) + count
     return Question(
-        # Alpha is most often a matte, of which more steps are taken; photos are not decoded here.
         train=limit_by_photos(
             train,
             photos=photos,
-            mask_mode="composite" if settings.use_masks and facts.alphas else "none",
+            mask_mode="composite" if subject else "none",
         )[0],
         sizes=tuple(sorted(sizes.items())),
         points=points_to_expect(train, facts.points),
         masks=settings.use_masks and bool(facts.masks or facts.alphas),
+        subject=subject,
         depths=bool(facts.depths) and settings.depth_mode != "off",
     )
 
@@ -77,7 +81,14 @@ def answer(asked: Question) -> Estimate:
         GsError: the native library is missing.
     """
     sizes = [size for size, count in asked.sizes for _ in range(count)]
-    return estimate(asked.train, sizes, points=asked.points, masks=asked.masks, depths=asked.depths)
+    return estimate(
+        asked.train,
+        sizes,
+        points=asked.points,
+        masks=asked.masks,
+        subject=asked.subject,
+        depths=asked.depths,
+    )
 
 
 def words(found: Estimate) -> str:

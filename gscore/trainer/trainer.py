@@ -172,9 +172,8 @@ class Trainer:
             )
         self.config = config
         self.photos = photos
-        self._known = known
         self._given = start is not None
-        self._judge()
+        self._judge(known)
         self.team = team
         """Those with whom each step is taken together; None: this process trains alone."""
         self.frame = frame or Frame.of(photos.scene, near=config.near)
@@ -566,32 +565,33 @@ class Trainer:
         """What `splats` gives, some rows at a time, which are only good until the next step."""
         if self.still is not None:
             yield from self.still.parts(_ROWS_A_PART, self.model.sh_degree)
-        for model in self.sight.models():
-            for at in range(0, len(model), _ROWS_A_PART):
+        for member in self.members:
+            for at in range(0, len(member.model), _ROWS_A_PART):
                 rows = slice(at, at + _ROWS_A_PART)
-                part = model.settled_rows(rows, threads=self.config.threads)
-                opacities = shared_opacities(part["opacities"], self._models)
+                part = member.model.settled_rows(rows, threads=self.config.threads)
+                opacities = shared_opacities(part["opacities"], len(self.members))
                 yield self._in_world(part | {"opacities": opacities})
 
     def make_room(self) -> None:
         """Give back what the rasterizer keeps from step to step, before something else takes
         memory."""
+        self.sight.forget()
         self._painter.release()
 
     def finish(self) -> Splats:
-        """What `splats` gives, when no step will follow: without a copy, and the memory that only
-        steps need is given back. Views can still be drawn."""
+        """What `splats` gives, when no step will follow: of one model without a copy, and the
+        memory that only steps need is given back. Views can still be drawn."""
         self.make_room()
-        for model in self.sight.models():
-            model.settle(threads=self.config.threads)
-            model.drop_moments()
+        for member in self.members:
+            member.model.settle(threads=self.config.threads)
+            member.model.drop_moments()
         return self._whole(self._in_world(self.sight.splats()))
 
     def release(self) -> None:
         """Give back what `restore` will replace; until then nothing else may be asked for."""
         self.make_room()
-        for model in self.sight.models():
-            model.drop_moments()
+        for member in self.members:
+            member.model.drop_moments()
 
     def state(self) -> dict[str, Any]:
         """What is not a tensor, as JSON values."""
@@ -637,17 +637,21 @@ class Trainer:
             out |= member.tensors()
         return out | self.learnt.tensors()
 
-    def _judge(self) -> None:
-        """Decide what photos decide by how much they agree."""
-        config, known, mask_mode = self.config, self._known, self.photos.mask_mode
+    def _judge(self, known: float | None) -> None:
+        """Decide what photos decide by the share of their pixels whose depth is `known`."""
+        config, mask_mode = self.config, self.photos.mask_mode
+        self._known = known
         self.drop_rate, self.drop_words = drop_rate_of(config, known=known, mask_mode=mask_mode)
         """Share of the splats that is left out of the last step, and a sentence on it where these
         photos decide; empty: none are, or the options say so."""
-        self._models, self.ensemble_words = models_of(
-            config, known=known, mask_mode=mask_mode, given=self._given
-        )
-        """A sentence on models that are trained side by side where these photos decide that there
-        are; empty: there is one, or the options say so."""
+        self._models, self.ensemble_words = self._models_for(known)
+
+    def _models_for(self, known: float | None) -> tuple[int, str]:
+        """How many models there are, and a sentence on them where these photos decide that."""
+        if self._given:
+            return 1, ""
+        points, mask_mode = self.photos.scene.points.given, self.photos.mask_mode
+        return models_of(self.config, points=points, mask_mode=mask_mode, known=known)
 
     def _members_of(self, first: Splats) -> list[Member]:
         """As many models as there are to be, all of these splats."""
@@ -666,21 +670,24 @@ class Trainer:
             ValueError, KeyError: they are not what those return.
         """
         # What was found of the photos then: a run that stereo gave no points does not ask it again.
+        known = self._known
         if state.get("known") is not None:
-            self._known = real("known", state["known"], low=0)
-            self._judge()
-        if members_in(tensors) != self._models:
-            raise ValueError(f"it has {members_in(tensors)} models, expected {self._models}")
-        like = self.model
-        members = [Member(place, like, self.team) for place in range(self._models)]
+            known = real("known", state["known"], low=0)
+        models, like = self._models_for(known)[0], self.model
+        if members_in(tensors) != models:
+            raise ValueError(f"it has {members_in(tensors)} models, expected {models}")
+        members = [Member(place, like, self.team) for place in range(models)]
         for member in members:
             member.check(tensors, like)
+        if len({member.of(tensors)["param/shN"].shape[1] for member in members}) > 1:
+            raise ValueError("its models have different SH degrees")
         if self.team and self.team.leads:
             self.team.say(orders.restore(state))
             self.team.share(tensors)
         length = self.config.iterations
         if self.config.time_budget:
             length = whole("iterations", state.get("iterations", length), low=1)
+        self._judge(known)
         self.replan(length)
         factor = state.get("factor")
         self._factor = math.inf if factor is None else real("factor", factor, low=1)
@@ -699,7 +706,7 @@ class Trainer:
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
         self._skipped = whole("skipped", state["skipped"])
-        self.removal.restore(state)
+        self.removal.restore(state, models=models)
 
     def _first_splats(
         self, start: Splats | None, cloud: PointCloud, count: int, cameras: Cameras
@@ -718,10 +725,13 @@ class Trainer:
         if start is not None:
             return splats_to_go_on_with(start, config, self.frame), free_space
         if (sky := sky_splats(config, self.photos, cameras, cloud.points)) is None:
-            return splats_of_cloud(cloud, near, config, self.plan, self.frame), free_space
-        rest = replace(config, max_splats=config.max_splats - len(sky))
-        first = splats_of_cloud(cloud, near, rest, self.plan, self.frame)
-        return joined([first, sky]), free_space
+            return self._of_cloud(cloud, near, sky=0), free_space
+        return joined([self._of_cloud(cloud, near, sky=len(sky)), sky]), free_space
+
+    def _of_cloud(self, cloud: PointCloud, near: Nearest, *, sky: int) -> Splats:
+        most = max(self.plan.max_splats - sky, 1)
+        seed = self.config.seed
+        return splats_of_cloud(cloud, near, self.plan, self.frame, most=most, seed=seed)
 
     def _whole(self, trained: Splats) -> Splats:
         """`trained` splats after those that stand still, COLMAP world."""
@@ -748,7 +758,9 @@ class Trainer:
             return
         mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
         slopes = self.team.numbers(mine) if self.team else np.array([mine])
-        self.learnt.learn(indices, slopes, done=done, factor=self.rate_factor)
+        # Each model has its own photo: as many more steps, each as much shorter.
+        factor = self.rate_factor / len(self.members)
+        self.learnt.learn(indices, slopes, done=done, factor=factor)
 
     def _step_opacities(self, model: Model, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import PRESETS, Strategy, TrainConfig
+from gscore.config import PRESETS, Stereo, Strategy, TrainConfig
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
@@ -19,7 +19,7 @@ from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.photos.views import Sampler
 from gscore.trainer.ranks.member import members_in
 from gscore.trainer.rows.ensemble import shared_opacities
-from gscore.trainer.schedule.enough import models_of
+from gscore.trainer.schedule.enough import models_of, models_to_expect
 from gscore.trainer.trainer import Trainer
 
 ONE = TrainConfig(
@@ -71,11 +71,11 @@ def test_each_model_sees_each_view_once_an_epoch() -> None:
     """Oracle: the set of views; no two see the same at one step; what comes next is foretold."""
     sampler, generator = Sampler(range(7)), torch.Generator(device="cpu").manual_seed(1)
     seen: list[list[int]] = []
-    for _ in range(7):
+    for place in range(7):
         ahead = sampler.upcoming(1, 3)
         sampler.next(generator)
         seen.append(sampler.beside(3))
-        assert ahead in ([], [seen[-1]])
+        assert ahead == ([seen[-1]] if place else []), "an epoch is not drawn before it begins"
         assert seen[-1][0] == sampler.order[sampler.position - 1]
         assert len(set(seen[-1])) == 3
     assert all(sorted(views) == list(range(7)) for views in zip(*seen, strict=True))
@@ -101,6 +101,7 @@ def test_as_many_splats_in_one_place_take_as_much_light_as_one_did(models: int) 
     extremes = torch.tensor([-200.0, -6.0, 30.0, 200.0])
     shared = shared_opacities(extremes, models)
     assert torch.isfinite(shared).all()
+    assert torch.isnan(shared_opacities(torch.tensor([torch.nan]), models)).all()
     assert torch.equal(shared[:2], extremes[:2])
     assert shared_opacities(extremes, 1) is extremes
 
@@ -135,11 +136,9 @@ def test_it_shows_the_mean_of_its_models(make_photos: Callable[..., Any]) -> Non
         size = int(cameras.widths[1]), int(cameras.heights[1])
         return render(splats, cameras.Ks[1], cameras.viewmats[1], *size).rgb
 
-    first = len(trainer.members[0].model)
     alone = [trainer._in_world(dict(member.model.settled())) for member in trainer.members]
     pictures = [drawn(splats) for splats in alone]
     mean, shown = (pictures[0] + pictures[1]) / 2, drawn(trainer.splats())
-    assert first < trainer.splat_count
     error = float(np.abs(shown - mean).mean())
     assert error < 0.8 * min(float(np.abs(picture - mean).mean()) for picture in pictures)
 
@@ -171,6 +170,11 @@ def test_a_state_of_other_models_is_refused(photos: Any) -> None:
     broken["1/param/means"] = broken["1/param/means"][1:].clone()
     with pytest.raises(ValueError, match="float32, got"):
         two.restore(two.state(), broken)
+    other = dict(two.tensors())
+    for kind in ("param", "m1", "m2", "gathered"):
+        other[f"1/{kind}/shN"] = torch.zeros(len(two.members[1].model), 3, 3)
+    with pytest.raises(ValueError, match="different SH degrees"):
+        two.restore(two.state(), other)
     assert bits(two.tensors()) == before
 
 
@@ -195,25 +199,34 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
 
 
 @pytest.mark.parametrize(
-    ("ensemble", "below", "known", "mask_mode", "given", "models"),
+    ("ensemble", "below", "known", "mask_mode", "points", "models"),
     [
-        (2, 0.35, 0.25, "none", False, 2),
-        (3, 0.35, 0.25, "ignore", False, 3),
-        (2, 0.35, 0.35, "none", False, 1),
-        (2, 0.35, None, "none", False, 1),
-        (2, 0.35, 0.25, "composite", False, 1),
-        (2, 0.0, 0.9, "composite", False, 2),
-        (2, 0.0, None, "none", False, 2),
-        (2, 0.0, None, "none", True, 1),
-        (1, 0.35, 0.1, "none", False, 1),
+        (2, 0.35, 0.25, "none", 9000, 2),
+        (3, 0.35, 0.25, "ignore", 9000, 3),
+        (2, 0.35, 0.25, "none", 0, 2),
+        (2, 0.35, 0.25, "none", 100_000, 2),
+        (2, 0.35, 0.25, "none", 100_001, 1),
+        (2, 0.35, 0.35, "none", 9000, 1),
+        (2, 0.35, None, "none", 9000, 1),
+        (2, 0.35, 0.25, "composite", 9000, 1),
+        (2, 0.0, 0.9, "composite", 500_000, 2),
+        (2, 0.0, None, "none", 9000, 2),
+        (1, 0.35, 0.1, "none", 9000, 1),
     ],
 )
 def test_how_many_models_there_are(
-    ensemble: int, below: float, known: float | None, mask_mode: str, given: bool, models: int
+    ensemble: int, below: float, known: float | None, mask_mode: str, points: int, models: int
 ) -> None:
-    """Oracle: the text of the options; the sentence comes with the condition."""
-    config = TrainConfig(ensemble=ensemble, ensemble_below=below)
-    found, words = models_of(config, mask_mode=mask_mode, known=known, given=given)
+    """Oracle: the text of the options, 400,000 splats at most; the sentence comes with the
+    condition; what is expected before photos are compared is no less."""
+    config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO)
+    found, words = models_of(config, mask_mode=mask_mode, known=known, points=points)
+    subject = mask_mode == "composite"
+    assert models_to_expect(config, points=points, subject=subject) >= models
+    off = replace(config, stereo=Stereo.OFF, start_splats=None)
+    assert models_to_expect(off, points=points, subject=False) == (1 if below else ensemble)
+    given = replace(config, start_splats=Path("x.ply"))
+    assert models_to_expect(given, points=points, subject=False) == 1
     assert found == models
     assert bool(words) == (models > 1 and below > 0)
     if words:
@@ -246,3 +259,23 @@ def test_models_share_the_splats_and_cost_more(photos: Any) -> None:
     assert costs[0] < costs[1] < 2 * costs[0]
     grown = Cost(two.plan).splats_at(60, 0, two.splat_count)
     assert two.splat_count < grown <= 400
+
+
+@pytest.mark.parametrize("sky", [False, True])
+def test_no_more_splats_start_than_are_allowed(photos: Any, sky: bool) -> None:
+    """Oracle: 150 points; the limit, shared by the models."""
+    for models, most in ((2, 60), (3, 60), (2, 5)):
+        config = replace(TWO, ensemble=models, max_splats=most, sky=sky)
+        trainer = Trainer(config, photos)
+        assert models <= trainer.splat_count <= max(most, models)
+
+
+def test_pictures_between_steps_are_of_the_splats_there_are(photos: Any) -> None:
+    """Oracle: a trainer that did not look before."""
+    looked, fresh = Trainer(RANDOM, photos), Trainer(RANDOM, photos)
+    for _ in range(3):
+        looked.sight.picture(0, background=(0.0, 0.0, 0.0))
+        looked.step()
+        fresh.step()
+    ours, theirs = (t.sight.picture(0, background=(0.0, 0.0, 0.0)) for t in (looked, fresh))
+    assert torch.equal(ours, theirs)

@@ -13,6 +13,7 @@ from ...metrics.lpips import lpips_file, named_net
 from ...raster.api import render
 from ...splats import Splats
 from ...words import count_words
+from ..schedule.enough import models_to_expect
 from ..schedule.plan import Plan
 from .cost import Cost
 from .memory import (
@@ -110,9 +111,17 @@ def estimate(
     photos = total * (4 if masks else 3)
     network = lpips_file(config.lpips)
     lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
+    # Whether photos agree is not known yet; where they do, it is sooner done.
+    models = models_to_expect(config, points=points, subject=subject)
 
     def needed(splats: int, pixels: int) -> int:
-        return training_bytes(splats=splats, sh_degree=config.sh_degree, pixels=pixels, lpips=lpips)
+        return training_bytes(
+            splats=splats,
+            sh_degree=config.sh_degree,
+            pixels=pixels,
+            lpips=lpips,
+            joined=models > 1,
+        )
 
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
     rest = maps + stay + max(needed(config.max_splats, largest), at_start)
@@ -141,9 +150,6 @@ def estimate(
         fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0
         fitting_width = _most(lambda width: fit(config.max_splats, width), widest)
         fitting_width = fitting_width if fitting_width >= _SMALLEST_WIDTH else 0
-    # Whether photos agree is not known yet; where they do, it is sooner done.
-    models = 1 if subject and config.ensemble_below else min(config.ensemble, config.max_splats)
-    models = 1 if config.start_splats else models
     plan = Plan.of(
         config,
         extent=1.0,

@@ -43,7 +43,9 @@ _DEPTH_BYTES = 11
 """Bytes a pixel while depth maps are read: value and confidence in float32, and the target."""
 
 
-def training_bytes(*, splats: int, sh_degree: int, pixels: int, lpips: bool = False) -> int:
+def training_bytes(
+    *, splats: int, sh_degree: int, pixels: int, lpips: bool = False, joined: bool = False
+) -> int:
     """Memory that training needs at most, without photos and what Python and torch take.
 
     Args:
@@ -51,12 +53,14 @@ def training_bytes(*, splats: int, sh_degree: int, pixels: int, lpips: bool = Fa
         sh_degree: Highest degree.
         pixels: Of the largest view.
         lpips: Whether LPIPS is measured at the end.
+        joined: Whether there are several models, which pictures show as one.
     """
     numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[sh_degree])
     step = splats * (_NUMBER * numbers + _STEP_PER_SPLAT) + pixels * _STEP_PER_PIXEL
     look = splats * (_LOOK_NUMBER * numbers + _LOOK_PER_SPLAT)
     look += _LPIPS + pixels * _LPIPS_PER_PIXEL if lpips else pixels * _LOOK_PER_PIXEL
-    return max(step, look) + _BASE
+    copy = splats * _LOOK_NUMBER * numbers if joined else 0
+    return max(step, look) + copy + _BASE
 
 
 def photo_memory(photos: int, config: TrainConfig, *, anew: bool) -> int:

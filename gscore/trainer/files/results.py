@@ -187,6 +187,8 @@ def _resolved(trainer: Trainer) -> dict[str, Any]:
     """The trainer's plan under the names of the options, rates as they are applied."""
     values = asdict(trainer.plan)
     del values["stages"], values["kept"]  # made of several options
+    values["ensemble"] = values.pop("models")
+    values["max_splats"] = trainer.config.max_splats  # those of each model are its share
     values["means_lr"], values["means_lr_final"] = values["means_lr"]
     return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}
 

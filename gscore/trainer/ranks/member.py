@@ -1,5 +1,6 @@
 """One of the models that are trained side by side, and what goes into a checkpoint of it."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +10,9 @@ from ..rows.model import Model, Moments
 from ..rows.stored import check_tensors, whole
 from .gradients import BatchGradients, gathered_of
 from .team import Team
+
+_PLACE = re.compile(r"([1-9])/")
+"""What the names of all models but the first begin with in a checkpoint."""
 
 
 class Member:
@@ -24,7 +28,7 @@ class Member:
     def of(self, stored: Mapping[str, Any]) -> dict[str, Any]:
         """What is this member's of the tensors, or of the state, of a checkpoint."""
         if self.place == 0:
-            return {key: value for key, value in stored.items() if not key[0].isdigit()}
+            return {key: value for key, value in stored.items() if _PLACE.match(key) is None}
         name = self._name("")
         found = {key: value for key, value in stored.items() if key.startswith(name)}
         return {key.removeprefix(name): value for key, value in found.items()}
@@ -87,4 +91,4 @@ class Member:
 
 def members_in(tensors: Mapping[str, Any]) -> int:
     """How many models the tensors of a checkpoint are of."""
-    return 1 + max((int(key.split("/")[0]) for key in tensors if key[0].isdigit()), default=0)
+    return 1 + max((int(found[1]) for key in tensors if (found := _PLACE.match(key))), default=0)

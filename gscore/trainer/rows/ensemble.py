@@ -10,7 +10,8 @@ from ...splats import PARAMETERS
 
 _DRAWN_FROM = 1 / 255
 """Nothing fainter is drawn (Kerbl et al. 2023), so this is where the tail of a splat ends."""
-_NODES = 100_001
+_TOP, _NODES = 1 - 1e-6, 20_001
+"""Last and number of the opacities in the table."""
 
 
 def shown_as_one(models: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
@@ -44,19 +45,21 @@ def shared_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
     """
     if models == 1:
         return opacities
-    nodes, depths = _depths()
-    o = torch.sigmoid(opacities.double()).numpy()
-    shared = np.interp(np.interp(o, nodes, depths) / models, depths, nodes)
-    out = torch.logit(torch.from_numpy(shared)).float()
-    return torch.where(torch.from_numpy(o > _DRAWN_FROM), out, opacities)
+    shared = _shared(models)
+    o = torch.sigmoid(opacities.double())  # float32 is not the same bits in parts and as a whole
+    at = (o - _DRAWN_FROM) * ((_NODES - 1) / (_TOP - _DRAWN_FROM))
+    at = torch.nan_to_num(at).clamp(0, _NODES - 1.01)
+    before, share = at.long(), at.frac()
+    found = torch.lerp(shared[before], shared[before + 1], share)
+    return torch.where(o > _DRAWN_FROM, torch.logit(found).float(), opacities)
 
 
 @cache
-def _depths() -> tuple[np.ndarray, np.ndarray]:
-    """Opacities from 1/255 to almost 1, and the optical depth that splats of these take, in
-    2 pi standard deviations squared; both rise."""
+def _shared(models: int) -> torch.Tensor:
+    """[_NODES] float64: what opacities at even distances, from 1/255 to _TOP, are shared as."""
     from scipy.special import spence  # half a second, and only ensembles need it
 
-    nodes = np.linspace(_DRAWN_FROM, 1 - 1e-6, _NODES)
+    nodes = np.linspace(_DRAWN_FROM, _TOP, _NODES)
     depths = spence(1 - nodes)  # of 1 - x it is Li2(x)
-    return nodes, depths - depths[0]
+    depths -= depths[0]
+    return torch.from_numpy(np.interp(depths / models, depths, nodes))

@@ -16,17 +16,17 @@ from .params import splats_from_points
 
 
 def splats_of_cloud(
-    cloud: PointCloud, near: Nearest, config: TrainConfig, plan: Plan, frame: Frame
+    cloud: PointCloud, near: Nearest, plan: Plan, frame: Frame, *, most: int, seed: int
 ) -> Splats:
-    """One splat a point of `cloud` (training world), thinned to `max_splats`; `near`: the points of
-    the cloud that are finite."""
+    """One splat a point of `cloud` (training world), thinned to `most` by `seed`; `near`: the
+    points of the cloud that are finite."""
     return splats_from_points(
         cloud,
         extent=frame.extent,
         opacity=plan.init_opacity,
         scale=plan.init_scale,
-        max_splats=config.max_splats,
-        seed=config.seed,
+        max_splats=most,
+        seed=seed,
         near=near,
     )
 

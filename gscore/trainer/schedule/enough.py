@@ -52,26 +52,42 @@ def thins_subject(config: TrainConfig, *, mask_mode: str, known: float | None) -
     return mask_mode == "composite" and config.drop_rate > 0 and agrees
 
 
+def models_to_expect(config: TrainConfig, *, points: int, subject: bool) -> int:
+    """How many models a run trains side by side, unless photos agree in more than
+    `ensemble_below`, which is not known before they are compared.
+
+    Args:
+        config: `ensemble`, and `ensemble_below`, its condition.
+        points: Of the capture; those of which a model would have no room to grow leave one.
+        subject: Whether masks are opacity.
+    """
+    models = min(config.ensemble, config.max_splats)
+    if config.start_splats is not None or not config.ensemble_below:
+        return 1 if config.start_splats is not None else models
+    compared = config.stereo != Stereo.OFF and points_to_add(config, points) > 0
+    compared &= points == 0 or config.stereo != Stereo.MISSING
+    roomy = 2 * points <= config.max_splats // models
+    return models if compared and roomy and not subject else 1
+
+
 def models_of(
-    config: TrainConfig, *, mask_mode: str, known: float | None, given: bool
+    config: TrainConfig, *, points: int, mask_mode: str, known: float | None
 ) -> tuple[int, str]:
     """How many models are trained side by side for these photos.
 
     Args:
-        config: `ensemble`, and `ensemble_below`, its condition.
+        config: As `models_to_expect`.
+        points: As `models_to_expect`.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
         known: As `thins_subject`.
-        given: Whether the run starts from splats that were given, which are one model.
 
     Returns:
         The number, and a sentence where photos decide that there are several; empty: they do not.
     """
-    models = min(config.ensemble, config.max_splats)
-    if given or models == 1:
-        return 1, ""
-    if not config.ensemble_below:
+    models = models_to_expect(config, points=points, subject=mask_mode == "composite")
+    if models == 1 or not config.ensemble_below:
         return models, ""
-    if mask_mode == "composite" or known is None or known >= config.ensemble_below:
+    if known is None or known >= config.ensemble_below:
         return 1, ""
     return models, (
         f"Photos agree on the depth of {known:.0%} of their pixels: {models} models, each with its "

@@ -117,27 +117,27 @@ class Removal:
         self._pruned[place] = before + count
         return count
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, int | bool]:
         """All that the next removals depend on, as JSON values."""
         return {
             "cleared": self.around.count,
             "crowded": self.around.crowded,
             "guide_cleared": self.guided.count,
             "guide_crowded": self.guided.crowded,
-            "pruned": [self._pruned.get(i, 0) for i in range(max(self._pruned, default=-1) + 1)],
-        }
+            "pruned": self._pruned.get(0, 0),
+        } | {f"{place}/pruned": count for place, count in self._pruned.items() if place}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned, among other keys.
+    def restore(self, state: dict[str, Any], *, models: int = 1) -> None:
+        """Go on from what `state` returned of so many models, among other keys.
 
         Raises:
             ValueError, KeyError: it is not what that returns.
         """
         self.around.restore(state, "cleared", "crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")
-        pruned = state["pruned"]
-        counts = pruned if isinstance(pruned, list) else [pruned]
-        self._pruned = {place: whole("pruned", count) for place, count in enumerate(counts)}
+        self._pruned = {0: whole("pruned", state["pruned"])}
+        for place in range(1, models):
+            self._pruned[place] = whole("pruned", state.get(f"{place}/pruned", 0))
 
     def _weights(self, model: Model) -> Iterator[Weights]:
         return weights_by_view(
