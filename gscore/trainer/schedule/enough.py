@@ -90,9 +90,10 @@ def models_of(
     if known is None or known >= config.ensemble_below:
         return 1, ""
     return models, (
-        f"Photos agree on the depth of {known:.0%} of their pixels: {models} models, each with its "
-        "share of the splats, are trained side by side and shown as one, for unseen views "
-        "(--ensemble 1 trains one)."
+        f"Photos agree on the depth of {known:.0%} of their pixels, less than "
+        f"{config.ensemble_below:.0%}: {models} models, each with its share of the splats, are "
+        "trained side by side and shown as one. That takes longer, and views between the photos "
+        "are better (--ensemble 1 trains one)."
     )
 
 
