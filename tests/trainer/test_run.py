@@ -185,6 +185,8 @@ def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -
     assert second.train_seconds > first.train_seconds
     whole, parts = (tmp_path / n / "point_cloud.ply" for n in ("whole", "parts"))
     assert whole.read_bytes() == parts.read_bytes()
+    degrees = [result.metrics["sh_degree"] for result in (first, second)]
+    assert degrees == [0, 1], "those of the files; the second comes into use after step 20"
     steps = [entry["step"] for entry in second.metrics["history"]]
     checkpoint = checkpoints_in(tmp_path / "parts")[40]
     wanted = [(entry["step"], entry["loss"]) for entry in second.metrics["history"]]

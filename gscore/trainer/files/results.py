@@ -128,7 +128,7 @@ class Results:
             mask_mode=photos.mask_mode,
             background=trainer.sight.background,
             splats=trainer.splat_count,
-            sh_degree=trainer.config.sh_degree,
+            sh_degree=trainer.model.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
             isa=backend.isa(),
             threads=self.threads,
