@@ -382,7 +382,8 @@ class Trainer:
         self._assert_finite(model, turn, value)
         change, bad_rows = self._learn(member, step, v_means2d, turn.view, count)
         self.bad_rows += bad_rows
-        pruned = self.removal.prune(model, self.plan, step, place=member.place)
+        pruned = self.removal.prune(model, self.plan, step, pruned=member.pruned)
+        member.pruned += pruned
         change = replace(change, removed=change.removed + pruned)
         laps.lap("learn")
         lost_rows = self._hold(model) if step % _HOLD_EVERY == 0 else 0
@@ -706,7 +707,7 @@ class Trainer:
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
         self._skipped = whole("skipped", state["skipped"])
-        self.removal.restore(state, models=models)
+        self.removal.restore(state)
 
     def _first_splats(
         self, start: Splats | None, cloud: PointCloud, count: int, cameras: Cameras

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import PRESETS, Stereo, Strategy, TrainConfig
+from gscore.config import PRESETS, Background, Stereo, Strategy, TrainConfig
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
@@ -21,19 +21,9 @@ from gscore.trainer.ranks.member import members_in
 from gscore.trainer.rows.ensemble import shared_opacities
 from gscore.trainer.schedule.enough import models_of, models_to_expect
 from gscore.trainer.trainer import Trainer
+from tests.trainer.short_run import CONFIG
 
-ONE = TrainConfig(
-    iterations=60,
-    max_splats=200,
-    sh_degree=1,
-    sh_every=12,
-    refine_start=10,
-    refine_stop=50,
-    refine_every=10,
-    reset_every=25,
-    grow_grad=1e-5,
-    prune_share=0.2,
-)
+ONE = replace(CONFIG, max_splats=200, sh_degree=1, prune_share=0.2, background=Background.AUTO)
 """Draws no random number but the order of the views, so that runs can be compared."""
 TWO = replace(ONE, ensemble=2, max_splats=400)
 RANDOM = replace(TWO, drop_rate=0.2, seed=3)

@@ -24,6 +24,8 @@ class Member:
         self.model = model
         self.batch = BatchGradients(team) if team else None
         """The gradients of a batch; None: one process trains alone."""
+        self.pruned = 0
+        """Splats taken out so far because there were to be fewer."""
 
     def of(self, stored: Mapping[str, Any]) -> dict[str, Any]:
         """What is this member's of the tensors, or of the state, of a checkpoint."""
@@ -36,7 +38,11 @@ class Member:
     def state(self) -> dict[str, Any]:
         """What is not a tensor, as JSON values."""
         model = self.model
-        return {self._name("adam_steps"): {name: model.steps(name) for name in model.params}}
+        found = {
+            "adam_steps": {name: model.steps(name) for name in model.params},
+            "pruned": self.pruned,
+        }
+        return {self._name(key): value for key, value in found.items()}
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All tensors that its next step depends on, by name; no copies."""
@@ -67,7 +73,9 @@ class Member:
         Raises:
             ValueError, KeyError: they are not what those return.
         """
-        mine, steps = self.of(tensors), self.of(state)["adam_steps"]
+        mine, stated = self.of(tensors), self.of(state)
+        steps = stated["adam_steps"]
+        self.pruned = whole("pruned", stated["pruned"])
         gathered = gathered_of(mine, rank, size)
         names = list(self.model.params)
         moments = {

@@ -18,11 +18,8 @@ def shown_as_one(models: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.T
     """The raw parameters of one model that looks like the mean of several.
 
     Args:
-        models: Raw parameters of each, as in `Splats`, of one SH degree; of a single one, these
-            are what is returned.
+        models: Raw parameters of each, as in `Splats`, of one SH degree.
     """
-    if len(models) == 1:
-        return models[0]
     joined = {name: torch.cat([model[name] for model in models]) for name in PARAMETERS}
     return joined | {"opacities": shared_opacities(joined["opacities"], len(models))}
 

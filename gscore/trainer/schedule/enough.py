@@ -61,9 +61,11 @@ def models_to_expect(config: TrainConfig, *, points: int, subject: bool) -> int:
         points: Of the capture; those of which a model would have no room to grow leave one.
         subject: Whether masks are opacity.
     """
+    if config.start_splats is not None:
+        return 1
     models = min(config.ensemble, config.max_splats)
-    if config.start_splats is not None or not config.ensemble_below:
-        return 1 if config.start_splats is not None else models
+    if not config.ensemble_below:
+        return models
     compared = config.stereo != Stereo.OFF and points_to_add(config, points) > 0
     compared &= points == 0 or config.stereo != Stereo.MISSING
     roomy = 2 * points <= config.max_splats // models

@@ -1,7 +1,7 @@
 """Splats that go because of what photos, masks and cameras say, whatever the strategy does."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 
@@ -81,7 +81,6 @@ class Removal:
         """The space around cameras."""
         self.guided = Emptied(guided)
         """The space before a guide."""
-        self._pruned: dict[int, int] = {}
 
     def clear(self, model: Model, plan: Plan, step: int) -> int:
         """Take out what stands where nothing is to stand: around cameras and before a guide."""
@@ -106,15 +105,13 @@ class Removal:
         self._take_out(model, hidden)
         return count
 
-    def prune(self, model: Model, plan: Plan, step: int, *, place: int = 0) -> int:
-        """Take out what adds least to the photos, once there are to be fewer splats; `place` is
-        that of the model among those that are trained side by side."""
-        before = self._pruned.get(place, 0)
-        count = plan.surplus_at(step, len(model), before)
+    def prune(self, model: Model, plan: Plan, step: int, *, pruned: int) -> int:
+        """Take out what adds least to the photos, once there are to be fewer splats; `pruned` went
+        as such before."""
+        count = plan.surplus_at(step, len(model), pruned)
         if count == 0:
             return 0
         self._take_out(model, least(most_in_a_view(self._weights(model), len(model)), count))
-        self._pruned[place] = before + count
         return count
 
     def state(self) -> dict[str, int | bool]:
@@ -124,20 +121,16 @@ class Removal:
             "crowded": self.around.crowded,
             "guide_cleared": self.guided.count,
             "guide_crowded": self.guided.crowded,
-            "pruned": self._pruned.get(0, 0),
-        } | {f"{place}/pruned": count for place, count in self._pruned.items() if place}
+        }
 
-    def restore(self, state: dict[str, Any], *, models: int = 1) -> None:
-        """Go on from what `state` returned of so many models, among other keys.
+    def restore(self, state: dict[str, int | bool]) -> None:
+        """Go on from what `state` returned, among other keys.
 
         Raises:
             ValueError, KeyError: it is not what that returns.
         """
         self.around.restore(state, "cleared", "crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")
-        self._pruned = {0: whole("pruned", state["pruned"])}
-        for place in range(1, models):
-            self._pruned[place] = whole("pruned", state.get(f"{place}/pruned", 0))
 
     def _weights(self, model: Model) -> Iterator[Weights]:
         return weights_by_view(
