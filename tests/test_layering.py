@@ -88,24 +88,16 @@ TRAINER = {
     "guide": {"depth", "photos", "rows"},
     "strategy": {"host", "photos", "rows", "schedule"},
     "views": {"photos", "region", "rows"},
-    "trainer": {
-        "depth",
-        "guide",
-        "host",
-        "photos",
-        "ranks",
-        "region",
-        "rows",
-        "schedule",
-        "strategy",
-    }
+    "step": {"depth", "guide", "host", "photos", "ranks", "rows", "schedule", "strategy"}
     | {"views"},
+    "trainer": {"depth", "guide", "host", "photos", "ranks", "region", "rows", "schedule"}
+    | {"step", "strategy", "views"},
     "evaluation": {"trainer"},
     "premises": {"trainer"},
     "length": {"estimate", "evaluation", "rows", "schedule", "trainer"},
     "files": {"depth", "evaluation", "length", "photos", "ranks", "rows", "trainer", "views"},
-    "session": {"depth", "estimate", "evaluation", "files", "length", "ranks", "rows", "trainer"}
-    | {"views"},
+    "session": {"depth", "estimate", "evaluation", "files", "length", "ranks", "rows", "step"}
+    | {"trainer", "views"},
     "beginning": {"files", "photos", "rows", "session", "trainer"},
     "prepare": {
         "depth",

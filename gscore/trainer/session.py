@@ -35,7 +35,8 @@ from .length.steering import Steering
 from .length.watchdog import Watchdog
 from .ranks.waits import Waits
 from .rows.stored import records, texts
-from .trainer import StepResult, Trainer
+from .step.result import StepResult
+from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.placing import Placing
 

@@ -4,38 +4,34 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 
-from ..config import Background, Skip, TrainConfig
+from ..config import Skip, TrainConfig
 from ..errors import DatasetError, GsError
 from ..formats.joined import joined
 from ..io.block_record import BlockRecord
 from ..raster.header import OUT_INVERSE_DEPTH
-from ..raster.loss import image_loss_gradient
-from ..raster.memory import empty, zeros
+from ..raster.memory import zeros
 from ..raster.painter import Picture
 from ..raster.request import Frustum, Settings
-from ..scene import Cameras, PointCloud
+from ..scene import PointCloud
 from ..splats import Splats
 from ..words import count_words, number
 from .depth.loss import DepthLoss
-from .depth.regularisers import drop_rate_at, drop_rate_of, drop_splats, opacity_loss, see_through
+from .depth.regularisers import drop_rate_at, drop_rate_of, drop_splats
 from .depth.targets import DepthTargets
 from .guide.loss import GuideLoss
 from .guide.setup import GuideSetup
 from .guide.space import KeptFree
 from .host.laps import Laps
-from .host.random import generator_of, uniform
-from .photos.pyramid import AHEAD, Sized
+from .host.random import generator_of
 from .photos.skips import raster_bits
-from .photos.sky import sky_splats
 from .photos.views import Photos, Sampler
 from .ranks import losses, orders
 from .ranks.agree import crc_of
-from .ranks.alike import alike_together
 from .ranks.member import Member, members_in
 from .ranks.team import Team
 from .region.box import Box
@@ -44,20 +40,21 @@ from .rows import bounds, finest, guard
 from .rows.ensemble import shared_opacities
 from .rows.frame import Frame
 from .rows.model import Model, ShN
-from .rows.near import Nearest
 from .rows.params import splats_of_tensors, tensors_from_splats
-from .rows.start import splats_of_cloud, splats_to_go_on_with
-from .rows.stored import choices, measurements, real, whole
+from .rows.stored import real, whole
 from .schedule.batches import photos_at_once
-from .schedule.enough import models_of
+from .schedule.enough import models_of, splats_of_each
 from .schedule.plan import Plan
+from .step.glances import Glance, Glances
+from .step.loss import LossAndGradients, StepLoss
+from .step.result import StepResult, together
 from .strategy import Change, DrawnView, everywhere, make_strategy, ops
-from .strategy.free_space import FreeSpace
+from .strategy.first import first_splats
 from .strategy.removal import Removal
 from .views.gains import PhotoGains, without_background
 from .views.learnt import Learnt, learnt_poses
 from .views.placing import Placing
-from .views.sight import COLORS, Sight, mse_of_counted
+from .views.sight import Sight
 
 _IN_CELL = (
     "Splats are added in the block's cell alone: those around it, which `gscore merge` leaves out, "
@@ -70,58 +67,6 @@ _HOLD_EVERY = 100
 """Steps between two looks at the bounds of `bounds`."""
 _ROWS_A_PART = 1 << 16
 """Splats that are looked at together where not all need be."""
-
-
-class StepResult(NamedTuple):
-    """What a step measured and did."""
-
-    loss: float
-    mse: float
-    """Mean squared error of the view's pixels that count, before the step."""
-    change: Change
-    """What the strategy did."""
-    bad_rows: int
-    """Splats whose gradients were not finite and were left out."""
-    skipped: bool
-    """The loss was not finite or came from splats that ran away, so nothing was learnt."""
-    lost_rows: int = 0
-    """Splats that ran away and were taken out."""
-    cleared_rows: int = 0
-    """Splats that were taken out before a guide."""
-
-
-class _Turn(NamedTuple):
-    """What a step looks at."""
-
-    indices: list[int]
-    """Views of the batch, one for each rank."""
-    index: int
-    """This rank's view."""
-    sized: Sized
-    """It, with its photo."""
-    background: tuple[float, float, float]
-    gain: torch.Tensor | None
-    """[3]: how its photo was exposed, where that is learnt."""
-    depth_terms: list[tuple[float, DepthLoss | GuideLoss]]
-    """Losses of its inverse depth, by maps and by a guide, with their weights."""
-
-    @property
-    def view(self) -> Frustum:
-        """This rank's view."""
-        return self.sized.view
-
-
-class _Loss(NamedTuple):
-    """What a picture of this rank's view is worth, and the gradients in it besides that in RGB."""
-
-    value: float
-    mse: float
-    """Mean squared error of the pixels that count."""
-    v_log_gain: tuple[float, float, float]
-    v_alpha: torch.Tensor | None
-    """[H, W]; None: the loss does not depend on it."""
-    v_inverse_depth: torch.Tensor | None
-    """As `v_alpha`."""
 
 
 class Trainer:
@@ -178,7 +123,7 @@ class Trainer:
         """Those with whom each step is taken together; None: this process trains alone."""
         self.frame = frame or Frame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
-        most = max(config.max_splats // self._models, 1)
+        most = splats_of_each(config, self._models)
         count = min(len(cloud), most) if start is None else len(start)
         given = photos.scene.cameras
         self._plan_of = partial(
@@ -189,7 +134,6 @@ class Trainer:
             pixels=int((given.widths * given.heights)[list(photos.train)].mean()),
             subject=photos.mask_mode == "composite",
         )
-        self._factor = math.inf
         self.depth: DepthLoss | None = None
         """The depth loss, where depth is supervised."""
         if depth is not None:
@@ -206,8 +150,6 @@ class Trainer:
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = Sampler(photos.train)
-        self._costs: dict[int, float] = {}
-        """What drawing each view took when a team last did; the same on all ranks."""
         self.steps = 0
         """Steps taken."""
         self.bad_rows = 0
@@ -217,7 +159,6 @@ class Trainer:
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
-        self._v_rgb = empty(0)
         self.laps = Laps()
         """What the parts of the last step took."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
@@ -230,7 +171,9 @@ class Trainer:
         """What stands around them and is drawn with them; None: nothing does."""
         if region is not None and start is not None:
             start, self.still = parted(start, region, config, self.frame)
-        first, free_space = self._first_splats(start, cloud, count, cameras)
+        first, free_space = first_splats(
+            config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
+        )
         self.members = self._members_of(first)
         """The models that are trained side by side; of given splats there is one."""
         self.sight = Sight(
@@ -245,11 +188,23 @@ class Trainer:
         )
         """The splats as cameras see them."""
         self._painter = self.sight.painter
+        self._glances = Glances(
+            config,
+            self.sampler,
+            self.sight,
+            self.learnt,
+            self.generator,
+            mask_mode=photos.mask_mode,
+            team=team,
+        )
+        self._loss = StepLoss(
+            config, mask_mode=photos.mask_mode, depth=self.depth, guide=self.guide
+        )
         self.removal = Removal(
             config,
             free_space,
             self._painter,
-            self._training_views,
+            self._glances.training_views,
             masks_hide=photos.mask_mode == "ignore",
             guided=KeptFree(guide.free, given, self.frame.similarity)
             if guide is not None and guide.free
@@ -321,7 +276,7 @@ class Trainer:
     @property
     def photo_factor(self) -> float:
         """What the sides of the photo of the last step were divided by."""
-        return self._factor
+        return self._glances.factor
 
     def step(self) -> StepResult:
         """Render a view, compare it with the photo, improve the splats.
@@ -349,38 +304,42 @@ class Trainer:
         cleared = self.removal.guided.count
         for member in self.members:
             self._widen_to(member, self.plan.sh_degree_at(step))
-        turns = self._turns(step, count)
-        laps.pixels = sum(turn.view.width * turn.view.height for turn in turns)
+        try:
+            glances = self._glances.draw(self.plan, step, photos=count, models=len(self.members))
+        except GsError:
+            self._collect_now()
+            raise
+        laps.pixels = sum(glance.view.width * glance.view.height for glance in glances)
         laps.lap("photo")
-        pairs = zip(self.members, turns, strict=True)
-        result = _together([self._step_of(member, turn, step) for member, turn in pairs])
+        pairs = zip(self.members, glances, strict=True)
+        result = together([self._step_of(member, glance, step) for member, glance in pairs])
         self._note_skipped(result.skipped)
         return result._replace(cleared_rows=self.removal.guided.count - cleared)
 
-    def _step_of(self, member: Member, turn: _Turn, step: int) -> StepResult:
+    def _step_of(self, member: Member, glance: Glance, step: int) -> StepResult:
         """The part of `step` that one of the models takes."""
-        config, model, laps, count = self.config, member.model, self.laps, len(turn.indices)
-        for index in turn.indices:  # also for those of other ranks, whose rows are then the same
-            model.settle_for(self.sight.view(index, self._factor), threads=config.threads)
+        config, model, laps, count = self.config, member.model, self.laps, len(glance.indices)
+        for index in glance.indices:  # also for those of other ranks, whose rows are then the same
+            model.settle_for(self.sight.view(index, self.photo_factor), threads=config.threads)
         laps.lap("settle")
         opacities, leaf = self._step_opacities(model, step)
-        picture = self._draw(model, turn, opacities, step)
+        picture = self._draw(model, glance, opacities, step)
         laps.lap("draw")
-        loss = self._compare(turn, picture)
-        values, errors = self._of_all(member, turn, loss)
+        loss = self._loss.of(picture, glance, step)
+        values, errors = self._of_all(member, glance, loss)
         value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
         laps.lap("loss")
-        self._assert_finite(model, turn, value)
+        self._assert_finite(model, glance, value)
         # What breaks a loss is often a splat that ran away; the next views do without it.
         sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
         lost_rows = 0 if sane else self._hold(model)
         if lost_rows or not math.isfinite(value):
             return StepResult(value, mse, Change(), 0, True, lost_rows)
-        v_means2d = self._gradients(member, turn, picture, loss, opacities, leaf)
+        v_means2d = self._gradients(member, glance, picture, loss, opacities, leaf)
         laps.add_raster(self._painter.stats())
-        self._assert_finite(model, turn, value)
-        change, bad_rows = self._learn(member, step, v_means2d, turn.view, count)
+        self._assert_finite(model, glance, value)
+        change, bad_rows = self._learn(member, step, v_means2d, glance.view, count)
         self.bad_rows += bad_rows
         pruned = self.removal.prune(model, self.plan, step, pruned=member.pruned)
         member.pruned += pruned
@@ -391,105 +350,25 @@ class Trainer:
             finest.widen(model, map(self.sight.view, self.sampler.indices), config.finest)
         return StepResult(value, mse, change, bad_rows, False, lost_rows)
 
-    def _turns(self, step: int, count: int) -> list[_Turn]:
-        """Draw the views of a step, for each model others, and take out this rank's photos.
-
-        Raises:
-            DatasetError, FormatError: one cannot be had; nothing was done.
-        """
-        batches = self._next_views(count)
-        # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
-        place = min(self.team.rank, count - 1) if self.team else 0
-        # A run that becomes longer does not go back to smaller photos.
-        self._factor = min(self._factor, self.plan.factor_at(step))
-        try:
-            found = [
-                self.sight.sized(indices[place], self._factor, upcoming=self._upcoming())
-                for indices in batches
-            ]
-        except GsError as error:  # a checkpoint can be gone on from
-            self.sampler.put_back(count)
-            if self.team:
-                losses.fail(self.team, error)
-                self._collect_now()
-            raise
-        return [
-            _Turn(
-                indices=indices,
-                index=indices[place],
-                sized=sized,
-                background=[self._step_background() for _ in range(count)][place],
-                gain=self.learnt.gain_of(indices[place]),
-                depth_terms=self._depth_terms(indices[place], step),
-            )
-            for indices, sized in zip(batches, found, strict=True)
-        ]
-
-    def _next_views(self, count: int) -> list[list[int]]:
-        """The views of a batch for each model; in a team of photos that cost alike."""
-        rows = []
-        for missing in range(count, 0, -1):
-            if self.team and self.sampler.through:
-                self.sampler.begin(self.generator)
-                size = self.team.size
-                self.sampler.order = alike_together(
-                    self.sampler.order, self._costs, size, first=missing % size
-                )
-            self.sampler.next(self.generator)
-            rows.append(self.sampler.beside(self._models))
-        return [list(views) for views in zip(*rows, strict=True)]
-
-    def _depth_terms(self, index: int, step: int) -> list[tuple[float, DepthLoss | GuideLoss]]:
-        """Losses of the inverse depth of a view that count at a step, with their weights."""
-        found: list[tuple[float, DepthLoss | GuideLoss]] = []
-        if self.depth:
-            found.append((self.depth.weight(index, step), self.depth))
-        if self.guide:
-            found.append((self.guide.weight(index), self.guide))
-        return [(weight, loss) for weight, loss in found if weight > 0]
-
-    def _draw(self, model: Model, turn: _Turn, opacities: torch.Tensor, step: int) -> Picture:
-        config = self.config
+    def _draw(self, model: Model, glance: Glance, opacities: torch.Tensor, step: int) -> Picture:
+        config, counts = self.config, self._loss.looks_at_depth(glance, step)
         return self._painter.draw(
             tuple((model.params | {"opacities": opacities}).values()),
-            turn.view,
+            glance.view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
-                background=self.sight.behind(turn.background, turn.gain),
+                background=self.sight.behind(glance.background, glance.gain),
                 antialias=config.antialias,
-                outputs=OUT_INVERSE_DEPTH if turn.depth_terms else 0,
+                outputs=OUT_INVERSE_DEPTH if counts else 0,
                 threads=config.threads,
                 disable=self._disable,
-                tiles=None if Skip.MASKED_TILE in config.without else turn.sized.tiles,
+                tiles=None if Skip.MASKED_TILE in config.without else glance.sized.tiles,
             ),
         )
 
-    def _compare(self, turn: _Turn, picture: Picture) -> _Loss:
-        """Compare a picture with its photo; the gradient in it goes to `_v_rgb`."""
-        _, image, mask, _, counted = turn.sized
-        if self._v_rgb.shape != picture.rgb.shape:
-            self._v_rgb = empty(*picture.rgb.shape)
-        found = image_loss_gradient(
-            picture.rgb,
-            torch.from_numpy(image),
-            self._v_rgb,
-            ssim_weight=self.config.ssim_weight,
-            mask=None if mask is None else torch.from_numpy(mask),
-            mask_mode="none" if mask is None else self.photos.mask_mode,
-            background=turn.background,
-            threads=self.config.threads,
-            gain=turn.gain,
-        )
-        more, v_alpha, v_inverse_depth = self._further_terms(turn, picture)
-        return _Loss(
-            value=found.loss + more,
-            mse=mse_of_counted(found.mse, counted),
-            v_log_gain=found.v_log_gain,
-            v_alpha=v_alpha,
-            v_inverse_depth=v_inverse_depth,
-        )
-
-    def _of_all(self, member: Member, turn: _Turn, loss: _Loss) -> tuple[list[float], list[float]]:
+    def _of_all(
+        self, member: Member, glance: Glance, loss: LossAndGradients
+    ) -> tuple[list[float], list[float]]:
         """Losses and mean squared errors of all photos of a batch.
 
         Raises:
@@ -497,7 +376,7 @@ class Trainer:
         """
         if self.team is None or member.batch is None:
             return [loss.value], [loss.mse]
-        count = len(turn.indices)
+        count = len(glance.indices)
         sizes = member.batch.sizes(self._painter.radii, count)
         try:
             found = losses.of_all(
@@ -510,19 +389,19 @@ class Trainer:
                 sizes=sizes,
             )
         except DatasetError:
-            self.sampler.put_back(count)
+            self._glances.put_back(count)
             self._collect_now()
             raise
         member.batch.hear(found.sizes)
-        self._costs.update(zip(turn.indices, found.costs, strict=True))
+        self._glances.note_costs(glance.indices, found.costs)
         return found.values, found.errors
 
     def _gradients(
         self,
         member: Member,
-        turn: _Turn,
+        glance: Glance,
         picture: Picture,
-        loss: _Loss,
+        loss: LossAndGradients,
         opacities: torch.Tensor,
         leaf: torch.Tensor | None,
     ) -> torch.Tensor:
@@ -531,8 +410,8 @@ class Trainer:
         model, batch = member.model, member.batch
         moves = self.learnt.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._painter.gradients(
-            batch.into(model, len(turn.indices)) if batch else model.grads,
-            self._v_rgb,
+            batch.into(model, len(glance.indices)) if batch else model.grads,
+            loss.v_rgb,
             loss.v_alpha,
             loss.v_inverse_depth,
             viewmat=self._v_viewmat if moves else None,
@@ -542,11 +421,11 @@ class Trainer:
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
         self.laps.lap("gradients")
         v_log_gain = loss.v_log_gain
-        if turn.gain is not None and self.photos.mask_mode == "composite":
+        if glance.gain is not None and self.photos.mask_mode == "composite":
             v_log_gain = without_background(
-                v_log_gain, turn.background, turn.gain, self._v_rgb, picture.alpha
+                v_log_gain, glance.background, glance.gain, loss.v_rgb, picture.alpha
             )
-        self._learn_of_photos(turn.indices, v_log_gain)
+        self._learn_of_photos(glance.indices, v_log_gain)
         return v_means2d
 
     def error(self, views: int = 8) -> float:
@@ -600,18 +479,14 @@ class Trainer:
             "steps": self.steps,
             "iterations": self.plan.iterations,
             "frame": self.frame.to_dict(),
-            "order": self.sampler.order,
-            "position": self.sampler.position,
-            "costs": sorted(self._costs.items()),
             "bad_rows": self.bad_rows,
             "lost_rows": self.lost_rows,
             "known": self._known,
             "skipped": self._skipped,
-            "factor": self._factor if math.isfinite(self._factor) else None,
         }
         for member in self.members:
             found |= member.state()
-        return found | self.removal.state()
+        return found | self._glances.state() | self.removal.state()
 
     def collect(self) -> None:
         """Bring what other ranks know alone to rank 0, which calls for it."""
@@ -690,8 +565,6 @@ class Trainer:
             length = whole("iterations", state.get("iterations", length), low=1)
         self._judge(known)
         self.replan(length)
-        factor = state.get("factor")
-        self._factor = math.inf if factor is None else real("factor", factor, low=1)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
         self._painter.release()
         self.sight.forget()
@@ -700,39 +573,12 @@ class Trainer:
             member.restore(state, tensors, rank=rank, size=size)
         self.learnt.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
         self.generator.set_state(tensors["generator"])
-        self.sampler.order = choices("order", state["order"], set(self.sampler.indices))
-        self._costs = dict(measurements("costs", state.get("costs", [])))
-        self.sampler.position = whole("position", state["position"], high=len(state["order"]))
+        self._glances.restore(state)
         self.steps = whole("steps", state["steps"])
         self.bad_rows = whole("bad_rows", state["bad_rows"])
         self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
         self._skipped = whole("skipped", state["skipped"])
         self.removal.restore(state)
-
-    def _first_splats(
-        self, start: Splats | None, cloud: PointCloud, count: int, cameras: Cameras
-    ) -> tuple[Splats, FreeSpace]:
-        """What to begin with in the training world, and the space that stays empty there; both look
-        at the same neighbours of points, which take more memory than a model where points are
-        many."""
-        config = self.config
-        cloud = replace(cloud, points=self.frame.similarity.points_to_training(cloud.points))
-        near = Nearest(cloud.points, asked=count)
-        free_space = FreeSpace(
-            cameras.centers[list(self.photos.train)],
-            None if cloud.made_up else near,
-            share=config.free_space,
-        )
-        if start is not None:
-            return splats_to_go_on_with(start, config, self.frame), free_space
-        if (sky := sky_splats(config, self.photos, cameras, cloud.points)) is None:
-            return self._of_cloud(cloud, near, sky=0), free_space
-        return joined([self._of_cloud(cloud, near, sky=len(sky)), sky]), free_space
-
-    def _of_cloud(self, cloud: PointCloud, near: Nearest, *, sky: int) -> Splats:
-        most = max(self.plan.max_splats - sky, 1)
-        seed = self.config.seed
-        return splats_of_cloud(cloud, near, self.plan, self.frame, most=most, seed=seed)
 
     def _whole(self, trained: Splats) -> Splats:
         """`trained` splats after those that stand still, COLMAP world."""
@@ -777,15 +623,6 @@ class Trainer:
         """The degree in use; that of given splats from the start."""
         return max(self.plan.sh_degree_at(step), self._given_degree)
 
-    def _rates_at(self, step: int, count: int) -> dict[str, float]:
-        """Learning rates but that of positions, of a step that takes `count` photos at once: their
-        root (Zhao et al. 2024, Grendel-GS). The rate of the higher SH coefficients, which take
-        `shN_every` photos at once anyway, is that of as many."""
-        factors = dict.fromkeys(self.plan.rates, math.sqrt(count))
-        factors["shN"] = math.sqrt(max(count / self.plan.shN_every, 1.0))
-        rates = self.plan.rates_at(step)
-        return {name: self.rate_factor * rate * factors[name] for name, rate in rates.items()}
-
     def _rest_at(self, step: int, count: int) -> ShN:
         if self._sh_degree_at(step) == 0:
             return ShN.OFF
@@ -808,62 +645,13 @@ class Trainer:
             end=plan.iterations,
         )
 
-    def _upcoming(self) -> list[int]:
-        """Views that this rank will need, as far as they are drawn already."""
-        rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
-        batches = self.sampler.upcoming(AHEAD * size, self._models)[rank::size]
-        return [view for views in batches for view in views]
-
     def _mark(self, model: Model) -> float:
         """A number of the splats, where a team compares them: as often as they are held."""
         return float(crc_of(model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
 
-    def _training_views(self) -> Iterator[Sized]:
-        """All training views at the size of the last step."""
-        indices = self.sampler.indices
-        for i, index in enumerate(indices):
-            yield self.sight.sized(index, self._factor, upcoming=indices[i + 1 :])
-
-    def _step_background(self) -> tuple[float, float, float]:
-        mode = self.config.background
-        if mode is Background.AUTO:
-            composite = self.photos.mask_mode == "composite"
-            mode = Background.RANDOM if composite else Background.BLACK
-        if mode is Background.RANDOM:
-            r, g, b = uniform(3, self.generator).tolist()
-            return (r, g, b)
-        return COLORS[mode]
-
-    def _further_terms(
-        self, turn: _Turn, picture: Picture
-    ) -> tuple[float, torch.Tensor | None, torch.Tensor | None]:
-        """What depth, guides, masks and holes add to the loss of a view, and its gradients in the
-        picture's opacity and inverse depth; None: it does not depend on them."""
-        mask = turn.sized.mask
-        value, v_alpha, v_inverse_depth = 0.0, None, None
-        if turn.depth_terms and picture.inverse_depth is not None:
-            inverse_depth = picture.inverse_depth.detach().requires_grad_()
-            alpha = picture.alpha.detach().requires_grad_()
-            parts = [w * loss(turn.index, inverse_depth, alpha) for w, loss in turn.depth_terms]
-            term = sum(parts[1:], start=parts[0])
-            value += term.item()
-            v_inverse_depth, v_alpha = _slopes(term, inverse_depth, alpha)
-        if self.config.alpha_weight and mask is not None and self.photos.mask_mode == "composite":
-            alpha = picture.alpha.detach().requires_grad_()
-            term = self.config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
-            value += term.item()
-            (more,) = _slopes(term, alpha)
-            v_alpha = more if v_alpha is None or more is None else v_alpha + more
-        if self.config.opaque_weight and self.photos.mask_mode != "composite":
-            through, slope = see_through(picture.alpha.detach(), mask)
-            value += self.config.opaque_weight * through
-            slope *= self.config.opaque_weight
-            v_alpha = slope if v_alpha is None else v_alpha + slope
-        return value, v_alpha, v_inverse_depth
-
-    def _assert_finite(self, model: Model, turn: _Turn, value: float) -> None:
+    def _assert_finite(self, model: Model, glance: Glance, value: float) -> None:
         if self.config.detect_anomaly:
-            name = self.photos.scene.cameras.names[turn.index]
+            name = self.photos.scene.cameras.names[glance.index]
             guard.assert_finite(model, value, step=self.steps, view=name)
 
     def _note_skipped(self, skipped: bool) -> None:
@@ -896,8 +684,10 @@ class Trainer:
                 model, counters=counters, photos=count, threads=self.config.threads
             )
         self.strategy.shape_gradients(model)
-        means_lr = self.rate_factor * self.plan.means_lr_at(step) * math.sqrt(count)
-        model.set_rates(self._rates_at(step, count) | {"means": means_lr})
+        factor, plan = self.rate_factor, self.plan
+        means_lr = factor * plan.means_lr_at(step) * math.sqrt(count)
+        rates = {name: factor * rate for name, rate in plan.rates_at(step, count).items()}
+        model.set_rates(rates | {"means": means_lr})
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         rest = self._rest_at(step, count)
         if batch:
@@ -911,37 +701,9 @@ class Trainer:
             model,
             step=step,
             means_lr=means_lr,
-            cap=self.plan.cap_for(self._factor) - self._standing,
+            cap=self.plan.cap_for(self.photo_factor) - self._standing,
             generator=self.generator,
         )
         if self.region is not None and self._given:
             self.region.keep_inside(model.params["means"])
         return replace(change, removed=change.removed + removed), bad_rows
-
-
-def _together(results: Sequence[StepResult]) -> StepResult:
-    """What the steps of all models measured and did."""
-    count = len(results)
-    if count == 1:
-        return results[0]
-    changes = [result.change for result in results]
-    return StepResult(
-        loss=sum(result.loss for result in results) / count,
-        mse=sum(result.mse for result in results) / count,
-        change=Change(
-            added=sum(change.added for change in changes),
-            removed=sum(change.removed for change in changes),
-            moved=sum(change.moved for change in changes),
-            reset=any(change.reset for change in changes),
-        ),
-        bad_rows=sum(result.bad_rows for result in results),
-        skipped=any(result.skipped for result in results),
-        lost_rows=sum(result.lost_rows for result in results),
-    )
-
-
-def _slopes(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-    """d term / d leaf; None where the term does not depend on it."""
-    if not term.requires_grad:
-        return (None,) * len(leaves)
-    return torch.autograd.grad(term, leaves, allow_unused=True)

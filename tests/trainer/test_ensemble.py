@@ -14,12 +14,12 @@ from gscore.config import PRESETS, Background, Stereo, Strategy, TrainConfig
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
-from gscore.trainer import trainer as module
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.photos.views import Sampler
 from gscore.trainer.ranks.member import members_in
 from gscore.trainer.rows.ensemble import shared_opacities
 from gscore.trainer.schedule.enough import models_of, models_to_expect
+from gscore.trainer.step import loss as step_loss
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
@@ -174,7 +174,7 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
     """Oracle: the bits of a run whose losses are finite; those of before."""
     well, ill = Trainer(TWO, photos), Trainer(TWO, photos)
     before = bits(ill.members[1].tensors())
-    found = module.image_loss_gradient
+    found = step_loss.image_loss_gradient
     bad = iter((False, True))
 
     def once(*arguments: Any, **options: Any) -> LossValues:
@@ -182,7 +182,7 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
         return replace(loss, loss=math.nan) if next(bad) else loss
 
     well.step()
-    monkeypatch.setattr(module, "image_loss_gradient", once)
+    monkeypatch.setattr(step_loss, "image_loss_gradient", once)
     assert ill.step().skipped
     assert bits(ill.members[0].tensors()) == bits(well.members[0].tensors())
     assert bits(ill.members[1].tensors()) == before

@@ -15,8 +15,8 @@ from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.raster.painter import Painter
 from gscore.splats import PARAMETERS
-from gscore.trainer import trainer as module
 from gscore.trainer.schedule import plan as schedules
+from gscore.trainer.step import loss as step_loss
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
@@ -248,12 +248,12 @@ def test_bad_gradients_are_left_out_and_counted(
 @pytest.fixture
 def broken_loss(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every loss is NaN."""
-    real = module.image_loss_gradient
+    real = step_loss.image_loss_gradient
 
     def broken(*args: Any, **kwargs: Any) -> LossValues:
         return replace(real(*args, **kwargs), loss=math.nan)
 
-    monkeypatch.setattr(module, "image_loss_gradient", broken)
+    monkeypatch.setattr(step_loss, "image_loss_gradient", broken)
 
 
 @pytest.mark.usefixtures("broken_loss")

@@ -52,6 +52,11 @@ def thins_subject(config: TrainConfig, *, mask_mode: str, known: float | None) -
     return mask_mode == "composite" and config.drop_rate > 0 and agrees
 
 
+def splats_of_each(config: TrainConfig, models: int) -> int:
+    """Most splats of each of so many models that are trained side by side."""
+    return max(config.max_splats // models, 1)
+
+
 def models_to_expect(config: TrainConfig, *, points: int, subject: bool) -> int:
     """How many models a run trains side by side, unless photos agree in more than
     `ensemble_below`, which is not known before they are compared.
@@ -68,7 +73,7 @@ def models_to_expect(config: TrainConfig, *, points: int, subject: bool) -> int:
         return models
     compared = config.stereo != Stereo.OFF and points_to_add(config, points) > 0
     compared &= points == 0 or config.stereo != Stereo.MISSING
-    roomy = 2 * points <= config.max_splats // models
+    roomy = 2 * points <= splats_of_each(config, models)
     return models if compared and roomy and not subject else 1
 
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from ...config import Skip, Strategy, TrainConfig
+from .enough import splats_of_each
 from .sizes import stages
 
 _PAPER_STEPS = 30_000
@@ -102,7 +103,7 @@ class Plan:
             drops: Whether splats are left out of its steps.
             models: How many are trained side by side, which share `max_splats`.
         """
-        n, most = config.iterations, max(config.max_splats // models, 1)
+        n, most = config.iterations, splats_of_each(config, models)
         mcmc = config.strategy is Strategy.MCMC
         # Runs shorter than the paper's 30,000 steps keep its proportions where a splat still sees
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
@@ -179,14 +180,18 @@ class Plan:
             return first
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
 
-    def rates_at(self, step: int) -> dict[str, float]:
+    def rates_at(self, step: int, photos: int = 1) -> dict[str, float]:
         """Rates of the other parameters: constant, then exponential over the last tenth of the run.
 
-        Constant rates leave the parameters jumping about their best by as much as a step.
+        Constant rates leave the parameters jumping about their best by as much as a step. Those of
+        a step that takes many photos are multiplied by the root of their number (Zhao et al. 2024,
+        Grendel-GS). The higher SH coefficients take `shN_every` photos at once anyway.
         """
         done = (step / self.iterations - _SETTLES) / (1 - _SETTLES)
         share = self.lr_final ** min(max(done, 0.0), 1.0)
-        return {name: share * rate for name, rate in self.rates.items()}
+        factors = dict.fromkeys(self.rates, math.sqrt(photos))
+        factors["shN"] = math.sqrt(max(photos / self.shN_every, 1.0))
+        return {name: share * rate * factors[name] for name, rate in self.rates.items()}
 
     @property
     def kept_every(self) -> int:
