@@ -41,8 +41,8 @@ from .terminal.status import Status, wrapped
 _EXACT = "ply"
 """The format that holds splats to the bit."""
 _MARK = "gscore convert"
-_SPZ_VERSION = 3
 """A comment of files that have room for it: they may be replaced."""
+_SPZ_VERSION = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
