@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from .events import MASKED_OF, judged_psnr
+from .events import ENDED, MASKED_OF, judged_psnr
 
 
 def number_words(value: float | None, digits: int) -> str:
@@ -61,6 +61,26 @@ def colour_words(metrics: Mapping[str, Any]) -> str:
     """PSNR once colours are matched, to put behind `quality_words`; empty: it was not measured."""
     worth = metrics.get("psnr_cc")
     return "" if worth is None else f", colour-corrected PSNR {worth:.2f} dB"
+
+
+def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
+    """Where the training of a metrics.json was stopped: "stopped after 500 of 1,500 steps"; empty:
+    it was not, or that is not known.
+
+    Args:
+        metrics: Its content.
+        iterations: Steps that were asked for; 0: time was.
+    """
+    reason, steps = metrics.get("reason"), metrics.get("steps")
+    if not reason or reason in ENDED or steps is None:
+        return ""
+    return f"stopped after {step_words(steps, iterations)}"
+
+
+def step_words(steps: int, iterations: int) -> str:
+    """How far a training is: 500 of 1,500 steps; without the second where that is 0."""
+    of = f"{number(steps)} of " if iterations else ""
+    return f"{of}{count_words(iterations or steps, 'step')}"
 
 
 def learnt_exposure(metrics: Mapping[str, Any]) -> bool:

@@ -26,8 +26,8 @@ from ..report import PictureCollector, cameras_section, splat_histograms, write_
 from ..report.error_map import brightest, error_map
 from ..report.page_link import link_page
 from ..scene import Cameras
-from ..shown import shown
-from ..words import colour_words, count_words, psnr_name, quality_words
+from ..shown import shown, typed
+from ..words import colour_words, count_words, psnr_name, quality_words, stopped_words
 from .given.data_options import add_data_options, with_data_options
 from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
@@ -138,7 +138,10 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     problem = metrics_problem(output) if output == model.run else ""
     warnings = [*told, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
     warnings += [problem] if problem else []
-    warnings += _doubts(model, dataset, course, asked=args.split, split=split)
+    warnings += [
+        *_stopped(model, course),
+        *_doubts(model, dataset, course, asked=args.split, split=split),
+    ]
     pictures = PictureCollector(count=len(indices))
     errors = None
     if args.error_map is not None:
@@ -248,6 +251,16 @@ class _Views:
         left = (time.monotonic() - self._began) / done * (total - done)
         text = f"{values['name']}: {worth}"
         self._show(EvalProgress(done=done, total=total, view=text, eta_s=left))
+
+
+def _stopped(model: GivenModel, course: Course) -> list[str]:
+    """A sentence on a training that was stopped before its last step."""
+    asked = 0 if model.train is None or model.train.time_budget else model.train.iterations
+    words = stopped_words({"reason": course.reason, "steps": course.steps}, asked)
+    if not words or model.run is None:
+        return []
+    again = typed("train", "-o", model.run, "--resume")
+    return [f"The training was {words}, so these figures are of a part of it; {again} goes on."]
 
 
 def _doubts(

@@ -17,13 +17,20 @@ from ..io.block_record import block_records, read_block
 from ..io.files import check_regular
 from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
-from ..io.runs import checkpoints_in
+from ..io.runs import checkpoints_in, read_run, training_in
 from ..io.sequences import read_sequence
 from ..sfm.plain import check_no_cameras_above, is_plain
 from ..shown import typed
 from ..splats import Splats, sigmoid
 from ..video import is_video
-from ..words import count_words, quality_words, size_words, time_words
+from ..words import (
+    count_words,
+    quality_words,
+    size_words,
+    step_words,
+    stopped_words,
+    time_words,
+)
 from .given.data_options import add_mask_options, with_data_options
 from .given.model import GivenModel, find_splats, open_model
 from .lod import lod_facts, lod_text
@@ -84,7 +91,7 @@ def _holds_model(folder: Path) -> bool:
     try:
         find_splats(folder)
     except DatasetError:
-        return (folder / "config.json").is_file()
+        return (folder / "config.json").is_file() or training_in(folder) is not None
     return True
 
 
@@ -140,6 +147,9 @@ def _run_facts(folder: Path) -> dict[str, Any]:
             }
     problem = metrics_problem(folder)
     facts["warnings"] = [problem] if problem else []
+    process = training_in(folder)
+    facts |= {"in_training": process is not None, "process": process or None}
+    facts["unfinished"] = _unfinished(folder, metrics)
     try:
         find_splats(folder)
     except DatasetError:
@@ -147,6 +157,16 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     model = open_model(folder)
     facts["source"] = str(model.data.source) if model.data else None
     return facts | {"model": _model_facts(model)}
+
+
+def _unfinished(folder: Path, metrics: dict[str, Any]) -> str:
+    """How far a run is that has steps left to take, or results to write; empty: it has none."""
+    run = read_run(folder)
+    if run is None:
+        return ""
+    if run.steps > (metrics.get("steps") or 0):
+        return f"its last checkpoint is after {step_words(run.steps, run.iterations)}"
+    return stopped_words(metrics, run.iterations)
 
 
 def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
@@ -168,6 +188,7 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
         "names": [cameras.names[0], cameras.names[-1]],
         "sizes": dict(sizes.most_common()),
         "focal_px": [float(cameras.Ks[:, 0, 0].min()), float(cameras.Ks[:, 0, 0].max())],
+        "undistorted": any(file.plan is not None for file in dataset.files),
         "focal_y_px": [float(cameras.Ks[:, 1, 1].min()), float(cameras.Ks[:, 1, 1].max())],
         "camera_extent": float(
             1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max(initial=0.0)
@@ -245,10 +266,15 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
             f"{count_words(metrics['steps'], 'step')} in {time_words(metrics['train_seconds'])}"
         )
     count = facts["checkpoints"]
+    if facts["in_training"]:
+        by = f", by process {facts['process']}" if facts["process"] else ""
+        lines.append(f"  in training now{by}; what lies here is of before, or not complete yet")
+    elif unfinished := facts["unfinished"]:
+        hint = f"; go on with: {typed('train', '-o', facts['path'], '--resume')}" if count else ""
+        lines.append(f"  {unfinished}{hint}")
     lines.append(f"  {count_words(count, 'checkpoint')}")
     if facts["model"] is None:
-        hint = f"; go on with: {typed('train', '-o', facts['path'], '--resume')}" if count else ""
-        return [*lines, f"  no point_cloud.ply yet{hint}"]
+        return [*lines, "  no point_cloud.ply yet"]
     return lines + _splats_text(facts["model"])
 
 
@@ -276,11 +302,12 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
     inverted = " inverted" if facts["masks_inverted"] else ""
     focal = _focal_words(low, high)
     down = _focal_words(*facts["focal_y_px"])
+    undistorted = " after undistortion" if facts["undistorted"] else ""
     focal += " px" if down == focal else f" px across and {down} px down"
     lines = [
         f"{facts['path']}: a capture with {count_words(facts['views'], 'photo')} ({sizes})",
         f"  names from {facts['names'][0]} to {facts['names'][1]}",
-        f"  focal length {focal} after undistortion, camera extent {facts['camera_extent']:.3g}",
+        f"  focal length {focal}{undistorted}, camera extent {facts['camera_extent']:.3g}",
         f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]

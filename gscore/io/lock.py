@@ -33,13 +33,19 @@ class FolderLock:
 
     def check_free(self) -> None:
         """Raise GsError where another process holds the folder."""
+        holder = self.holder()
+        if holder is not None:
+            raise self._in_use(holder)
+
+    def holder(self) -> int | None:
+        """The process that holds the folder: its number, 0 where it cannot be read; None: nobody
+        does."""
         try:
             file = self._path.open("r+", encoding="utf-8")
         except (OSError, ValueError):  # no folder, no lock
-            return
+            return None
         with file:
-            if not _try_lock(file):
-                raise self._in_use(file)
+            return None if _try_lock(file) else _written_in(file)
 
     def take(self) -> None:
         """Hold the folder, which is made if it is not there.
@@ -89,7 +95,7 @@ class FolderLock:
                 ) from error
             if not _try_lock(file):
                 with file:
-                    raise self._in_use(file)
+                    raise self._in_use(_written_in(file))
             try:
                 current = os.path.samestat(os.fstat(file.fileno()), self._path.stat())
             except OSError:
@@ -98,15 +104,20 @@ class FolderLock:
                 return file
             file.close()  # its last owner has removed it since it was opened
 
-    def _in_use(self, file: IO[str]) -> GsError:
-        file.seek(0)
-        holder = ""
-        with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-            holder = f" (process {parse_json(file.read())['pid']})"
+    def _in_use(self, holder: int) -> GsError:
+        process = f" (process {holder})" if holder else ""
         return GsError(
-            f"{self._folder} is in use by another {self._work}{holder}; wait for it, stop it, or "
+            f"{self._folder} is in use by another {self._work}{process}; wait for it, stop it, or "
             "choose another output folder."
         )
+
+
+def _written_in(file: IO[str]) -> int:
+    """The process that a lock names; 0: it cannot be read."""
+    file.seek(0)
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        return int(parse_json(file.read())["pid"])
+    return 0
 
 
 def _try_lock(file: IO[str]) -> bool:

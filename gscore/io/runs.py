@@ -14,6 +14,7 @@ from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..json_text import parse_json
 from .exposure_json import EXPOSURE_FILE
 from .files import read_bytes
+from .lock import FolderLock
 from .metrics_file import read_metrics
 from .poses_json import POSES_FILE
 
@@ -123,6 +124,12 @@ def read_run(path: str | Path) -> RunInfo | None:
         train=train,
         problem=problem,
     )
+
+
+def training_in(path: Path) -> int | None:
+    """The process that trains into a folder now: its number, 0 where it cannot be read; None:
+    nobody does."""
+    return FolderLock(path, RUN_LOCK, "training").holder()
 
 
 def options_of_run(config: Path) -> tuple[DataConfig, TrainConfig]:

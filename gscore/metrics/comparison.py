@@ -9,7 +9,7 @@ from ..errors import ConfigError
 from ..events import judged_psnr
 from ..io.metrics_file import is_number
 from ..shown import shown, typed
-from ..words import psnr_name
+from ..words import psnr_name, stopped_words
 
 HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False}
 """Of the numbers that views are compared by, in the order of tables."""
@@ -202,6 +202,10 @@ def _warnings(runs: Sequence[ComparedRun], names: Sequence[str], *, lpips: bool)
             + (f", and {len(unlike) - 1} more are like it" if len(unlike) > 1 else "")
             + ": a run that saw a photo has the advantage there."
         )
+    for run in runs:
+        asked = 0 if run.options.get("time_budget") else run.options.get("iterations") or 0
+        if stopped := stopped_words(run.metrics, asked):
+            found.append(f"{run.label} was {stopped}: its figures are of a part of its training.")
     nets = [run.metrics.get("lpips_net") for run in runs]
     if not lpips and all(nets):
         found.append(

@@ -47,6 +47,15 @@ def test_differences_are_those_of_both_metrics(gscore, two_runs, tmp_path):
     assert code == 0 and "2 views that both run and other were scored on" in text
 
 
+def test_a_run_that_was_stopped_is_named(gscore, two_runs, tmp_path):
+    """Oracle: the metrics.json of the second, changed."""
+    path = two_runs[1] / "metrics.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"reason": "interrupted"}))
+    code, _, err = gscore("compare", *two_runs, "-o", tmp_path / "c.html")
+    assert code == 0 and "other was stopped after 12 of 12 steps" in " ".join(err.split())
+    assert "run was stopped" not in err and "other was stopped" in (tmp_path / "c.html").read_text()
+
+
 def test_pictures_are_photo_and_both_renders(gscore, two_runs, tmp_path, capture):
     """Oracle: the photo, which the first run's render equals and the second's does not."""
     page = tmp_path / "c.html"

@@ -2,14 +2,19 @@
 
 import json
 import math
+import os
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from gscore.config_file import config_json, load_config
+from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.lock import FolderLock
 from gscore.io.pictures.images import write_png
 from gscore.io.ply.splats import write_splats
+from gscore.io.runs import RUN_LOCK, checkpoint_path
 from gscore.io.sequences import SequenceIndex, write_sequence
 from gscore.words import time_words
 from tests.commands.conftest import STEPS
@@ -30,7 +35,18 @@ def test_capture(gscore, capture, ring):
     assert facts["decoded_bytes"] >= 9 * 48 * 36 * 3
     code, out, _ = gscore("info", capture)
     assert code == 0 and "9 photos (9 of 48 x 36 px)" in out and "1 PINHOLE" in out
-    assert "focal length 45.0 px across and 47.0 px down after undistortion" in out
+    assert "focal length 45.0 px across and 47.0 px down, camera" in " ".join(out.split())
+
+
+def test_undistortion_is_told_where_there_is_some(gscore, capture, tmp_path):
+    """Oracle: the same capture with another camera model."""
+    folder = tmp_path / "bent"
+    shutil.copytree(capture, folder)
+    model = read_model(folder)
+    camera = replace(model.cameras[1], model="SIMPLE_RADIAL", params=np.array([45.0, 24, 18, 0.1]))
+    write_model(replace(model, cameras={1: camera}), folder / "sparse/0")
+    code, out, _ = gscore("info", folder)
+    assert code == 0 and "px after undistortion, camera" in " ".join(out.split())
 
 
 def test_ply(gscore, splats, tmp_path):
@@ -120,6 +136,40 @@ def test_run(gscore, run_folder, capture):
     (folder / "metrics.json").unlink()
     code, out, _ = gscore("info", folder)
     assert code == 0 and "no point_cloud.ply yet" in out
+
+
+def test_a_run_that_was_stopped(gscore, run_folder):
+    """Oracle: the run's metrics.json, changed; a checkpoint after it counts more."""
+    folder = run_folder()
+    code, out, _ = gscore("info", folder, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["unfinished"] == "" and not facts["in_training"]
+    metrics = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(
+        json.dumps(metrics | {"reason": "interrupted", "steps": STEPS})
+    )
+    data, train = load_config(folder / "config.json")
+    (folder / "config.json").write_text(config_json(data, replace(train, iterations=3000)))
+    words = f"stopped after {STEPS} of 3,000 steps"
+    out = gscore("info", folder)[1]
+    assert f"{words}; go on with: gscore train -o {folder} --resume" in " ".join(out.split())
+    checkpoint_path(folder, 40).write_bytes(b"")
+    assert "its last checkpoint is after 40 of 3,000 steps; go on" in gscore("info", folder)[1]
+
+
+def test_a_run_in_training(gscore, run_folder, tmp_path):
+    """Oracle: a lock that is held; one that a killed process left says nothing."""
+    folder, begun = run_folder(), tmp_path / "begun"
+    for path in (folder, begun):
+        lock = FolderLock(path, RUN_LOCK, "training")
+        lock.take()
+        code, out, _ = gscore("info", path)
+        assert code == 0 and f"in training now, by process {os.getpid()}" in out
+        assert json.loads(gscore("info", path, "--json")[1])["process"] == os.getpid()
+        assert "--resume" not in out
+        lock.release()
+    (folder / RUN_LOCK).write_text('{"pid": 1}')
+    assert "in training" not in gscore("info", folder)[1]
 
 
 def test_layout_of_3dgs_runs(gscore, splats, tmp_path):
