@@ -25,16 +25,15 @@ from .terminal.status import wrapped
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "word", nargs="?", help="those of this name or group, else with this in their name or text"
+        "word", nargs="?", help="those with this in their name or group, else in their text"
     )
     parser.add_argument("--json", action="store_true", help="as JSON, with all that is known")
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the options that were asked for."""
-    found = list(all_options())
-    if args.word is not None:
-        found = matching(args.word, found)
+    every = list(all_options())
+    found = every if args.word is None else matching(args.word, every)
     if args.json:
         print_json([facts(one) for one in found])
         return 0
@@ -43,6 +42,9 @@ def run(args: argparse.Namespace) -> int:
         for one in members:
             print(wrapped(f"  {described(one)}", sys.stdout))
         print()
+    if args.word is not None and (others := mentioning(args.word, every, found)):
+        told = f"{quoted(args.word)} stands in the texts of these too: {', '.join(others)}."
+        print(wrapped(told, sys.stdout))
     print(
         wrapped("Give one as --set NAME=VALUE or under its flag, as in --set seed=3.", sys.stdout)
     )
@@ -60,23 +62,44 @@ def all_options() -> Iterator[Option]:
 
 
 def matching(word: str, options: list[Option]) -> list[Option]:
-    """The options that a word asks for.
+    """The options that a word asks for: those of this name, of this group, and with words in their
+    names that begin with it; where there are none, those with it in their texts.
 
     Raises:
         ConfigError: there is none.
     """
-    wanted = word.lower().lstrip("-").replace("-", "_")
+    wanted = _plain(word.lstrip("-"))
     tests = (
         lambda one: wanted == one.name.lower(),
-        lambda one: wanted == one.group.replace(" ", "_"),
-        lambda one: wanted in f"{one.name} {one.group} {one.text}".lower().replace("-", "_"),
+        lambda one: wanted == _plain(one.group),
+        lambda one: f"_{wanted}" in f"_{one.name}".lower(),
     )
-    for test in tests:
-        if found := [one for one in options if test(one)]:
-            return found
+    named = [one for test in tests for one in options if test(one)]
+    if named:
+        groups = list(dict.fromkeys(one.group for one in named))
+        return sorted(dict.fromkeys(named), key=lambda one: groups.index(one.group))
+    if text := [one for one in options if _holds(one, wanted)]:
+        return text
     guess = nearest(wanted, [known for one in options for known in (one.name, one.group)])
     hint = f"did you mean {guess}?" if guess else "`gscore options` lists all."
     raise ConfigError(f"There is no option with {quoted(word)}; {hint}")
+
+
+def mentioning(word: str, options: list[Option], found: list[Option]) -> list[str]:
+    """Names of further options with a word in their texts; none where it is a group's, which are
+    common words."""
+    wanted = _plain(word.lstrip("-"))
+    if any(wanted == _plain(one.group) for one in options):
+        return []
+    return [one.name for one in options if one not in found and _holds(one, wanted)]
+
+
+def _holds(one: Option, wanted: str) -> bool:
+    return wanted in _plain(f"{one.name} {one.group} {one.text}")
+
+
+def _plain(text: str) -> str:
+    return text.lower().replace("-", "_").replace(" ", "_")
 
 
 def described(one: Option) -> str:

@@ -46,9 +46,16 @@ def test_one_option_with_all_that_is_known(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the declarations; a name wins over a group, a group over a word."""
+    """Oracle: the declarations; texts count where no name and no group does."""
     assert {row["group"] for row in told("learning-rates", capsys)} == {"learning rates"}
     assert [row["name"] for row in told("dropgaussian", capsys)] == ["drop_rate"]
+    assert [row["name"] for row in told("ensemble", capsys)] == ["ensemble", "ensemble_below"]
+    assert [row["name"] for row in told("stereo_points", capsys)] == ["stereo_points"]
+    rates = [row["name"] for row in told("lr", capsys)]
+    assert rates[0] == "means_lr" and {"lr_boost", "pose_lr_final"} < set(rates)
+    assert main(["options", "ensemble"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "'ensemble' stands in the texts of these too: iterations." in out
     assert main(["options", "seed"]) == 0
     out = capsys.readouterr().out
     assert "seed = 0 (0 to 9223372036854775807): Same seed, same result" in " ".join(out.split())

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config import PRESETS, TrainConfig
-from ...options import Option, options_of
+from ...options import Option, options_of, value_words
 from ...shown import quoted
 from ...words import number
 from ..parser import nearest
@@ -83,7 +83,7 @@ def preset_values(one: Option) -> str:
 
 
 def _shown(value: Any) -> str:
-    return number(value) if isinstance(value, int) else str(value)
+    return number(value) if isinstance(value, int) else value_words(value)
 
 
 def plain(text: str) -> str:
