@@ -1,7 +1,7 @@
 """Options of a run as commands: a preset and what differs from it, and depth maps for it."""
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -33,30 +33,56 @@ def preset_words(data: DataConfig, train: TrainConfig) -> str:
     return f"preset {name}, changed" if changed else f"preset {name}"
 
 
-def train_command(data: DataConfig, train: TrainConfig, output: Path) -> str:
+def train_command(
+    data: DataConfig, train: TrainConfig, output: Path, *, asked: Mapping[str, int] | None = None
+) -> str:
     """The `gscore train` that has these options, for a shell; empty where there is none.
 
     Args:
         data, train: The options.
-        output: Folder for the results, which it replaces.
+        output: Folder for the results.
+        asked: Value by option of what photos limited, before they did: the same photos limit it
+            again, so that nobody needs to give it.
     """
     preset = preset_of(data)
     if not preset or (data.eval and data.test_offset is not None):
         return ""
-    words = ["gscore", "train", str(data.source), "-o", str(output), "--overwrite"]
-    words += ["--preset", preset]
+    words = ["gscore", "train", str(data.source), "-o", str(output), "--preset", preset]
     plain_data, plain_train = PRESETS[preset](data.source)
     words += _split(data)
     for name, value in _differences(plain_data, data):
         if name not in _OF_THE_SPLIT:
             words += _option(name, value)
-    for name, value in _differences(plain_train, train):
-        if name != "iterations" or not train.time_budget:  # a budget finds the steps itself
-            words += _option(name, value)
-            limit = LIFTED_BY.get(name, "")
-            if limit and getattr(plain_train, limit) == getattr(train, limit) != 0:
-                words += _option(limit, getattr(train, limit))  # or it would be lifted
+    for name, value in _given(plain_train, _unlimited(train, asked or {})).items():
+        words += _option(name, value)
     return shlex.join(words)
+
+
+def _unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
+    """The options before photos limited them."""
+    was = {
+        option: asked[option]
+        for option, limit in LIFTED_BY.items()
+        if getattr(train, option) < asked.get(option, 0) and getattr(train, limit)
+    }
+    return replace(train, **was)
+
+
+def _given(plain: TrainConfig, train: TrainConfig) -> dict[str, Any]:
+    """Value by option of what to give by itself, so that a preset becomes `train`."""
+    given = dict(_differences(plain, train))
+    if train.time_budget:
+        given.pop("iterations", None)  # a budget finds the steps itself
+    for name, limit in LIFTED_BY.items():
+        if name == "iterations" and train.time_budget:
+            continue
+        before, now = getattr(plain, limit), getattr(train, limit)
+        if before and not now:  # what lifts it is given, even where it is the preset's
+            del given[limit]
+            given[name] = getattr(train, name)
+        elif name in given and now:
+            given[limit] = now  # or it would be lifted
+    return given
 
 
 def depth_command(data: DataConfig) -> str:

@@ -37,10 +37,15 @@ class Started(Event):
     train_views: int
     test_views: int
     splats: int
+    """Of all models."""
     width: int
     height: int
     isa: str
     threads: int
+    models: int = 1
+    """Models that are trained side by side, which begin alike."""
+    left_s: float = math.nan
+    """Seconds of training to expect up to the last step; NaN: not known."""
     depth: str = ""
     """Sentences on whether depth maps supervise, and why; empty: there are none, or none can be
     used, which is a warning."""

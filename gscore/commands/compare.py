@@ -140,10 +140,11 @@ def _labels(folders: tuple[Path, Path]) -> tuple[str, str]:
 def _compared(label: str, folder: Path, model: GivenModel) -> ComparedRun:
     options: dict[str, Any] = {}
     command = ""
+    metrics = read_metrics(folder) or read_metrics(model.run or folder)
     if model.data is not None and model.train is not None:
         options = to_dict(model.data) | to_dict(model.train)
-        command = train_command(model.data, model.train, model.run or folder)
-    metrics = read_metrics(folder) or read_metrics(model.run or folder)
+        asked = metrics.get("asked")
+        command = train_command(model.data, model.train, model.run or folder, asked=asked)
     return ComparedRun(
         label=label, folder=str(folder), metrics=metrics, options=options, command=command
     )

@@ -80,6 +80,10 @@ def _are_objects(value: Any) -> bool:
     return isinstance(value, list) and all(map(_is_object, value))
 
 
+def _are_counts(value: Any) -> bool:
+    return _is_object(value) and all(map(_is_whole, value.values()))
+
+
 def _are_rows(value: Any) -> bool:
     """A list of objects of numbers, as curves are; the phase of a training is a word."""
     return _are_objects(value) and all(
@@ -121,10 +125,11 @@ _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
         (r"\w+_reason", _is_text),
         (r"psnr\w*|ssim\w*|d_ssim|ms_ssim|lpips\w*|fps|train_seconds", is_number),
         (r"steps|splats|sh_degree|storage_bytes|peak_memory_bytes", _is_whole),
-        (r"train_views|test_views", _are_texts),
+        (r"train_views|test_views|decided", _are_texts),
         (r"history|evals", _are_rows),
         (r"views", _are_objects),
         (r"machine|depth", _is_object),
+        (r"asked", _are_counts),
         (r"exposure", _is_exposure),
         (r"poses", _are_poses),
     )

@@ -12,7 +12,9 @@ from ..io.files import atomic_write
 from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
-_LISTS = frozenset({"views", "train_views", "test_views", "history", "evals"})
+_LISTS = frozenset({"views", "train_views", "test_views", "history", "evals", "decided"})
+_PARTS = ("depth", "exposure", "poses", "ranks", "decided", "asked")
+"""Of a `Course`, what is left out where there is nothing to say."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +44,11 @@ class Course:
     ranks: dict[str, Any] | None = None
     """Where many processes trained together: `count`, `batches` that they took since the start or
     the last resumption, and of each rank what it sent, worked and waited for a batch."""
+
+    decided: Sequence[str] | None = None
+    """Sentences on what the run decided by itself, for these photos; None: not known."""
+    asked: Mapping[str, int] | None = None
+    """Value by option of what photos limited, before they did; None: nothing was."""
 
     @classmethod
     def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
@@ -103,7 +110,7 @@ class Metrics:
             "history": [_finite_row(row) for row in course.history],
             "evals": [dict(row) for row in course.evals],
         }
-        parts = {name: getattr(course, name) for name in ("depth", "exposure", "poses", "ranks")}
+        parts = {name: getattr(course, name) for name in _PARTS}
         parts["model"] = self.model or None
         return content | {key: part for key, part in parts.items() if part is not None}
 

@@ -72,6 +72,7 @@ def report_html(report: Report) -> str:
             warnings_html(report.warnings),
             tiles_html(metrics),
             meaning_html(metrics, report.depth_command),
+            _decided(metrics),
             SEAM,
             _curves(metrics.get("history") or [], metrics.get("evals") or [], metrics),
             _view_cards(views, metrics),
@@ -89,6 +90,21 @@ def report_html(report: Report) -> str:
 def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
     """What each scored view is judged by, dB."""
     return {view["name"]: judged_psnr(view) for view in metrics["views"]}
+
+
+def _decided(metrics: dict[str, Any]) -> str:
+    """What the run decided by itself; cameras that it moved have a section of their own."""
+    told = (metrics.get("poses") or {}).get("why")
+    items = "".join(
+        f"<li>{html.escape(sentence)}</li>"
+        for sentence in metrics.get("decided") or ()
+        if sentence != told
+    )
+    return (
+        f'<section class="decided"><h2>Decided by itself</h2><ul>{items}</ul></section>\n'
+        if items
+        else ""
+    )
 
 
 def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics: Any) -> str:

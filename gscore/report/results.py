@@ -59,7 +59,8 @@ def write_results(
         config["what was left open became"] = resolved
     how = {}
     if trained is not None and run is not None:
-        how = {"preset": preset_words(*trained), "command": train_command(*trained, run)}
+        how = {"preset": preset_words(*trained)}
+        how["command"] = train_command(*trained, run, asked=metrics.course.asked)
         how["depth_command"] = depth_command(trained[0])
     report = Report(
         title=_title(data.source, cameras),

@@ -26,7 +26,7 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import limit_by_photos, points_to_expect
+from .schedule.enough import LIMITED_BY_PHOTOS, limit_by_photos, points_to_expect
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -42,6 +42,8 @@ class Prepared:
     loaded: Loaded
     enough: str
     """A sentence on steps that are left out."""
+    asked: dict[str, int]
+    """What was asked for of the options that photos limited."""
     region: str
     """One on the part of the splats that is trained, or where they are added; empty: all are,
     everywhere."""
@@ -104,9 +106,10 @@ def prepare(
     photos = load_dataset(data, cancelled=lambda: control.stopping)
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
+    given = config
     limited = partial(
         limit_by_photos,
-        config,
+        given,
         photos=len(photos.train),
         mask_mode=photos.mask_mode,
         taken=taken,
@@ -115,11 +118,11 @@ def prepare(
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
-    given = photos.scene.points.given
+    known = photos.scene.points.given
     loaded = load_photos(
         photos,
         config,
-        points=points_to_expect(config, given) if start is None else len(start),
+        points=points_to_expect(config, known) if start is None else len(start),
         depths=bool(data.depths),
         announce=world is None,
         emit=emit,
@@ -162,6 +165,7 @@ def prepare(
         photos=photos,
         loaded=loaded,
         enough=enough,
+        asked=_asked_beyond(given, config),
         region=trainer.region_words,
         depth=depth,
         guide=guide,
@@ -169,6 +173,12 @@ def prepare(
         exposure=exposure,
         placing=placing,
     )
+
+
+def _asked_beyond(given: TrainConfig, limited: TrainConfig) -> dict[str, int]:
+    """What was asked for, by option, of that of which photos allow less."""
+    both = {name: (getattr(given, name), getattr(limited, name)) for name in LIMITED_BY_PHOTOS}
+    return {name: was for name, (was, now) in both.items() if was != now}
 
 
 @contextmanager

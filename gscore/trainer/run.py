@@ -94,6 +94,7 @@ def train(
                 placing=found.placing,
                 onlookers=onlookers,
                 enough=found.enough,
+                asked=found.asked,
                 region=found.region,
                 guide=found.guide.why,
             )

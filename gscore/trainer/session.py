@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from .length.meter import Meter
 from .length.steering import Steering
 from .length.watchdog import Watchdog
 from .ranks.waits import Waits
-from .rows.stored import records, texts
+from .rows.stored import counts, records, texts
 from .step.result import StepResult
 from .trainer import Trainer
 from .views.exposure import Exposure
@@ -78,11 +78,13 @@ class Session:
         placing: Placing | None = None,
         onlookers: Onlookers | None = None,
         enough: str = "",
+        asked: Mapping[str, int] | None = None,
         region: str = "",
         guide: str = "",
     ) -> None:
-        """`enough`: a sentence on steps that are left out; `region`: one on the part of the splats
-        that is trained; `guide`: some on meshes that guide it."""
+        """`enough`: a sentence on steps that are left out; `asked`: what was asked for of the
+        options that photos limited; `region`: a sentence on the part of the splats that is
+        trained; `guide`: some on meshes that guide it."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -97,6 +99,8 @@ class Session:
         self._placing = placing or Placing()
         self._onlookers = onlookers or Onlookers()
         self._enough = enough
+        self._asked = dict(asked or {})
+        self._decided = self._sentences()
         self._region = region
         self._guide = guide
         pace = machine_pace(self._config.threads)
@@ -120,10 +124,21 @@ class Session:
         self._evals = records("evals", state["evals"])
         self._warnings = texts("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
+        # What goes on is decided already, so little of it is decided again.
+        before = texts("decided", state.get("decided", []))
+        self._decided = list(dict.fromkeys((*before, *self._decided)))
+        self._asked = counts("asked", state.get("asked", {})) | self._asked
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
         if "watchdog" in state:
             self._watchdog.restore(state["watchdog"])
         self._trainer.rate_factor = self._watchdog.rate_factor
+
+    def _sentences(self) -> list[str]:
+        """What was decided for these photos, for the report."""
+        trainer = self._trainer
+        found = (self._enough, self._stereo.why, trainer.drop_words, trainer.ensemble_words)
+        found += (self._exposure.why, self._placing.why)
+        return [sentence for sentence in found if sentence]
 
     def warn(self, message: str, code: str = "") -> None:
         """Tell the user, now and in the report."""
@@ -224,6 +239,8 @@ class Session:
                 height=int(cameras.heights.max()),
                 isa=backend.isa(),
                 threads=self._results.threads,
+                models=len(self._trainer.members),
+                left_s=self._meter.progress().eta_s,
                 depth=self._depth.decision,
                 stereo=self._stereo.why,
                 drops=self._trainer.drop_words,
@@ -367,6 +384,8 @@ class Session:
             "steering": self._steering.state(),
             "watchdog": self._watchdog.state(),
             "stereo": self._stereo.added > 0,
+            "decided": self._decided,
+            "asked": self._asked,
         }
         self._trainer.collect()
         checkpoint.save(path, self._trainer, state)
@@ -425,6 +444,8 @@ class Session:
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
             learnt=learnt,
+            decided=self._decided,
+            asked=self._asked,
             reason=reason,
         )
         result = TrainResult(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gscore.config_file import config_json, load_config
 from gscore.io.metrics_file import read_metrics
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.sh import SH_C0
@@ -73,7 +74,22 @@ def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
     page = (folder / "report.html").read_text()
     for words in ("2031-02-03 04:05", "to the PSNR asked for", f"--iterations {STEPS}"):
         assert words in page
-    assert f"gscore train {capture} -o {folder} --overwrite --preset draft" in page
+    assert f"gscore train {capture} -o {folder} --preset draft" in page
+    assert "--overwrite" not in page and "steps-a-photo 0" not in page
+
+
+def test_a_training_that_was_stopped_is_told(gscore, run_folder):
+    """Oracle: why and when it ended, as its metrics.json says; said and in the report."""
+    folder = run_folder()
+    path = folder / "metrics.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"reason": "interrupted"}))
+    data, train = load_config(folder / "config.json")
+    (folder / "config.json").write_text(config_json(data, replace(train, iterations=3000)))
+    for _ in range(2):  # an evaluation keeps what the training knew
+        code, _, err = gscore("eval", folder)
+        words = f"The training was stopped after {STEPS} of 3,000 steps"
+        assert code == 0 and words in " ".join(err.split())
+        assert words in (folder / "report.html").read_text()
 
 
 def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_path):

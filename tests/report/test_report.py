@@ -127,6 +127,17 @@ def test_the_head_says_what_was_done(run):
     assert "gscore train 'a <b>' -o run" in head
 
 
+def test_what_was_decided_is_listed(run):
+    """Oracle: the sentences; one that has a section of its own is there once, and none make no
+    section."""
+    report = run(decided=["5 of <9> steps.", "Cameras moved."])
+    report.metrics["poses"] = {"why": "Cameras moved.", "cameras": {}}
+    words = Page(report_html(report)).words
+    assert "5 of <9> steps." in words and words.count("Cameras moved.") == 1
+    assert 'class="decided"' in report_html(report)
+    assert 'class="decided"' not in report_html(run())
+
+
 def test_figures_of_exposed_and_neutral_pictures_are_told_apart(run):
     """Oracle: whether the training learnt exposures, in metrics.json; once by the curves, and where
     training views are compared with held-out ones."""

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -21,6 +22,7 @@ from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
 from gscore.io.pictures.images import read_image, write_png
 from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.schedule import enough
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 
@@ -108,6 +110,42 @@ def test_a_config_file_repeats_a_run(capture: Path, tmp_path: Path) -> None:
     assert a != c
 
 
+def test_models_side_by_side_are_told(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: 150 points of the capture, from all of which each model starts."""
+    words = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--max-splats", "400"]
+    assert main([*words, "--ensemble", "2"]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "300 splats to start with, the same 150 for each of 2 models; " in said
+
+
+def test_what_photos_decide_is_kept_and_nobody_types_it(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: what was typed; a run that goes on, and an evaluation, know it still."""
+    monkeypatch.setattr(enough, "_FEWEST_STEPS", 5)
+    typed = ["--preset", "draft", "--steps-a-photo", "2"]
+    assert main(["train", str(capture), "-o", str(tmp_path), *typed, "--quiet"]) == 0
+    told = "16 of 4,000 steps are taken"
+
+    def check() -> None:
+        metrics = json.loads((tmp_path / "metrics.json").read_text())
+        page = (tmp_path / "report.html").read_text()
+        assert (metrics["steps"], metrics["asked"]) == (16, {"iterations": 4000})
+        (section,) = re.findall('<section class="decided">.*?</section>', page)
+        assert section.count(told) == 1 and "stereo" in section
+        (command,) = re.findall('<pre class="command">(.*?)</pre>', page)
+        assert command.endswith("--preset draft --steps-a-photo 2")
+
+    check()
+    (tmp_path / "metrics.json").unlink()
+    assert main(["train", "-o", str(tmp_path), "--resume", "--quiet"]) == 0
+    check()
+    assert main(["eval", str(tmp_path), "--quiet"]) == 0
+    check()
+
+
 def test_resume_needs_no_options(capture: Path, tmp_path: Path) -> None:
     """Oracle: the config of the first part, with the new length."""
     first = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet", "--eval"]
@@ -126,7 +164,9 @@ def test_resuming_says_from_where_and_that_nothing_is_left(
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet"]) == 0
     again = ["train", "-o", str(tmp_path), "--resume"]
     assert main([*again, "--iterations", "15"]) == 0
-    assert "Going on from step 12 of 15" in capsys.readouterr().err
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Going on from step 12 of 15 with 150 splats, about 1 s of training left; " in said
+    assert "to start with" not in said and "views" not in said and "exposed" not in said
     state = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.rglob("*") if p.is_file()}
     assert main(again) == 0
     told = capsys.readouterr()

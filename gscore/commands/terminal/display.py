@@ -188,16 +188,19 @@ def _texts(event: Event) -> Iterator[str]:
                 f"Finding the cameras of {count_words(event.photos, 'photo')}, which takes about "
                 f"{time_words(float(f'{event.seconds:.1g}'))} where nothing else runs"
             )
+        case Started() if event.step:
+            # What was found of the photos was said when it began.
+            yield going_on_text(event)
+            if event.viewer:
+                yield event.viewer
         case Started():
-            if event.step:
-                yield f"Going on from step {number(event.step)} of {number(event.iterations)}"
             yield (
                 f"{count_words(event.train_views, 'training view')}, "
                 f"{count_words(event.test_views, 'test view')}, "
                 f"{event.width} x {event.height} px"
             )
             yield (
-                f"{count_words(event.splats, 'splat')} to start with; "
+                f"{count_words(event.splats, 'splat')} to start with{_each(event)}; "
                 f"{count_words(event.threads, 'thread')}, {event.isa}"
             )
             if event.region:
@@ -209,6 +212,26 @@ def _texts(event: Event) -> Iterator[str]:
             yield from filter(None, said)
         case Warn():
             yield f"Warning: {event.message}"
+
+
+def going_on_text(event: Started) -> str:
+    """Where a training goes on, and what is left of it, for people."""
+    left = ""
+    if math.isfinite(event.left_s):
+        left = f", about {time_words(max(round(event.left_s), 1))} of training left"
+    return (
+        f"Going on from step {number(event.step)} of {number(event.iterations)} with "
+        f"{count_words(event.splats, 'splat')}{left}; {count_words(event.threads, 'thread')}, "
+        f"{event.isa}"
+    )
+
+
+def _each(event: Started) -> str:
+    """Why there are more splats than points: each model starts from all of them."""
+    if event.models == 1:
+        return ""
+    each = event.splats // event.models
+    return f", the same {number(each)} for each of {count_words(event.models, 'model')}"
 
 
 def progress_parts(event: Progress) -> list[str]:

@@ -2,6 +2,7 @@
 
 import argparse
 import datetime
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -99,12 +100,15 @@ class Results:
         warnings: list[str],
         depth: DepthReport | None = None,
         learnt: dict[str, Any] | None = None,
+        decided: Sequence[str] = (),
+        asked: Mapping[str, int] | None = None,
         reason: str,
     ) -> dict[str, Any]:
         """report.html and metrics.json; `evaluation` and `depth` are None if there was none,
         `learnt` is of `write_learnt`.
 
-        `reason` is why training ended.
+        `decided` are sentences on what the run decided by itself, `asked` is what was asked for of
+        the options that photos limited, `reason` is why training ended.
         """
         trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
         names = photos.scene.cameras.names
@@ -117,6 +121,8 @@ class Results:
             evals=evals,
             depth=None if depth is None else depth.numbers,
             ranks=_of_ranks(trainer.team),
+            decided=list(decided) or None,
+            asked=dict(asked or {}) or None,
             **(learnt or {}),
         )
         stopped = Evaluation.none("training was stopped before its evaluation")

@@ -69,6 +69,13 @@ def texts(what: str, value: Any) -> list[str]:
     return list(value)
 
 
+def counts(what: str, value: Any) -> dict[str, int]:
+    """`value` if it is an object of whole numbers."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{what} is {quoted(value)}, expected an object")
+    return {name: whole(f"{name} of {what}", count) for name, count in value.items()}
+
+
 def check_tensors(tensors: Mapping[str, torch.Tensor], like: Model) -> None:
     """ValueError or KeyError unless the tensors of a trainer fit each other and those of `like`,
     another model of the same run, in all but the number of splats and of SH coefficients."""

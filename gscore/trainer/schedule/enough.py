@@ -7,6 +7,8 @@ from ...config import Stereo, TrainConfig
 from ...datasets.points import RANDOM_POINTS
 from ...words import count_words, number
 
+LIMITED_BY_PHOTOS = ("iterations", "max_splats")
+"""Options of which `limit_by_photos` allows less than what was asked for."""
 MOST_ADDED = 10_000
 """Most points that are added where the option leaves it open."""
 SPLATS_A_POINT = 5
