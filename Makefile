@@ -29,22 +29,23 @@ help:  ## this list
 
 # What a user needs. The editable install lists packages when it is made, so a new package renews it; it builds nothing.
 # torch comes first and alone, so that an index that does not answer costs seconds and not as many for each package.
+# -qq keeps pip's errors alone: its warnings are of how it is set up, and bury what matters.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
 	@echo "Installing into $(VENV): 1.5 GB, half of it torch"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) install --quiet --upgrade pip
+	@$(PIP) install -qq --upgrade pip
 ifneq ($(TORCH_INDEX),)
 	@$(PIP) install -qqq --retries 1 --timeout 15 --no-deps --index-url $(TORCH_INDEX) --constraint constraints.txt torch || \
 		echo "$(TORCH_INDEX) has no torch to give, so the usual one follows, with 2.7 GB of CUDA; TORCH_INDEX=URL names another."
 endif
-	@$(PIP) install --quiet --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' \
+	@$(PIP) install -qq --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' \
 		'cmake>=3.25' 'ninja>=1.11'
 	@touch $@
 
 # Linters and what tests need, for those who work on gscore.
 $(DEVELOPED): $(INSTALLED)
 	@echo "Adding linters and what tests need to $(VENV)"
-	@$(PIP) install --quiet --constraint constraints.txt --group dev
+	@$(PIP) install -qq --constraint constraints.txt --group dev
 	@touch $@
 
 # The library in the checkout, again after a change in csrc/.
@@ -167,7 +168,7 @@ experiment-depth: $(LIBRARY)  ## with and without depth, from 6 to 50 views: out
 	$(BIN)/python -m experiments.depth $(EXPERIMENT)
 
 wheel: $(INSTALLED)  ## gscore's wheel into dist/
-	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/python -m pip wheel -qq --no-deps --wheel-dir dist .
 
 clean:  ## removes what the other targets made
 	rm -rf build dist out $(VENV) .venv-blender .venv-zig gscore/raster/libgscore.* gscore/raster/gscore.dll

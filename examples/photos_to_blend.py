@@ -114,6 +114,18 @@ def take_masks_as(run: Path) -> None:
         settings.mask_mode = mode
 
 
+def tell_of_report(run: Path) -> None:
+    """Say why the PSNR of a comparison is not the one in the report of a run, where there is one."""
+    try:
+        metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
+        views, mean = metrics["views"], metrics.get("psnr_masked", metrics["psnr"])
+        size = f"{views[0]['width']} x {views[0]['height']} px"
+        report = f"{mean:.2f} dB: the mean of {len(views)} views at {size}"
+    except (OSError, ValueError, LookupError, TypeError):
+        return  # splats from elsewhere, or of a run that was stopped
+    print(f"That is of one photo at its own size. The run's report has {report}, as it trained.")
+
+
 def make(options: argparse.Namespace, addon: str) -> None:
     """Import, train, render, save."""
     bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
@@ -128,6 +140,7 @@ def make(options: argparse.Namespace, addon: str) -> None:
     bpy.context.scene.render.filepath = str(options.render)
     bpy.ops.render.render(write_still=True)
     bpy.ops.gscore.compare_photo()
+    tell_of_report(options.splats.absolute().parent if options.splats else options.run)
     options.output.parent.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(options.output))
     print(f"Wrote {options.output} and {options.render}")

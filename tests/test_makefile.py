@@ -44,6 +44,12 @@ def test_users_get_what_they_use(plan: Callable[[str], str], target: str) -> Non
     assert "wheel.cmake=false" in commands and commands.count("--build ") == 1
 
 
+def test_warnings_of_pip_are_left_out(plan: Callable[[str], str]) -> None:
+    """Oracle: the commands; -q leaves warnings in, -qq errors alone."""
+    lines = [line for line in plan("lint").splitlines() if " -m pip " in line]
+    assert len(lines) >= 4 and all(" -qq" in line for line in lines if "install" in line)
+
+
 @pytest.mark.parametrize(("target", "tests"), [("lint", False), ("test", True)])
 def test_developers_get_their_tools_too(
     plan: Callable[[str], str], target: str, tests: bool

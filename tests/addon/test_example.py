@@ -1,5 +1,6 @@
 """Oracle: the files that examples/photos_to_blend.py leaves, opened again."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -25,12 +26,15 @@ def test_photos_to_blend(
     """Oracle: gscore.render with the exact camera kept in the file; the PLY's number of splats."""
     splats, ply = make_splats(3000), tmp_path / "some.ply"
     write_splats(ply, splats)
+    views = [{"width": 40, "height": 30}] * 7
+    (tmp_path / "metrics.json").write_text(json.dumps({"psnr": 31.25, "views": views}))
     blend, picture = tmp_path / "made" / "scene.blend", tmp_path / "picture.png"
-    run_blender(
+    said = run_blender(
         SCRIPT,
         STUDIO,
         *("-o", blend, "--render", picture, "--camera", "view_007.jpg", "--splats", ply),
     )
+    assert "31.25 dB: the mean of 7 views at 40 x 30 px" in said
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     kinds = [ob.get("gs_kind") for ob in bpy.context.scene.objects]
     assert kinds.count("camera") == 60 and kinds.count("splats") == 1

@@ -83,7 +83,7 @@ def ensure(version: str) -> Path:
     print(f"Making .venv-blender/{version} (downloads 350 MB)", file=sys.stderr)
     shutil.rmtree(FOLDER / version, ignore_errors=True)
     subprocess.run([base, "-m", "venv", FOLDER / version], check=True)
-    pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [python, "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
     subprocess.run([*pip, f"bpy=={version}", *PACKAGES], check=True)
     ready.touch()
     return python
