@@ -24,7 +24,7 @@ from ..words import count_words
 from .depth.report import DepthReport, measure_depth
 from .depth.setup import DepthSetup
 from .depth.stereo import StereoStart
-from .estimate.forecast import machine_pace
+from .estimate.forecast import pace_now
 from .evaluation import Evaluator
 from .files import checkpoint
 from .files.ended import TrainResult
@@ -103,7 +103,7 @@ class Session:
         self._decided = self._sentences()
         self._region = region
         self._guide = guide
-        pace = machine_pace(self._config.threads)
+        pace = pace_now(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = Meter(trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget)
         self._steering = Steering(trainer, self._meter, self._evaluator)

@@ -14,9 +14,13 @@ _EVENTS_PER_SECOND = 5.0
 _HISTORY = 500
 _HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
 _WINDOW = 50
-_TRUSTED = 0.1
-"""Share of the planned time from which on the speed of the steps alone tells what is left: the
-first ones are small, and among them are some that warm up."""
+_WARMING_UP = 5
+"""First steps, whose time tells nothing of the others'."""
+_EXPECTED = 0.5
+"""Seconds of the plan that the pace counts for that was expected before: steps soon know better."""
+_REMEMBERED = (2.0, 0.1)
+"""Over which the pace is a mean: seconds of the plan, at least, and a share of what is left of it.
+Where other programs work too, the last dozens of steps alone say one thing now and another then."""
 
 
 class Meter:
@@ -38,10 +42,10 @@ class Meter:
         self._count = 0
         self._step = 0
         self._splats = splats
-        self._pace = pace
         self._budget = budget
-        self._planned = 0.0
-        self._recent: deque[tuple[float, float, int]] = deque(maxlen=_WINDOW)
+        self._expect(pace)
+        self._unsteady = _WARMING_UP
+        self._recent: deque[tuple[float, int]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
 
     @property
@@ -68,9 +72,14 @@ class Meter:
         """Take note of a step that took `seconds`, on so many photos at once, whose sides were
         divided by `photo_factor`."""
         self.train_seconds += seconds
-        planned = self._cost.seconds_at(step, self._splats) * photos
-        self._planned += planned
-        self._recent.append((seconds, planned, photos))
+        if self._unsteady:
+            self._unsteady -= 1
+        else:
+            planned = self._cost.seconds_at(step, self._splats) * photos
+            kept = math.exp(-planned / self._memory)
+            self._spent = kept * self._spent + seconds
+            self._planned = kept * self._planned + planned
+        self._recent.append((seconds, photos))
         self._step, self._splats = step, splats
         if math.isfinite(loss) and math.isfinite(mse):
             # A mean over the first steps, then an exponential one over about _WINDOW.
@@ -93,25 +102,21 @@ class Meter:
     @property
     def pace(self) -> float:
         """Seconds to expect for each second of the plan: what was expected before, at first, and
-        more and more what the last steps took."""
-        return self._pace_before(self._planned_left())
+        more and more what steps take."""
+        return self._spent / self._planned
 
-    def _planned_left(self) -> float:
-        return self._cost.seconds_after(self._step, self._splats)
-
-    def _pace_before(self, left: float) -> float:
-        planned = sum(planned for _, planned, _ in self._recent)
-        if not planned:
-            return self._pace
-        found = sum(seconds for seconds, _, _ in self._recent) / planned
-        trust = min(self._planned / (_TRUSTED * (self._planned + left)), 1.0)
-        return self._pace + trust * (found - self._pace)
+    def _expect(self, pace: float) -> None:
+        """Take a pace for known, as far as something can be known before the steps."""
+        self._planned = _EXPECTED
+        self._spent = _EXPECTED * pace
+        self._memory = _REMEMBERED[0]
 
     def progress(self, *, phase: str = "") -> Progress:
         """Where the run stands."""
-        spent = sum(seconds for seconds, _, _ in self._recent)
-        left = self._planned_left()
-        rate = sum(photos for _, _, photos in self._recent) / spent if spent > 0 else 0.0
+        spent = sum(seconds for seconds, _ in self._recent)
+        left = self._cost.seconds_after(self._step, self._splats)
+        self._memory = max(_REMEMBERED[0], _REMEMBERED[1] * left)
+        rate = sum(photos for _, photos in self._recent) / spent if spent > 0 else 0.0
         return Progress(
             step=self._step,
             iterations=self.plan.iterations,
@@ -119,7 +124,7 @@ class Meter:
             psnr=self.psnr,
             splats=self._splats,
             steps_per_s=rate,
-            eta_s=min(self._pace_before(left) * left, max(self._budget - self.train_seconds, 0.0)),
+            eta_s=min(self.pace * left, max(self._budget - self.train_seconds, 0.0)),
             elapsed_s=self.train_seconds,
             phase=phase or ("adding splats" if self._step <= self.plan.refine_stop else "refining"),
         )
@@ -137,8 +142,8 @@ class Meter:
         """Forget the steps after `step`, at which there were `splats`: they will be taken anew.
         Their time was spent."""
         self.history = [entry for entry in self.history if entry["step"] <= step]
-        self._step, self._splats, self._count, self._pace = step, splats, 0, self.pace
-        self._planned = 0.0
+        self._step, self._splats, self._count = step, splats, 0
+        self._expect(self.pace)
         self._recent.clear()
 
     def state(self) -> dict[str, Any]:
@@ -163,7 +168,7 @@ class Meter:
         self._count = whole("count", state["count"])
         self._step = whole("step", state.get("step", 0))
         self._splats = whole("splats", state.get("splats", self._splats))
-        self._pace = real("pace", state.get("pace", 1.0), low=0)
+        self._expect(real("pace", state.get("pace", 1.0), low=0))
 
 
 def _finite(value: Any) -> Any:

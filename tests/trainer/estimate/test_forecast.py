@@ -9,8 +9,9 @@ import pytest
 
 from gscore.config import PRESETS, TrainConfig
 from gscore.errors import GsError
+from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.cost import Cost
-from gscore.trainer.estimate.forecast import Estimate, check_fits, estimate, machine_pace
+from gscore.trainer.estimate.forecast import Estimate, check_fits, estimate, machine_pace, pace_now
 from gscore.trainer.estimate.memory import cache_bytes
 from gscore.trainer.schedule.plan import Plan
 
@@ -150,6 +151,25 @@ def test_the_machine_is_measured_quickly_and_without_torch() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split("\n")[0] == "(400, 300) True True"
     assert machine_pace(1) > 0
+
+
+def test_what_other_programs_take_away_counts_for_a_run_that_begins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Oracle: the mean and the least of made-up times, of which the first two warm up."""
+    times = iter([90.0, 50.0, 2.0, 6.0, 4.0, 2.0, 6.0, 4.0, 2.0, 6.0] * 2)
+    clock = [0.0]
+    monkeypatch.setattr(forecast, "_REFERENCE_MS", 2000.0)
+    monkeypatch.setattr(forecast.time, "perf_counter", lambda: clock[0])
+
+    def draw(*_: object, **__: object) -> None:
+        clock[0] += next(times)
+
+    monkeypatch.setattr(forecast, "render", draw)
+    assert pace_now(1) == pytest.approx(2.0)
+    machine_pace.cache_clear()
+    assert machine_pace(1) == pytest.approx(1.0)
+    machine_pace.cache_clear()
 
 
 @pytest.mark.parametrize(
