@@ -115,7 +115,7 @@ def take_masks_as(run: Path) -> None:
 
 
 def tell_of_report(run: Path) -> None:
-    """Say why the PSNR of a comparison is not the one in the report of a run, where there is one."""
+    """Say why the PSNR of a comparison is not the one in a run's report, if there is one."""
     try:
         metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
         views, mean = metrics["views"], metrics.get("psnr_masked", metrics["psnr"])
