@@ -151,8 +151,8 @@ class TrainConfig:
 
     iterations: int = option(
         10_000,
-        "Training steps, each of one photo, or of one for each model where `ensemble` trains "
-        "several side by side. With `time_budget` not used.",
+        "Training steps, each of one photo for each of the models (`ensemble`). With "
+        "`time_budget` not used.",
         group="run",
         range=Range(low=1, high=_MOST),
         unit="steps",

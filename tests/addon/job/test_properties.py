@@ -88,7 +88,8 @@ def test_limits_are_those_of_gscore(scene: bpy.types.Scene, name: str) -> None:
 def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
     """Oracle: the declarations; as Blender writes tips, without a full stop, of one sentence."""
     found = scene.gscore.bl_rna.properties
-    assert found["iterations"].description == "Training steps, one view each"
+    told = "Training steps, each of one photo for each of the models (ensemble)"
+    assert found["iterations"].description == told
     assert found["sh_degree"].description == "Degree of view-dependent color, 0 to 3; 0: matt"
     assert found["mask_mode"].description == "What masks mean"
     for name in (*NUMBERS, "eval", "invert_masks", "images", "antialias", "sky", "early_stop"):
