@@ -205,8 +205,9 @@ class TrainConfig:
     )
     splats_a_photo: int = option(
         0,
-        "Never more splats than this for each training photo: more fit the photos, and no new view "
-        "gains. 300,000 are always allowed, and as many as `max_splats` where masks are opacity, "
+        "Never more splats than this for each training photo, of each model where `ensemble` "
+        "trains several: more fit the photos, and no new view gains. 300,000 are always allowed, "
+        "and as many as `max_splats` where masks are opacity, "
         "where `--max-splats` is given by itself, or in `gscore sequence`; 0: no limit, which "
         "Python has to say beside `max_splats`.",
         group="run",
@@ -896,7 +897,8 @@ def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
     """Everything the method gives, ten minutes to half an hour on two cores."""
-    train = replace(_LONG, iterations=15_000, max_splats=600_000, splats_a_photo=6000)
+    # Three models of 200,000 have finer detail than two of 150,000, at the same PSNR.
+    train = replace(_LONG, iterations=15_000, max_splats=600_000, splats_a_photo=6000, ensemble=3)
     return DataConfig(source=source, max_width=1600), train
 
 

@@ -11,6 +11,7 @@ from ..core import (
     TrainConfig,
     estimate,
     limit_by_photos,
+    models_to_expect,
     points_to_expect,
     target_size,
 )
@@ -65,6 +66,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
             train,
             photos=photos,
             mask_mode="composite" if subject else "none",
+            models=models_to_expect(train, points=facts.points, subject=subject),
         )[0],
         sizes=tuple(sorted(sizes.items())),
         points=points_to_expect(train, facts.points),

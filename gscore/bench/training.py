@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..splats import Splats
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
-from ..trainer.schedule.enough import limit_by_photos, thins_subject
+from ..trainer.schedule.enough import limit_by_photos, models_of, thins_subject
 from ..trainer.trainer import Trainer
 from ..trainer.views.judged import judge_photos
 
@@ -166,18 +166,15 @@ def train_measured(
     with ordinary_state():
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
-        mode, known = photos.mask_mode, start.known
-        if not at and thins_subject(config, mask_mode=mode, known=known):  # named steps are wanted
-            config, _ = limit_by_photos(
-                config, photos=len(photos.train), mask_mode=mode, known=known
-            )
+        if not at:  # named steps are wanted
+            config = _limited(config, photos, known=start.known)
         seconds += time.perf_counter() - began
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,
             photos,
             points=start.points,
-            known=known,
+            known=start.known,
             gains=exposure.gains,
             placing=placing,
         )
@@ -211,6 +208,17 @@ def train_measured(
             backward_pairs=backward,
             splats=trainer.splats(),
         )
+
+
+def _limited(config: TrainConfig, photos: Dataset, *, known: float | None) -> TrainConfig:
+    """The options that were limited by the photos, when it is known on how much these agree."""
+    mode, points = photos.mask_mode, photos.scene.points.given
+    models, _ = models_of(config, points=points, mask_mode=mode, known=known)
+    limited, _ = limit_by_photos(
+        config, photos=len(photos.train), mask_mode=mode, known=known, models=models
+    )
+    thinned = thins_subject(config, mask_mode=mode, known=known)
+    return limited if thinned else replace(limited, iterations=config.iterations)
 
 
 def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:

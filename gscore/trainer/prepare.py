@@ -26,7 +26,13 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import LIMITED_BY_PHOTOS, limit_by_photos, points_to_expect
+from .schedule.enough import (
+    LIMITED_BY_PHOTOS,
+    limit_by_photos,
+    models_of,
+    models_to_expect,
+    points_to_expect,
+)
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -106,23 +112,20 @@ def prepare(
     photos = load_dataset(data, cancelled=lambda: control.stopping)
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
-    given = config
+    asked, mask_mode, given = config, photos.mask_mode, photos.scene.points.given
     limited = partial(
-        limit_by_photos,
-        given,
-        photos=len(photos.train),
-        mask_mode=photos.mask_mode,
-        taken=taken,
+        limit_by_photos, asked, photos=len(photos.train), mask_mode=mask_mode, taken=taken
     )
-    config, enough = limited()
+    subject = mask_mode == "composite"
+    models = 1 if start else models_to_expect(asked, points=given, subject=subject)
+    config, enough = limited(models=models)
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
-    known = photos.scene.points.given
     loaded = load_photos(
         photos,
         config,
-        points=points_to_expect(config, known) if start is None else len(start),
+        points=points_to_expect(config, given) if start is None else len(start),
         depths=bool(data.depths),
         announce=world is None,
         emit=emit,
@@ -141,7 +144,10 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
-            config, enough = limited(known=added.known)
+            if start is None:
+                found = models_of(asked, points=given, mask_mode=mask_mode, known=added.known)
+                models = found[0]
+            config, enough = limited(known=added.known, models=models)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,
@@ -165,7 +171,7 @@ def prepare(
         photos=photos,
         loaded=loaded,
         enough=enough,
-        asked=_asked_beyond(given, config),
+        asked=_asked_beyond(asked, config),
         region=trainer.region_words,
         depth=depth,
         guide=guide,
@@ -175,9 +181,9 @@ def prepare(
     )
 
 
-def _asked_beyond(given: TrainConfig, limited: TrainConfig) -> dict[str, int]:
+def _asked_beyond(asked: TrainConfig, limited: TrainConfig) -> dict[str, int]:
     """What was asked for, by option, of that of which photos allow less."""
-    both = {name: (getattr(given, name), getattr(limited, name)) for name in LIMITED_BY_PHOTOS}
+    both = {name: (getattr(asked, name), getattr(limited, name)) for name in LIMITED_BY_PHOTOS}
     return {name: was for name, (was, now) in both.items() if was != now}
 
 

@@ -11,7 +11,7 @@ from ...bench.quality import train_judged
 from ...config import PRESETS, DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, LpipsNet, find_lpips
-from ...trainer.schedule.enough import limit_by_photos
+from ...trainer.schedule.enough import limit_by_photos, models_to_expect
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .numbers import check_numbers
@@ -81,10 +81,13 @@ def _train(
             label, photos = variant.label, variant.photos
             if results.has(cell.capture, label, seed, cell.offset):
                 continue
+            config, mask_mode = replace(variant.config, seed=seed), photos.mask_mode
+            given, subject = photos.scene.points.given, mask_mode == "composite"
             config, _ = limit_by_photos(
-                replace(variant.config, seed=seed),
+                config,
                 photos=len(photos.train),
-                mask_mode=photos.mask_mode,
+                mask_mode=mask_mode,
+                models=models_to_expect(config, points=given, subject=subject),
             )
             training = train_judged(
                 config,

@@ -112,6 +112,7 @@ def limit_by_photos(
     photos: int,
     mask_mode: str = "none",
     known: float | None = None,
+    models: int = 1,
     taken: int = 0,
 ) -> tuple[TrainConfig, str]:
     """The options with no more steps and splats than so many photos are good for.
@@ -126,6 +127,8 @@ def limit_by_photos(
         photos: Number of training photos.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
         known: As `thins_subject`.
+        models: How many are trained side by side. Each learns the photos by itself, so each may
+            have as many splats as one alone.
         taken: Steps that a run has taken already, which nothing takes back.
 
     Returns:
@@ -142,7 +145,7 @@ def limit_by_photos(
             f"{number(steps)} of {number(asked)} steps are taken: more do not make unseen views of "
             f"{of_photos} better (--steps-a-photo 0 takes them all)."
         )
-    most, splats = config.max_splats, max(config.splats_a_photo * photos, _FEWEST_SPLATS)
+    most, splats = config.max_splats, models * max(config.splats_a_photo * photos, _FEWEST_SPLATS)
     if config.splats_a_photo and not subject and splats < most:
         config = replace(config, max_splats=splats)
         words.append(

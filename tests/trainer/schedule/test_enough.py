@@ -87,6 +87,17 @@ def test_which_presets_have_the_limit() -> None:
     assert limits == {"preview": 0, "draft": 0, "normal": 0, "high": 6000}
 
 
+def test_each_model_may_have_as_many_splats_as_one_alone() -> None:
+    """Oracle: twice 60 times 6,000, by hand."""
+    config = TrainConfig(max_splats=900_000, splats_a_photo=6000)
+    found, why = limit_by_photos(config, photos=60, models=2)
+    assert found == replace(config, max_splats=720_000)
+    assert "At most 720,000 of 900,000 splats grow" in why
+    high = PRESETS["high"](Path())[1]
+    assert limit_by_photos(high, photos=30, models=3)[0].max_splats == high.max_splats
+    assert limit_by_photos(high, photos=30)[0].max_splats == 300_000
+
+
 @pytest.mark.parametrize(
     ("photos", "splats"),
     [(6, 300_000), (50, 300_000), (52, 312_000), (99, 594_000), (100, 600_000)],
