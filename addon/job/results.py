@@ -16,7 +16,7 @@ from ..capture.folders import same_folder
 from ..interface import writable
 from ..splats import files, objects
 from ..splats.error_maps import drop_maps
-from ..splats.filling import replace
+from ..splats.filling import check_replaceable, replace
 from ..splats.objects import ANTIALIAS
 from .earlier import EarlierRun
 from .job import Job
@@ -138,6 +138,8 @@ def adopt(
     if ob is not None:
         try:
             objects.check_writable(ob)
+            if not was_edited(ob):
+                check_replaceable(ob)
         except ValueError:
             bpy.data.meshes.remove(made.data)
             raise

@@ -97,6 +97,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
         total = len(ob.data.vertices)
         if total <= count:
             return f"{ob.name} has {total:,} splats; none were deleted."
+        held.check_points_alone()
         views, antialias = views_of(ob), bool(ob.get(objects.ANTIALIAS))
         table = yield from Leaving(ob).table()
 

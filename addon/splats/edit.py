@@ -87,6 +87,7 @@ def apply_filters(held: Held) -> Pieces[int]:
             changed then.
     """
     ob = held.there()
+    held.check_points_alone()
     limits = filters.filters_of(ob)
     table = yield from Leaving(ob).table()
     keep = yield from aside(partial(_passing, table, limits), f"Looking through {held.name}")
@@ -146,6 +147,7 @@ def apply_transform(held: Held) -> Pieces[None]:
     """
     ob = held.there()
     _check_unshared(ob)
+    held.check_movable()
     matrix = local_matrix(ob)
     objects.moved(attributes.NO_SPLATS, matrix, held.name)  # refuses what cannot be
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)

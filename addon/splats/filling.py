@@ -12,7 +12,7 @@ import bpy
 
 from .. import attributes
 from ..process.pieces import Pieces
-from . import objects, texts, weights
+from . import objects, succession, texts, weights
 from .carried import GROUP, TEXT
 from .ready import ReadyT
 from .temporary import Temporary
@@ -116,22 +116,31 @@ def filled(
 
 
 def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-    """Let a mesh take the place of an object's own, for all objects that share it.
+    """Let a mesh that was made from nothing take the place of an object's own, for all objects that
+    share it; what users have put on that stays.
 
     Raises:
-        ValueError: the object's mesh is being edited, or is linked.
+        ValueError: the object's mesh is being edited, is linked, or has what would be lost.
     """
-    objects.check_writable(ob)
-    for material in ob.data.materials:
-        mesh.materials.append(material)
+    check_replaceable(ob)
+    succession.hand_over(ob.data, mesh)
     swap(ob, mesh)
 
 
+def check_replaceable(ob: bpy.types.Object) -> None:
+    """Raise ValueError unless another mesh can take the place of an object's own now, with nothing
+    lost but its points."""
+    objects.check_writable(ob)
+    succession.check_replaceable(ob.data, ob.name)
+
+
 def swap(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-    """Let a mesh take the place of an object's own, which goes, and its name, for all that share
-    it; which of its attributes and vertex groups are active and which are locked stays."""
+    """Let a mesh take the place of an object's own, which goes, its name, and its mark as an asset,
+    for all that share it; which of its attributes and vertex groups are active and which are locked
+    stays."""
     old = ob.data
     name = old.name
+    succession.mark_alike(old, mesh)
     mesh.use_fake_user = old.use_fake_user
     attributes.choose_alike(mesh, old)
     with weights.settings_kept(ob):

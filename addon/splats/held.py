@@ -8,7 +8,7 @@ from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from .. import attributes
-from . import objects
+from . import objects, succession
 
 _HELD: "WeakSet[Held]" = WeakSet()
 
@@ -63,35 +63,36 @@ class Held:
                 f"{self.name} was moved while this was under way, so nothing was done: begin again."
             )
 
-    def copied_mesh(self, *, empty: bool = False) -> bpy.types.Mesh:
+    def check_movable(self) -> None:
+        """Raise ValueError where its splats cannot become others, before anything is read."""
+        succession.check_movable(self.there().data, self.name)
+
+    def check_points_alone(self) -> None:
+        """The same where there will be more of them or fewer."""
+        succession.check_points_alone(self.there().data, self.name)
+
+    def copied_mesh(self) -> bpy.types.Mesh:
         """A copy of its mesh, to be filled and put in its place; it shares memory until then.
 
-        Args:
-            empty: Without its points, and without vertex groups.
-
         Raises:
-            ValueError: as `there`; it has shape keys; or `empty`, and it has what would be lost.
+            ValueError: as `there` and `check_movable`.
         """
-        mesh = self.there().data
-        if mesh.shape_keys is not None:  # Edit Mode would give their places to other splats
-            raise ValueError(
-                f"{self.name} has shape keys, which know its splats as they are: remove them "
-                "first, under Object Data > Shape Keys."
-            )
-        if empty:
-            self._check_points_alone(mesh)
-        copy = mesh.copy()
-        if empty:
-            # Blender has no other way to take vertices away without a copy of all in its editor.
-            copy.clear_geometry()
-            _animate_alike(copy, mesh)
-            if attributes.tells_selection(mesh):
-                attributes.leave_points_unselected(copy)
-        return copy
+        self.check_movable()
+        return self.there().data.copy()
 
     def emptied_mesh(self) -> bpy.types.Mesh:
-        """The same without its points."""
-        return self.copied_mesh(empty=True)
+        """The same without its points, and without vertex groups.
+
+        Raises:
+            ValueError: as `there` and `check_points_alone`.
+        """
+        self.check_points_alone()
+        mesh = self.there().data
+        copy = mesh.copy()
+        succession.empty(copy)
+        if attributes.tells_selection(mesh):
+            attributes.leave_points_unselected(copy)
+        return copy
 
     def found(self) -> bpy.types.Object | None:
         """The object, whatever became of it; None: it is gone."""
@@ -101,40 +102,12 @@ class Held:
         """Watch no more."""
         _HELD.discard(self)
 
-    def _check_points_alone(self, mesh: bpy.types.Mesh) -> None:
-        """Raise ValueError where a mesh has what no other would get that takes its points."""
-        if mesh.edges or mesh.polygons:
-            raise ValueError(
-                f"{self.name} has edges or faces, which are no splats and would be lost: delete "
-                "them first, in Edit Mode under Mesh > Delete > Only Edges & Faces."
-            )
-        if mesh.animation_data is not None and mesh.animation_data.nla_tracks:
-            raise ValueError(
-                f"The mesh of {self.name} has NLA tracks, which would be lost: delete them first, "
-                "in the Nonlinear Animation editor."
-            )
-
     def _check_mode(self) -> None:
         if bpy.context.mode != self._mode:  # another object's, whose undo steps hold nothing else
             raise ValueError(
                 f"The mode was changed while this was under way, so nothing was done to "
                 f"{self.name}: begin again in Object Mode."
             )
-
-
-def _animate_alike(copy: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
-    """Give a mesh the action and the drivers of another one, which `clear_geometry` took."""
-    own = mesh.animation_data
-    if own is None:
-        return
-    made = copy.animation_data_create()
-    made.action = own.action
-    if own.action is not None and hasattr(own, "action_slot"):  # since Blender 4.4
-        made.action_slot = own.action_slot
-    for name in ("action_blend_type", "action_extrapolation", "action_influence", "use_nla"):
-        setattr(made, name, getattr(own, name))
-    for driver in own.drivers:
-        made.drivers.from_existing(src_driver=driver)
 
 
 def _stands(ob: bpy.types.Object) -> tuple[Matrix, Matrix]:

@@ -69,6 +69,10 @@ class Mend:
         every = self._odd and len(self._odd) == len(self._there)
         self._own = self._odd[0] if every else None
         self._apart = [k for k in self._odd if k != self._own]
+        if self._apart:
+            held.check_points_alone()
+        else:
+            held.check_movable()
 
     def filling(self) -> "Pieces[list[Filling[Points]]]":
         """Look what its meshes will be: its own, then those of parts that leave it.

@@ -9,7 +9,7 @@ import numpy as np
 from .. import attributes, compat
 from ..core import Splats, transform_splats
 from ..interface import writable
-from . import lag, live, settings
+from . import lag, live, settings, succession
 
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
@@ -75,13 +75,18 @@ def around(
 def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     """Replace all splats of an object; its transform, display settings and parent stay.
 
+    What users have put on its mesh stays too.
+
     Raises:
-        ValueError: the object is being edited, or its mesh is no mesh of its own.
+        ValueError: the object is being edited, its mesh is no mesh of its own, or it has what
+            would be lost.
     """
     check_writable(ob)
+    succession.check_movable(ob.data, ob.name)
     # Vertices can be added to a mesh, but not removed, so start over where the number differs.
     if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
-        ob.data.clear_geometry()
+        succession.check_points_alone(ob.data, ob.name)
+        succession.empty(ob.data)
     lag.forget(ob.data)
     _fill(ob.data, splats)
 

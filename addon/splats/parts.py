@@ -32,6 +32,7 @@ def separated(held: Held, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
     if chosen.all() or not chosen.any():
         many = "all" if len(chosen) and chosen.all() else "none"
         raise ValueError(f"{held.name}: select some splats to separate; {many} of them are.")
+    held.check_points_alone()
     table = yield from Leaving(held.there()).table()
     split = yield from aside(partial(_split, table, chosen), f"Separating splats of {held.name}")
     fillings = [Filling(one, held.emptied_mesh) for one in split]
@@ -124,6 +125,8 @@ def joined(held: Held, others: list[Held]) -> Pieces[bpy.types.Object]:
     """
     ob, obs = held.there(), [other.there() for other in others]
     check_joinable(ob, obs)
+    for one in (held, *others):
+        one.check_points_alone()
     world = compat.matrix_to_numpy(ob.matrix_world)
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
         raise ValueError(f"{ob.name} is scaled to nothing: set its scale to 1 first.")

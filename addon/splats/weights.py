@@ -46,6 +46,12 @@ def write(mesh: bpy.types.Mesh, name: str, entries: np.ndarray) -> None:
             begin = end
 
 
+def clear(mesh: bpy.types.Mesh) -> None:
+    """Take all groups of a mesh away."""
+    with _groups(mesh) as groups:
+        groups.clear()
+
+
 @contextmanager
 def settings_kept(ob: bpy.types.Object) -> Iterator[None]:
     """Have the active group and locks of an object outlast another mesh, with the same groups and
@@ -61,7 +67,7 @@ def settings_kept(ob: bpy.types.Object) -> Iterator[None]:
 
 @contextmanager
 def _groups(mesh: bpy.types.Mesh) -> Iterator[bpy.types.VertexGroups]:
-    """The groups of a mesh of no object, as one for the moment shows them."""
+    """The groups of a mesh, as an object for the moment shows them."""
     ob = bpy.data.objects.new(mesh.name, mesh)
     try:
         yield ob.vertex_groups

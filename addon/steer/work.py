@@ -17,7 +17,7 @@ from ..paths import capture_folder, output_folder
 from ..process import beat
 from ..splats import files, objects
 from ..splats.error_maps import is_map
-from ..splats.filling import Filling, replace
+from ..splats.filling import Filling, check_replaceable, replace
 from .job import RegionJob
 from .region import region_of
 from .registry import JOBS
@@ -68,7 +68,7 @@ def train_region(
         raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
     if is_map(ob):
         raise ValueError(f"{ob.name} shows errors, not splats; press Show Splats first.")
-    objects.check_writable(ob)
+    check_replaceable(ob)  # by what comes
     objects.catch_up(ob)
     box = region_of(ob)
     found = training.check_capture(scene)
@@ -155,6 +155,7 @@ def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
     ob = next(filter(objects.is_splats, found), None)
     if ob is None:
         raise ValueError(f"The splats of the region are gone from the scene; {job.output} has all.")
+    check_replaceable(ob)
     if signature(ob) != job.before:
         name = ob.name
         ob = _beside(ob)

@@ -237,7 +237,14 @@ def _go_on() -> bool:
         bpy.data.meshes.remove(made)
         return False
     mesh.note(made, coming.frame.file, coming.task.result[1])
-    mesh.exchange(ob, made)
+    try:
+        mesh.exchange(ob, made)
+    except ValueError as error:
+        bpy.data.meshes.remove(made)
+        _state.refused = coming.frame.file.label
+        _tell(ob, str(error))
+        return True
+    _state.problems.pop(ob.session_uid, None)
     return True
 
 

@@ -11,7 +11,8 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..splats import objects
+from ..splats import objects, succession
+from ..splats.filling import check_replaceable, replace
 from .frames import FrameFile
 from .library import Frame
 
@@ -32,10 +33,11 @@ def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
     """Put a frame into an object's own mesh.
 
     Raises:
-        ValueError: the mesh is being edited, or is linked.
+        ValueError: as `objects.refresh`.
     """
     objects.check_writable(ob)
-    if ob.data.users > 1:  # others show other moments
+    if _is_shared(ob.data):  # others show other moments
+        succession.check_points_alone(ob.data, ob.name)
         ob.data = ob.data.copy()
     objects.refresh(ob, frame.splats)
     note(ob.data, frame.file)
@@ -67,16 +69,16 @@ def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     """Let a mesh take the place of an object's own; others that share that keep it.
 
     Raises:
-        ValueError: the mesh is being edited, or is linked.
+        ValueError: as `filling.replace`.
     """
-    objects.check_writable(ob)
-    old, name = ob.data, ob.data.name
-    for material in old.materials:
-        mesh.materials.append(material)
+    old = ob.data
+    if not _is_shared(old):
+        replace(ob, mesh)
+        return
+    check_replaceable(ob)
+    succession.hand_over(old, mesh)
     ob.data = mesh
-    if not old.users:
-        bpy.data.meshes.remove(old)
-    mesh.name = name
+    mesh.name = old.name
 
 
 def forget(mesh: bpy.types.Mesh) -> None:
@@ -89,6 +91,11 @@ def was_edited(ob: bpy.types.Object) -> bool:
     """Whether an object's mesh is no longer as its frame came; not while it is being edited."""
     mark = ob.data.get(_MARK, "")
     return bool(mark) and ob.mode != "EDIT" and mark != _mark_now(ob.data)
+
+
+def _is_shared(mesh: bpy.types.Mesh) -> bool:
+    """Whether several objects show it; what keeps an asset from going is none."""
+    return mesh.users - mesh.use_fake_user > 1
 
 
 def _mark_now(mesh: bpy.types.Mesh) -> str:

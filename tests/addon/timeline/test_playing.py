@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -301,6 +302,31 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
     scene.frame_set(7)
     until(lambda: len(playing.data.vertices) == 0)
     assert [m for m in bpy.data.meshes if "gs_temporary" in m] == []
+
+
+def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> None:
+    """Oracle: a property of the user's on the mesh of a later frame; an edge, which would be lost,
+    keeps the mesh, and it says why until the edge is gone."""
+    monkeypatch.setattr(follow, "_at_once", lambda scene: False)
+    playing.data["mine"] = 4
+    scene.frame_set(4)
+    until(lambda: number_of(playing) == 3)
+    assert playing.data["mine"] == 4
+    playing.data.edges.add(1)
+    scene.frame_set(6)
+    until(lambda: "has edges or faces" in follow.problem_of(playing))
+    until(lambda: not beat.tick())
+    assert number_of(playing) == 3 and len(playing.data.edges) == 1
+    assert [m for m in bpy.data.meshes if "gs_temporary" in m] == []
+    edited = bmesh.new()
+    edited.from_mesh(playing.data)
+    edited.edges.ensure_lookup_table()
+    edited.edges.remove(edited.edges[0])
+    edited.to_mesh(playing.data)
+    edited.free()
+    scene.frame_set(5)
+    until(lambda: number_of(playing) == 4)
+    assert not follow.problem_of(playing)
 
 
 @pytest.fixture
