@@ -104,8 +104,7 @@ class SetExtent(_Aligning, bpy.types.Operator):
         try:
             self.extent = captures.world_extent(find_root(context, self.capture))
         except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return self.refuse(error)
         return context.window_manager.invoke_props_dialog(self)
 
     def act(self, context: bpy.types.Context) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from ..interface.flags import error_words
 from ..process import beat
 from ..process.lookup import Lookup
 from .backgrounds import StraightBackground, straight_background
@@ -79,7 +80,7 @@ def _taken(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground
         try:
             background = straight_background(ob)
         except ValueError as error:
-            problems.append(str(error))
+            problems.append(error_words(error))
             continue
         if background is not None:
             found.append(background)

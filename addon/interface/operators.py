@@ -34,11 +34,15 @@ class Acting:
             writable.check(*self.changes(context))
             told = self.act(context)
         except (GsError, ValueError, OSError) as error:
-            self.report({"ERROR"}, error_words(error))
-            return {"CANCELLED"}
+            return self.refuse(error)
         if told:
             self.report({"INFO"}, told)
         return {"FINISHED"}
+
+    def refuse(self, error: Exception) -> set[str]:
+        """Say why it cannot be done, in the words of panels; what Blender is then to be told."""
+        self.report({"ERROR"}, error_words(error))
+        return {"CANCELLED"}
 
     def warn(self, sentences: Iterable[str]) -> None:
         """Show what the user should know besides."""

@@ -4,6 +4,7 @@ import textwrap
 
 import bpy
 
+from ..core import GsError
 from . import writable
 
 WIDTH = 90
@@ -47,7 +48,7 @@ class Asking:
         """What will be done, in sentences; none: there is nothing to ask.
 
         Raises:
-            ValueError: it cannot be done; the message says why.
+            GsError, ValueError, OSError: it cannot be done; the message says why.
         """
         raise NotImplementedError
 
@@ -56,9 +57,8 @@ class Asking:
         try:
             writable.check(*self.changes(context))
             self.lines = self.question(context)
-        except ValueError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        except (GsError, ValueError, OSError) as error:
+            return self.refuse(error)
         if not self.lines:
             return self.execute(context)
         return context.window_manager.invoke_props_dialog(

@@ -7,7 +7,6 @@ import bpy
 from ..core import GsError
 from ..process.pieces import Going, Pieces, at_once
 from . import writable
-from .flags import error_words
 from .operators import Acting
 from .waiting import Waiting
 
@@ -45,8 +44,7 @@ class Stepping(Acting):
             going = Going(_in_words(self.pieces(context)))
             done = going.step()
         except (GsError, ValueError, OSError) as error:
-            self.report({"ERROR"}, error_words(error))
-            return {"CANCELLED"}
+            return self.refuse(error)
         if done:
             return self._finished(going)
         self._under_way = _UnderWay(going, Waiting(context, "Esc cancels"))
@@ -66,8 +64,7 @@ class Stepping(Acting):
             done = own.going.step()
         except (GsError, ValueError, OSError) as error:
             own.give_up()
-            self.report({"ERROR"}, error_words(error))
-            return {"CANCELLED"}
+            return self.refuse(error)
         except Exception:
             own.give_up()  # or its timer would go on
             raise

@@ -9,6 +9,7 @@ from .. import outcomes, preferences
 from ..cameras.objects import note_moves
 from ..capture.folders import same_folder
 from ..interface import undo, writable
+from ..interface.flags import error_words
 from ..paths import absolute, output_folder
 from ..splats.error_maps import drop_maps
 from ..splats.filling import Filling, replace
@@ -159,7 +160,7 @@ def _update_splats(job: Job, place: Place) -> bool:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:
         bpy.data.meshes.remove(mesh)
-        _give_up(job, filling.loaded, str(error))
+        _give_up(job, filling.loaded, error_words(error))
     return True
 
 

@@ -5,6 +5,7 @@ import bpy
 from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..core import Estimate
+from ..interface.flags import error_words
 from ..paths import absolute, output_folder
 from ..process import beat
 from . import forecast, lookups
@@ -19,7 +20,7 @@ def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
     try:
         path = absolute(settings.capture_path, "Capture")
     except ValueError as error:
-        return None, str(error)
+        return None, error_words(error)
     answer = lookups.captures.get((str(path), settings.images))
     beat.ensure()
     return answer

@@ -11,6 +11,7 @@ import numpy as np
 from .. import attributes
 from ..cameras import alignment
 from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splats
+from ..interface.flags import error_words
 from ..process import threads
 from .earlier import content
 
@@ -105,7 +106,7 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
             moves=read_moves(path.with_name(POSES_FILE)) if final else {},
         )
     except GsError as error:
-        return Loaded(path=path, final=final, problem=str(error))
+        return Loaded(path=path, final=final, problem=error_words(error))
     except MemoryError:
         problem = f"{path} does not fit into memory; close other programs and import it again."
         return Loaded(path=path, final=final, problem=problem)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core import Event, Failed, Warn
+from ..interface.flags import error_words
 from ..process.program import Process
 from . import session
 
@@ -127,7 +128,7 @@ class VerbJob:
         try:
             told = self.finish()
         except ValueError as error:
-            self.status, self.sentence = FAILED, str(error)
+            self.status, self.sentence = FAILED, error_words(error)
             return
         if told:
             self.status, self.sentence = FINISHED, told

@@ -10,6 +10,7 @@ from ..cameras.coloring import hide
 from ..cameras.objects import root_of
 from ..capture.figures import MEASURED
 from ..interface import undo
+from ..interface.flags import error_words
 from ..job.launch import follow, launch
 from ..process import beat
 from ..splats import objects
@@ -96,7 +97,7 @@ def bring_in(job: ErrorsJob) -> bool:
         _show(job, mesh)
     except ValueError as error:
         bpy.data.meshes.remove(mesh)
-        job.warnings.append(str(error))
+        job.warnings.append(error_words(error))
     undo.push("Measure Errors")
     return True
 

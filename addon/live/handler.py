@@ -11,6 +11,7 @@ import gpu
 from bpy.app.handlers import persistent
 
 from ..compat import draws_into_views, matrix_to_numpy
+from ..interface.flags import error_words
 from ..interface.views import redraw_views
 from ..render import copies, viewport
 from ..render.engine import final_cache
@@ -98,7 +99,7 @@ def draw(context: bpy.types.Context) -> None:
             _lay_over(over)
         _state.problems.pop(pointer, None)
     except ValueError as error:
-        _state.problems[pointer] = str(error)
+        _state.problems[pointer] = error_words(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
         _failed(error, pointer)
 

@@ -88,8 +88,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             edited = objects.meant(context).mode == "EDIT"
             ob = paintable(context)
         except (GsError, ValueError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return self.refuse(error)
         if edited:
             self._edited = ob.name
             undo.push(UNDO)  # else undoing the first stroke would lead back into Edit Mode
@@ -104,7 +103,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         try:
             answer = RUNNING.session.take(context, event)
         except (GsError, ValueError) as error:
-            self.report({"ERROR"}, str(error))
+            self.refuse(error)
             answer = Answer.TAKEN
         except BaseException:
             RUNNING.end()

@@ -8,6 +8,7 @@ from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..depth import colors, networks, work
 from ..depth.job import DepthJob
+from ..interface.flags import error_words
 from ..job import verb_job
 from .depth_table import draw_counts, draw_table
 from .progress import clock
@@ -74,7 +75,7 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
     try:
         here = networks.is_here(network)
     except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
+        sentence(layout, context, error_words(error), icon="ERROR")
         return False
     if here is None:
         layout.label(text="Looking for it...", icon="TIME")

@@ -5,6 +5,7 @@ from typing import ClassVar
 import bpy
 
 from .. import stored_paths
+from ..interface.flags import error_words
 from ..live import handler
 from ..splats import edit, even_scale, live, mending
 from ..splats.objects import is_native, is_splats, meant
@@ -194,7 +195,7 @@ def draw_counts(
     try:
         counts = edit.stats(ob, context.evaluated_depsgraph_get())
     except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
+        sentence(layout, context, error_words(error), icon="ERROR")
         return
     visible = "not known" if counts.visible is None else f"{counts.visible:,}"
     pairs = [("Splats", f"{counts.total:,}"), ("Shown", visible)]

@@ -8,6 +8,7 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..core import PRESETS, Estimate, RunInfo
+from ..interface.flags import error_words
 from ..job import facts, forecast, guides, results, within
 from ..job.earlier import EarlierRun
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
@@ -154,7 +155,7 @@ def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     try:
         folder = output_folder(context.scene, preferences.get().output_folder)
     except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
+        sentence(layout, context, error_words(error), icon="ERROR")
         return
     sentence(layout, context, f"Results go to {folder}", icon="FILE_FOLDER")
 

@@ -5,6 +5,7 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
+from ..interface.flags import error_words
 from ..interface.questions import letters, wrapped
 from ..interface.sidebar import TAB
 from ..job import facts, training
@@ -70,7 +71,7 @@ def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
     try:
         setup.trainer_python(preferences.get())
     except ValueError as error:
-        sentence(layout, context, str(error), icon="ERROR")
+        sentence(layout, context, error_words(error), icon="ERROR")
         operator = layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES")
         operator.module = preferences.ROOT
         return False

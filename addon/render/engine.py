@@ -10,6 +10,7 @@ import numpy as np
 
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
+from ..interface.flags import error_words
 from ..timeline import follow
 from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
@@ -69,7 +70,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except Cancelled:
             pass
         except (GsError, ValueError) as error:
-            self._refuse(str(error))
+            self._refuse(error_words(error))
         except MemoryError:
             self._refuse("Not enough memory to render the splats: close programs or delete some.")
         except Exception as error:
@@ -95,7 +96,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             found = sources(depsgraph)
             placed, complete = copies.SHARED.copied(found)
         except ValueError as error:
-            self.update_stats("", str(error))
+            self.update_stats("", error_words(error))
             return
         live = next((one for one in STAND_INS if one.stands_in(context)), None)
         held = held_meshes.SHARED.of(depsgraph)

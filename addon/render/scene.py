@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import attributes
 from ..core import Splats, transform_splats
+from ..interface.flags import error_words
 from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, chain, is_native, is_splats
 from ..timeline.moment import Moment, moment_of
@@ -392,7 +393,7 @@ def _refusal(matrix: bytes) -> str:
     try:
         transform_splats(attributes.NO_SPLATS, np.frombuffer(matrix).reshape(4, 4))
     except ValueError as error:
-        return str(error)
+        return error_words(error)
     return ""
 
 

@@ -16,6 +16,7 @@ from mathutils import Matrix
 from ..cameras.captures import RenderCamera
 from ..cameras.formulas import FLIP
 from ..core import CancelFlag, Cancelled, GsError
+from ..interface.flags import error_words
 from ..interface.views import redraw_views
 from ..process import threads
 from . import picture
@@ -175,7 +176,11 @@ class Painter:
             except Cancelled:
                 self._factor = max(2, self._factor)
             except (GsError, ValueError, MemoryError) as error:
-                self.problem, self.pixels, done = str(error) or "Out of memory.", None, request
+                self.problem, self.pixels, done = (
+                    error_words(error) or "Out of memory.",
+                    None,
+                    request,
+                )
                 self.fresh = True
 
     def _paint(self, request: Wish) -> None:

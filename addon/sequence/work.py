@@ -13,6 +13,7 @@ from ..core import (
     choose_frames,
     find_frames,
 )
+from ..interface.flags import error_words
 from ..job import training
 from ..job.guides import left_out
 from ..job.launch import follow, launch
@@ -127,7 +128,7 @@ def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
     try:
         source = source_of(scene)
     except ValueError as error:
-        return None, str(error)
+        return None, error_words(error)
     answer = registry.frames.get((str(source), scene.gscore.images))
     beat.ensure()
     return answer

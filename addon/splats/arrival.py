@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import attributes
 from ..core import GsError, collected_warnings
+from ..interface.flags import error_words
 from ..nodes import display
 from ..process.background import Task
 from . import files, objects
@@ -109,7 +110,7 @@ class Arrival:
 
     def _begin(self) -> None:
         if self._task.problem:
-            raise ValueError(self._task.problem)
+            raise ValueError(error_words(self._task.error) or self._task.problem)
         read, self.warnings = self._task.result
         self._fillings = [Filling(one) for one in read]
 

@@ -205,8 +205,7 @@ class ExportSplats(Stepping, bpy.types.Operator, ExportHelper):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser, unless there is nothing to write."""
         if not _chosen(context, self.collection):
-            self.report({"ERROR"}, "Select the splat objects to export.")
-            return {"CANCELLED"}
+            return self.refuse(ValueError("Select the splat objects to export."))
         return ExportHelper.invoke(self, context, event)
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:

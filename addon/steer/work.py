@@ -10,6 +10,7 @@ from mathutils import Matrix
 
 from .. import attributes, preferences
 from ..interface import undo
+from ..interface.flags import error_words
 from ..job import guides, options, training
 from ..job.launch import begin, follow, launch
 from ..job.results import signature
@@ -115,7 +116,7 @@ def proceed(job: RegionJob) -> bool:
         else:
             begin(job.python, job.begin)
     except Exception as error:  # whatever it is, nothing begins without its files
-        job.fail(str(error) or type(error).__name__)
+        job.fail(error_words(error) or type(error).__name__)
     job.start = None
     return True
 
@@ -145,7 +146,7 @@ def bring_in(job: RegionJob) -> bool:
         _show(job, mesh)
     except ValueError as error:
         bpy.data.meshes.remove(mesh)
-        job.warnings.append(str(error))
+        job.warnings.append(error_words(error))
     undo.push("Train Region")
     return True
 

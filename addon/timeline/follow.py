@@ -14,6 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import GsError
+from ..interface.flags import error_words
 from ..interface.views import redraw_views
 from ..job.loader import Loaded
 from ..process import beat
@@ -71,7 +72,7 @@ def bring(scene: bpy.types.Scene) -> None:
         try:
             _bring_one(ob, scene)
         except (GsError, ValueError) as error:
-            _tell(ob, str(error))
+            _tell(ob, error_words(error))
 
 
 def catch_up(ob: bpy.types.Object) -> None:
@@ -242,7 +243,7 @@ def _go_on() -> bool:
     except ValueError as error:
         bpy.data.meshes.remove(made)
         _state.refused = coming.frame.file.label
-        _tell(ob, str(error))
+        _tell(ob, error_words(error))
         return True
     _state.problems.pop(ob.session_uid, None)
     return True

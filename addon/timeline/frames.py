@@ -16,6 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..core import SPLAT_ENDINGS, GsError, read_sequence
+from ..interface.flags import error_words
 
 LOOP, HOLD, HIDE = "LOOP", "HOLD", "HIDE"
 """What is shown before the first frame and after the last one."""
@@ -175,7 +176,7 @@ def find_series(folder: Path, chosen: str = "") -> Series:
         name = chosen or max(groups, key=lambda key: (len(groups[key]), key), default="")
         files = _stamped(groups.get(name, {}))
     except GsError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(error_words(error)) from error
     except OSError as error:
         raise ValueError(
             f"The folder of the frames {folder} cannot be read ({error.strerror or error}): choose "

@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from .. import preferences
+from ..interface.flags import error_words
 from ..process import beat
 from .frames import FrameFile, Series
 from .library import LIBRARY, NOTHING, Folder, Frame
@@ -114,7 +115,7 @@ def series_of(ob: bpy.types.Object, *, wait: bool = False) -> tuple[Series | Non
     try:
         folder = folder_of(ob)
     except ValueError as error:
-        return None, str(error)
+        return None, error_words(error)
     return LIBRARY.series(folder, wait=wait)
 
 

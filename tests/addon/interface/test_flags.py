@@ -1,13 +1,19 @@
 """Sentences of the trainer in a panel: no flag of the command line is left."""
 
+from pathlib import Path
+
 import bpy
 import pytest
 
+import addon
 from addon.core import GsError
 from addon.interface.flags import panel_words
 from addon.interface.operators import Acting
+from addon.interface.questions import Asking
 from addon.job.session import read_event
 from gscore.events import Failed, Warn, to_line
+
+ADDON = Path(addon.__file__).parent
 
 
 @pytest.mark.parametrize(
@@ -45,9 +51,11 @@ def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
 def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: str) -> None:
     """Oracle: the field's name for what gscore raised; what the add-on says itself stays."""
 
-    class Refusing(Acting):
+    class Refusing(Asking, Acting):
         def act(self, context: bpy.types.Context) -> str:
             raise error
+
+        question = act
 
         def report(self, kinds: set[str], text: str) -> None:
             said.append((kinds, text))
@@ -55,4 +63,23 @@ def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: st
     assert scene.gscore.bl_rna.properties["images"].name == "Photo Folder"
     said: list[tuple[set[str], str]] = []
     assert Refusing().execute(bpy.context) == {"CANCELLED"}
-    assert said == [({"ERROR"}, shown)]
+    assert Refusing().invoke(bpy.context, None) == {"CANCELLED"}
+    assert said == [({"ERROR"}, shown)] * 2
+
+
+def test_errors_are_shown_in_one_way() -> None:
+    """Oracle: the text of all files. Only what knows no panels has errors as they are: rooms below
+    the interface, what pip says, and a Blender of its own, whose answer is read by this one."""
+    found = [
+        path.relative_to(ADDON).as_posix()
+        for path in sorted(ADDON.rglob("*.py"))
+        if "str(error)" in path.read_text(encoding="utf-8")
+    ]
+    assert found == [
+        "cameras/straightener.py",
+        "interface/flags.py",
+        "process/background.py",
+        "process/latest.py",
+        "python/installer.py",
+        "python/setup.py",
+    ]
