@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import bpy
 
-from .. import stored_paths
+from .. import attributes, stored_paths
 from ..interface.flags import error_words
 from ..live import handler
 from ..splats import edit, even_scale, live, mending
@@ -60,6 +60,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             draw_live(layout, context)
         else:
             layout.prop(settings, "colour_by")
+            draw_seen_from(layout, context, ob)
         shading = context.space_data.shading
         if (
             shading.type in {"WIREFRAME", "SOLID"} and not is_live
@@ -186,6 +187,21 @@ def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         sentence(layout, context, problem, icon="ERROR")
     elif not live.SESSION.works:
         sentence(layout, context, "Splats are drawn live where Blender has a window.", icon="INFO")
+
+
+def draw_seen_from(
+    layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
+) -> None:
+    """Whose eyes soft splats are colored for: nodes of a modifier know the scene's camera, but no
+    view, as their result is the same in all of them."""
+    settings = ob.gscore
+    soft = settings.display == "SOFT" and settings.colour_by == "COLOR"
+    if not soft or f"{attributes.SH}0" not in ob.data.attributes:
+        return
+    text = "Colors are those that the scene's camera sees, also in views from elsewhere."
+    if context.scene.camera is None:
+        text = "The scene has no camera: colors are those from all sides."
+    sentence(layout, context, text, icon="INFO")
 
 
 def draw_counts(

@@ -30,8 +30,8 @@ _DISPLAYS = [
         "SOFT",
         "Soft Splats",
         "Ellipsoids that fade out like the splats they stand for, in Material Preview and "
-        "Rendered shading, in the colors that the scene's camera sees: from elsewhere they are "
-        "not right. In Cycles, raise Light Paths > Transparent to 256",
+        "Rendered shading, in the colors that the scene's camera sees, not the view: from "
+        "elsewhere they are not right. In Cycles, raise Light Paths > Transparent to 256",
         2,
     ),
 ]
@@ -43,7 +43,7 @@ _NATIVE = (
 )
 """Numbers are those of `display.MODES`, and files keep them."""
 _COLORS = [
-    ("COLOR", "Color", "The splat's color without its view-dependent part"),
+    ("COLOR", "Color", "The color from all sides; of Soft Splats, from the scene's camera"),
     ("OPACITY", "Opacity", "From 0 (dark blue) to 1 (yellow)"),
     ("SIZE", "Size", "Largest standard deviation, from small (dark blue) to large (yellow)"),
     ("ANISOTROPY", "Anisotropy", "Longest axis by shortest, from 1 (dark blue) to 100 (yellow)"),

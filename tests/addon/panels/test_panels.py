@@ -16,7 +16,8 @@ from addon.job.curve import LossCurve
 from addon.job.session import FINISHED, PAUSED, RunState
 from addon.panels import now, progress, result, train
 from addon.splats import objects
-from tests.addon.drawn import drawn
+from tests.addon import splat_scenes as lab
+from tests.addon.drawn import Layout, drawn
 
 
 def test_panels_come_in_the_order_of_the_work() -> None:
@@ -66,6 +67,29 @@ def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
     ob.select_set(True)
     bpy.ops.object.delete()
     assert scene.gscore.result == ob and result.shown(bpy.context) is None
+
+
+def test_whose_colors_soft_splats_have(scene: bpy.types.Scene) -> None:
+    """Oracle: where the display's nodes take the direction from (test_harmonics.py); nothing is
+    said where it changes no color."""
+
+    def said() -> str:
+        layout = Layout()
+        result.draw_seen_from(layout, bpy.context, ob)
+        return layout.text
+
+    ob = objects.create(lab.blob(20), "splats")
+    ob.gscore.display = "POINTS"
+    assert said() == ""
+    ob.gscore.display = "SOFT"
+    assert "from all sides" in said()
+    lab.prepare(scene)
+    assert "scene's camera sees" in said()
+    ob.gscore.colour_by = "SIZE"
+    assert said() == ""
+    ob = objects.create(replace(lab.blob(20), shN=np.zeros((20, 0, 3), np.float32)), "plain")
+    ob.gscore.display = "SOFT"
+    assert said() == ""
 
 
 def running() -> RunState:
