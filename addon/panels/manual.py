@@ -13,13 +13,19 @@ _PLACES = (_ROOT / "manual.html", _ROOT / "docs" / "blender.md")
 """In the extension, and in a checkout."""
 _SECTIONS = {
     "python": "install",
-    "render": "render",
-    "live": "from-photos-to-splats",
+    "capture": "capture",
+    "search": "capture",
+    "cameras": "cameras",
+    "depth": "depth",
+    "job": "train",
+    "splats": "result",
     "splats.edit_operators": "edit",
     "splats.select_operators": "edit",
     "paint": "paint",
     "judge": "where-it-is-wrong",
     "steer": "steer-training",
+    "render": "render",
+    "live": "displays",
     "timeline": "sequences",
     "sequence": "sequences",
 }

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import bpy_venvs
 import native_builds
-from manual_page import manual_page
+from manual_page import manual, manual_page
 from told import told
 
 ROOT = native_builds.ROOT
@@ -130,8 +130,7 @@ def build_zip(
     sources += [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
     members = {path.relative_to(ROOT).as_posix(): path.read_bytes() for path in sources}
     members |= {f"wheels/{wheel.name}": wheel.read_bytes() for wheel in (gscore, wheels[1])}
-    manual = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")
-    members["manual.html"] = manual_page(manual).encode()
+    members["manual.html"] = manual_page(manual(ROOT / "docs")).encode()
     members["blender_manifest.toml"] = text.encode()
     values = tomllib.loads(text)
     output.mkdir(parents=True, exist_ok=True)

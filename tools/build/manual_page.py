@@ -1,7 +1,12 @@
-"""docs/blender.md as a web page that the extension carries: no pictures, and no address needed."""
+"""The pages of docs/ on the add-on as one web page that the extension carries: no pictures, and no
+address needed."""
 
 import html
 import re
+from pathlib import Path
+
+PAGES = ("blender.md", "blender-details.md")
+"""Files of docs/, in order; no two have a heading of the same name."""
 
 _STYLE = (
     "body{max-width:52em;margin:2em auto;padding:0 1em;font:16px/1.5 sans-serif}"
@@ -10,6 +15,18 @@ _STYLE = (
 )
 _PICTURE = re.compile(r"^\s*!\[[^\]]*\]\([^)]*\)$")
 _ITEM = re.compile(r"^(\s*)(-|\d+\.) (.*)$")
+
+
+def manual(docs: Path) -> str:
+    """The Markdown of all pages in one, whose links to one another lead to headings in it."""
+    texts = {name: (docs / name).read_text(encoding="utf-8") for name in PAGES}
+    first = {name: anchor(text.splitlines()[0].lstrip("# ")) for name, text in texts.items()}
+    known = "|".join(map(re.escape, PAGES))
+    return re.sub(
+        rf"\]\(({known})(?:#([^)]*))?\)",
+        lambda found: f"](#{found[2] or first[found[1]]})",
+        "\n".join(texts.values()),
+    )
 
 
 def manual_page(markdown: str) -> str:

@@ -9,13 +9,22 @@ import bl_operators.wm
 import bpy
 import pytest
 
-from addon.panels import manual
+from addon.panels import manual as shown
 from tests.addon.captures import ROOT
-from tools.build.manual_page import anchor, manual_page
+from tools.build.manual_page import PAGES, anchor, manual, manual_page
 
-MARKDOWN = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")
-WITHOUT_CODE = re.sub(r"(?ms)^```.*?^```", "", MARKDOWN)
-HEADINGS = {anchor(title) for title in re.findall(r"(?m)^#+ (.*)$", WITHOUT_CODE)}
+DOCS = ROOT / "docs"
+MARKDOWN = "".join((DOCS / page).read_text(encoding="utf-8") for page in PAGES)
+
+
+def headings(markdown: str) -> list[str]:
+    """Their anchors."""
+    without_code = re.sub(r"(?ms)^```.*?^```", "", markdown)
+    return [anchor(title) for title in re.findall(r"(?m)^#+ (.*)$", without_code)]
+
+
+HEADINGS = headings((DOCS / PAGES[0]).read_text(encoding="utf-8"))
+"""Of the page that opens in a checkout."""
 
 
 def looked_up(name: str) -> str:
@@ -26,7 +35,10 @@ def looked_up(name: str) -> str:
 @pytest.mark.parametrize(
     ("name", "section"),
     [
-        ("bpy.ops.gscore.train", "from-photos-to-splats"),
+        ("bpy.ops.gscore.train", "train"),
+        ("bpy.ops.gscore.find_cameras", "capture"),
+        ("bpy.ops.gscore.import_cameras", "cameras"),
+        ("bpy.ops.gscore.import_splats", "result"),
         ("bpy.ops.gscore.compare_photo", "render"),
         ("bpy.ops.gscore.paint_mask", "steer-training"),
         ("bpy.ops.gscore.grade_splats", "edit"),
@@ -41,14 +53,14 @@ def test_buttons_and_fields_have_their_place(name: str, section: str) -> None:
     """Each is known to Blender, and leads to a heading that is there."""
     found = urlsplit(looked_up(name))
     assert found.fragment == section and section in HEADINGS
-    assert Path(unquote(found.path)) == manual.page()
+    assert Path(unquote(found.path)) == shown.page()
 
 
 def test_everything_of_the_addon_is_in_it() -> None:
     """Oracle: the operators under our name, and the sections of the map."""
     for verb in dir(bpy.ops.gscore):
         assert looked_up(f"bpy.ops.gscore.{verb}"), verb
-    assert {section[1:] for _, section in manual.manual_map()[1]} <= HEADINGS
+    assert {section[1:] for _, section in shown.manual_map()[1]} <= set(HEADINGS)
     assert looked_up("bpy.ops.object.delete").startswith("https://docs.blender.org/")
 
 
@@ -57,19 +69,24 @@ def test_the_button_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
     assert bpy.ops.gscore.open_manual() == {"FINISHED"}
-    assert opened == [manual.page().as_uri()]
-    monkeypatch.setattr(manual, "_PLACES", (Path("/gone/manual.html"),))
+    assert opened == [shown.page().as_uri()]
+    monkeypatch.setattr(shown, "_PLACES", (Path("/gone/manual.html"),))
     with pytest.raises(RuntimeError, match="install the add-on again"):
         bpy.ops.gscore.open_manual()
 
 
 def test_the_page_has_all_of_the_manual() -> None:
-    """Oracle: headings, words and tables of the Markdown; no link leads out of the page."""
-    page = manual_page(MARKDOWN)
-    assert set(re.findall(r'<h[1-6] id="([^"]*)"', page)) == HEADINGS
+    """Oracle: headings, words and tables of the Markdown, of which no two headings are called the
+    same; no link leads out of the page, and those from page to page lead to headings."""
+    wanted = headings(MARKDOWN)
+    assert len(set(wanted)) == len(wanted)
+    page = manual_page(manual(DOCS))
+    assert re.findall(r'<h[1-6] id="([^"]*)"', page) == wanted
     assert page.count("<table>") == len(re.findall(r"(?m)^\s*\|[-:| ]+\|$", MARKDOWN))
     assert page.count("<pre>") == MARKDOWN.count("```") // 2
     links = re.findall(r'href="([^"]*)"', page)
     assert all(link.startswith(("#", "https://")) for link in links)
-    assert {link[1:] for link in links if link.startswith("#")} <= HEADINGS
+    assert {link[1:] for link in links if link.startswith("#")} <= set(wanted)
+    between = [name for page in PAGES for name in re.findall(rf"\]\({page}#([^)]*)\)", MARKDOWN)]
+    assert between and {f"#{name}" for name in between} <= set(links)
     assert "<img" not in page and "![" not in page and "**" not in page
