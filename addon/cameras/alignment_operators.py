@@ -7,8 +7,8 @@ import numpy as np
 from bpy.props import EnumProperty, FloatProperty
 
 from ..compat import matrix_to_numpy
-from . import captures
 from . import objects as co
+from . import placing
 from .lookup import find_root
 from .operators import OnCapture
 
@@ -49,14 +49,14 @@ class AlignCapture(_Aligning, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Align."""
         root = find_root(context, self.capture)
-        found = captures.align_root(root, self._up(context, root))
+        found = placing.align_root(root, self._up(context, root))
         if not found.ground_found:
             self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
         return ""
 
     def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
         if self.up == "CAPTURE":
-            return captures.stated_up(root)
+            return placing.stated_up(root)
         if self.up == "CAMERAS":
             return None
         if self.up == "CURRENT":
@@ -79,7 +79,7 @@ class FlipUp(_Aligning, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Flip."""
         root = find_root(context, self.capture)
-        captures.align_root(root, -current_up(root))
+        placing.align_root(root, -current_up(root))
         return ""
 
 
@@ -102,14 +102,14 @@ class SetExtent(_Aligning, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask, beginning with the present size."""
         try:
-            self.extent = captures.world_extent(find_root(context, self.capture))
+            self.extent = placing.world_extent(find_root(context, self.capture))
         except ValueError as error:
             return self.refuse(error)
         return context.window_manager.invoke_props_dialog(self)
 
     def act(self, context: bpy.types.Context) -> str:
         """Scale."""
-        captures.set_extent(find_root(context, self.capture), self.extent)
+        placing.set_extent(find_root(context, self.capture), self.extent)
         return ""
 
 
@@ -121,7 +121,7 @@ class ResetAlignment(_Aligning, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Reset."""
-        captures.reset_root(find_root(context, self.capture))
+        placing.reset_root(find_root(context, self.capture))
         return ""
 
 

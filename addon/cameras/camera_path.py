@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 
 from ..core import Cameras, atomic_write, write_cameras, write_nerfstudio_path
-from .export_colmap import ExportView, collect
 from .export_transforms import transforms_text
+from .export_views import ExportView, collect
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""

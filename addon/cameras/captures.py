@@ -12,7 +12,6 @@ import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..compat import matrix_to_numpy
 from ..core import (
     NO_PINHOLE,
     Capture,
@@ -25,39 +24,15 @@ from ..core import (
     find_capture,
     plan_undistortion,
     read_capture,
-    rotmat_to_quat,
 )
 from ..interface import writable
 from . import alignment, sfm_points, straightening
 from . import formulas as cm
 from . import objects as co
 from .backgrounds import known_images, photo_of, set_photo
-from .objects import cameras_of, is_camera, root_of
+from .objects import cameras_of, is_camera
+from .placing import UP, centers_of, set_root_matrix, size_drawings
 
-__all__ = [
-    "ImportedCapture",
-    "RenderCamera",
-    "align_root",
-    "cameras_of",
-    "import_capture",
-    "is_camera",
-    "relink",
-    "render_camera",
-    "reset_root",
-    "root_of",
-    "set_extent",
-    "stated_up",
-    "step_camera",
-    "use_camera",
-    "world_extent",
-]
-
-_UP = "gs_up"
-"""Property of the empty: up in the capture's world, where its files state it."""
-CLIP_START, CLIP_END = 0.002, 100.0
-"""Clipping distances, in units of the cameras' extent."""
-DISPLAY = 0.2
-"""Length of a camera's drawing, in median distances to the nearest other camera."""
 FAR = 1e4
 """Distance of a capture from its origin, in extents, at which single precision shows."""
 
@@ -76,77 +51,6 @@ class ImportedCapture:
     """The SfM points."""
     warnings: tuple[str, ...] = ()
     """Sentences for the user."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderCamera:
-    """A Blender camera as a rasterizer wants it."""
-
-    viewmat: np.ndarray
-    """[4, 4] float64, Blender's world to camera, OpenCV axes."""
-    K: np.ndarray
-    """[3, 3] float64, pixels; orthographic: pixels per world unit."""
-    width: int
-    """Pixels."""
-    height: int
-    """Pixels."""
-    near: float
-    """Clip start, world units."""
-    orthographic: bool
-    """Whether `K` is applied without dividing by z."""
-    name: str
-    """Of the object."""
-
-    def same(self, other: object) -> bool:
-        """Whether another sees the same, whatever it is called."""
-        fields = ("width", "height", "near", "orthographic")
-        return (
-            isinstance(other, RenderCamera)
-            and all(getattr(self, name) == getattr(other, name) for name in fields)
-            and np.array_equal(self.K, other.K)
-            and np.array_equal(self.viewmat, other.viewmat)
-        )
-
-
-def render_camera(
-    camera_object: bpy.types.Object,
-    scene: bpy.types.Scene,
-    *,
-    depsgraph: bpy.types.Depsgraph | None = None,
-    width: int | None = None,
-    height: int | None = None,
-) -> RenderCamera:
-    """A Blender camera as Blender itself would project with it.
-
-    Args:
-        camera_object: The camera.
-        scene: Gives resolution, percentage and pixel aspect.
-        depsgraph: Gives the animated pose and lens; without it, those of the object as it stands.
-        width: Pixels instead of the scene's.
-        height: Pixels instead of the scene's.
-
-    Raises:
-        ValueError: no camera, a panoramic or custom one, or one with a matrix that is no pose.
-    """
-    ob = camera_object.evaluated_get(depsgraph) if depsgraph else camera_object
-    if ob.type != "CAMERA":
-        raise ValueError(f"{ob.name} is no camera. Choose a camera.")
-    if ob.data.type not in ("PERSP", "ORTHO"):
-        kind = {"PANO": "panoramic", "CUSTOM": "custom"}.get(ob.data.type, ob.data.type)
-        raise ValueError(
-            f"Camera {ob.name} is {kind}; splats are rendered by perspective and orthographic "
-            f"cameras. Set its type to one of these."
-        )
-    frame = co.frame_of(scene, width, height)
-    return RenderCamera(
-        viewmat=co.rigid_viewmat(matrix_to_numpy(ob.matrix_world), ob.name),
-        K=cm.intrinsics(co.lens_of(ob.data), frame),
-        width=frame.width,
-        height=frame.height,
-        near=ob.data.clip_start,
-        orthographic=ob.data.type == "ORTHO",
-        name=ob.name,
-    )
 
 
 def import_capture(
@@ -191,7 +95,7 @@ def import_capture(
     scene.collection.children.link(collection)
     root = _make_root(name, collection, source, images)
     if capture.up is not None:
-        root[_UP] = capture.up.tolist()
+        root[UP] = capture.up.tolist()
     set_root_matrix(root, matrix)
     inner = bpy.data.collections.new(f"{name} cameras")
     collection.children.link(inner)
@@ -206,11 +110,11 @@ def import_capture(
             progress(i / len(usable))
     if photos and not bpy.app.background:
         straightening.ask(cameras)
-    _size_drawings(root, cameras)
+    size_drawings(root, cameras)
     made = None
     if points and len(cloud):
         indices = np.flatnonzero(finite)
-        radius = sfm_points.point_radius(cloud, _centers(viewmats))
+        radius = sfm_points.point_radius(cloud, centers_of(viewmats))
         made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices, radius)
         made[co.KIND] = "points"
     warnings = (*capture.warnings, *lenses.problems, *_warnings(views, viewmats, capture))
@@ -275,77 +179,6 @@ def step_camera(scene: bpy.types.Scene, root: bpy.types.Object, step: int) -> bp
     return cameras[0 if step > 0 else -1]
 
 
-def stated_up(root: bpy.types.Object) -> np.ndarray | None:
-    """[3], up in the world of a capture whose files state it; None: its cameras are to tell."""
-    return np.array(root[_UP][:], np.float64) if _UP in root else None
-
-
-def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:
-    """Find up and ground again and put them into a capture's empty; its scale stays.
-
-    Args:
-        root: The empty.
-        up: [3], roughly up in the capture's world; None: from the cameras.
-
-    Raises:
-        ValueError: the capture has no cameras.
-    """
-    cameras = cameras_of(root)
-    if not cameras:
-        raise ValueError(f"{root.name} has no cameras to align by. Import the capture again.")
-    viewmats = np.stack([co.stated(ob).viewmat for ob in cameras])
-    made = co.points_of(root)
-    cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
-    found = alignment.align(viewmats, cloud, up)
-    scale = root_scale(root)
-    set_root_matrix(root, np.diag([scale, scale, scale, 1.0]) @ found.matrix)
-    return found
-
-
-def world_extent(root: bpy.types.Object) -> float:
-    """Largest distance between two of a capture's cameras, in Blender's units."""
-    cameras = cameras_of(root)
-    viewmats = np.array([co.stated(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
-    return alignment.camera_extent(_centers(viewmats)) * root_scale(root)
-
-
-def set_extent(root: bpy.types.Object, extent: float) -> None:
-    """Scale a capture about its empty so that its cameras are `extent` Blender units apart at most.
-
-    Raises:
-        ValueError: all cameras stand in one place.
-    """
-    now = world_extent(root)
-    if not (now > 0 and extent > 0):
-        raise ValueError(
-            f"The cameras of {root.name} stand in one place, which gives no scale. Scale the empty."
-        )
-    matrix = matrix_to_numpy(root.matrix_basis)
-    matrix[:3] *= extent / now
-    set_root_matrix(root, matrix)
-    _size_drawings(root, cameras_of(root))
-
-
-def reset_root(root: bpy.types.Object) -> None:
-    """Give a capture the axes, origin and scale of its own files back."""
-    set_root_matrix(root, np.eye(4))
-    _size_drawings(root, cameras_of(root))
-
-
-def root_scale(root: bpy.types.Object) -> float:
-    """Blender units per unit of the capture's world."""
-    return float(np.cbrt(abs(np.prod(np.array(root.scale[:], np.float64)))))
-
-
-def set_root_matrix(root: bpy.types.Object, matrix: np.ndarray) -> None:
-    """Give an empty a matrix [4, 4] of rotation, one scale and translation."""
-    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-    root.rotation_mode = "QUATERNION"
-    root.location = matrix[:3, 3]
-    root.rotation_quaternion = rotmat_to_quat(matrix[:3, :3] / scale)
-    root.scale = (scale, scale, scale)
-
-
 def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> tuple[int, int]:
     """Point a capture at the folder where it is now; how many photos were found, and of how many.
 
@@ -379,11 +212,6 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
     if not bpy.app.background:
         straightening.ask(cameras)
     return sum(1 for file in found.values() if file), len(cameras)
-
-
-def _centers(viewmats: np.ndarray) -> np.ndarray:
-    """Camera positions [C, 3]."""
-    return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
 
 
 class _Lenses:
@@ -432,25 +260,6 @@ def _make_root(
     return root
 
 
-def _size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
-    """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
-    if not cameras:
-        return
-    scale = root_scale(root)
-    centers = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras])
-    extent = alignment.camera_extent(centers) * scale or 1.0
-    few = centers[np.linspace(0, len(centers) - 1, min(200, len(centers))).astype(int)]
-    distances = np.linalg.norm(few[:, None] - centers[None], axis=2)
-    distances[distances == 0] = np.inf
-    nearest = distances.min(axis=1)
-    nearest = nearest[np.isfinite(nearest)]
-    length = DISPLAY * float(np.median(nearest)) * scale if len(nearest) else 0.1 * extent
-    for data in filter(writable.keeps, [ob.data for ob in cameras]):
-        data.display_size = length
-        data.clip_start, data.clip_end = CLIP_START * extent, CLIP_END * extent
-    root.empty_display_size = 0.1 * extent / scale
-
-
 def _warnings(views: list[View], viewmats: np.ndarray, capture: Capture) -> list[str]:
     out = []
     usable = [view for view in views if view.camera.model not in NO_PINHOLE]
@@ -469,7 +278,7 @@ def _warnings(views: list[View], viewmats: np.ndarray, capture: Capture) -> list
             "The photos differ in size. Blender keeps resolution per scene: choose cameras with "
             "Use Camera, which sets it."
         )
-    centers = _centers(viewmats)
+    centers = centers_of(viewmats)
     extent = alignment.camera_extent(centers)
     if extent > 0 and np.linalg.norm(centers, axis=1).max() > FAR * extent:
         out.append(

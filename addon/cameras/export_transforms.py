@@ -10,15 +10,8 @@ import numpy as np
 
 from ..core import ColmapPoints, atomic_write
 from . import formulas as cm
-from .export_colmap import (
-    Exported,
-    ExportView,
-    collect,
-    kept_lenses,
-    known_captures,
-    points_to_export,
-    source_of,
-)
+from .export_sources import known_captures, points_to_export, source_of
+from .export_views import Exported, ExportView, collect, kept_lenses
 
 POINTS = "sparse_pc.ply"
 """The name nerfstudio gives the points."""

@@ -11,9 +11,11 @@ from ..interface.operators import Acting, OnScene
 from ..paths import absolute
 from . import captures
 from .choosing import choose
-from .export_colmap import Exported, export_colmap
+from .export_colmap import export_colmap
 from .export_transforms import export_transforms
+from .export_views import Exported
 from .lookup import find_camera, find_root
+from .objects import cameras_of
 
 
 class OnCapture(Acting):
@@ -36,7 +38,7 @@ _shown: list[tuple[str, str, str]] = []
 def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
     """The photos of the capture that is meant."""
     try:
-        listed = captures.cameras_of(find_root(context, self.capture)) if context else []
+        listed = cameras_of(find_root(context, self.capture)) if context else []
     except ValueError:
         listed = []
     names = [str(ob.get("gs_image", ob.name)) for ob in listed]
@@ -229,7 +231,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The capture and its cameras, with what they say of their photos."""
         root = find_root(context, self.capture)
-        obs = captures.cameras_of(root)
+        obs = cameras_of(root)
         return (root, *obs, *(ob.data for ob in obs))
 
     def act(self, context: bpy.types.Context) -> str:
@@ -337,7 +339,7 @@ def _chosen(
     context: bpy.types.Context, which: str, root: bpy.types.Object | None
 ) -> list[bpy.types.Object]:
     if which == "CAPTURE" and root is not None:
-        return captures.cameras_of(root)
+        return cameras_of(root)
     source = context.selected_objects if which == "SELECTED" else context.scene.objects
     return sorted((ob for ob in source if ob.type == "CAMERA"), key=lambda ob: ob.name)
 

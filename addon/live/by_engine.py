@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag
 from ..render import picture
 from ..render.color import over_view
-from ..render.scene import Model, Placed, marks_of
+from ..render.model import Model
+from ..render.scene import Placed, marks_of
 from .clip import Cuts, z_of
 from .marks import tinted_splats
 

@@ -8,7 +8,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..compat import blends_float32, shaders_write_depth
 from . import program
 from .clip import PLANES, Cuts, depth_of_z

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 
 PLANES = 6
 """That may cut a view."""

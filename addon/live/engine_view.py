@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
-from ..render.scene import Placed, SplatCache
+from ..cameras.render_camera import RenderCamera
+from ..render.model import SplatCache
+from ..render.scene import Placed
 from ..render.viewport import Viewport
 from .by_engine import Wish
 from .clip import Cuts

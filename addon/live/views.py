@@ -8,10 +8,11 @@ from typing import Any
 import gpu
 import numpy as np
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..process.latest import Latest
 from ..render import picture
-from ..render.scene import Placed, SplatCache, check_similar, marks_of
+from ..render.model import SplatCache, check_similar
+from ..render.scene import Placed, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
 from .card import Canvas, Card, Shot

@@ -11,7 +11,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..cameras.captures import RenderCamera, render_camera
+from ..cameras.render_camera import RenderCamera, render_camera
 from ..process.pieces import Pieces
 from ..splats.edit_operators import Editing
 from ..splats.held import Held

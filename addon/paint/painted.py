@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..process.pieces import Check, Pieces, aside
 from ..render import copies
 from ..render.frozen import HIDDEN, SELECTED, read_marks

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..interface import undo, writable
 from ..interface.views import redraw_views

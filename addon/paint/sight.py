@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 
 from .. import attributes, compat
-from ..cameras.captures import RenderCamera
 from ..cameras.formulas import project
+from ..cameras.render_camera import RenderCamera
 from ..core import Rendered, render
 from ..process.pieces import Pieces, aside
 from ..render.viewport import smaller

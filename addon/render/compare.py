@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 
 from ..cameras import formulas as cm
-from ..cameras.captures import RenderCamera
 from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..cameras.pictures import levels_of
+from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr, rgba_png
 from ..process.background import Cancelled

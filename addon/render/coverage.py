@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from .holdout import HALF
-from .scene import Identity, Model
+from .model import Model
+from .scene import Identity
 
 
 def one_hot(model: Model) -> Iterator[tuple[list[Identity], Model]]:

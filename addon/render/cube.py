@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
 from ..cameras.panorama import Panorama
+from ..cameras.render_camera import RenderCamera
 from .color import NOTHING
-from .scene import Model
+from .model import Model
 
 Window = tuple[int, int, int, int]
 """Left, top, width and height, pixels."""

@@ -17,9 +17,10 @@ from ..timeline.settings import plays
 from . import copies, held_meshes, ignored, picture
 from .apart import main_scene
 from .film import Film
+from .model import SplatCache
 from .passes import asked_of
 from .samples import Mean
-from .scene import Identity, Placed, SplatCache, sources
+from .scene import Identity, Placed, sources
 from .stage import Stage
 from .stereo import eye_of, refusal, views_of
 from .viewport import (

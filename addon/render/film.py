@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
 from ..cameras.panorama import Panorama
+from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered
 from . import color, picture
 from .coverage import one_hot
 from .cube import Window, beyond, unfold
 from .mesh_holdout import Hidden, cut
-from .scene import Identity, Model
+from .model import Model
+from .scene import Identity
 from .stage import View
 
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..core import Rendered, mesh_depth
 from ..triangles import Triangles, joined, repeated
 from .held_meshes import HeldMesh

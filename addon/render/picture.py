@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cameras.captures import RenderCamera
+from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered, render
-from .scene import Model
+from .model import Model
 
 AUTO, ON, OFF = "AUTO", "ON", "OFF"
 POLL = 0.02

@@ -10,16 +10,17 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..cameras.captures import RenderCamera, render_camera
 from ..cameras.panorama import Panorama, panorama_of
+from ..cameras.render_camera import RenderCamera, render_camera
 from ..compat import matrix_to_numpy
 from ..timeline import follow
 from .apart import main_scene
 from .frozen import Frozen
 from .held_meshes import HeldMesh, HeldMeshes, same_meshes
 from .mesh_holdout import Hidden, hidden
+from .model import Model, SplatCache
 from .samples import Aperture, Sample, Shutter, samples
-from .scene import NO_SPLATS, Model, Placed, Source, SplatCache, place, sources
+from .scene import NO_SPLATS, Placed, Source, place, sources
 from .stereo import Eye, seen_by
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}

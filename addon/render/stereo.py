@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 
 from ..cameras import formulas
-from ..cameras.captures import RenderCamera
 from ..cameras.objects import frame_of, lens_of, rigid_viewmat
+from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 
 Eye = Callable[[bpy.types.Object], tuple[np.ndarray, float]]

@@ -13,8 +13,8 @@ import numpy as np
 from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
-from ..cameras.captures import RenderCamera
 from ..cameras.formulas import FLIP
+from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
 from ..interface.flags import error_words
 from ..interface.views import redraw_views
@@ -22,7 +22,8 @@ from ..process import threads
 from . import picture
 from .film import Film
 from .held_meshes import HeldMesh, same_meshes
-from .scene import Model, Placed, SplatCache
+from .model import Model, SplatCache
+from .scene import Placed
 from .stage import View
 
 QUICK = 0.08

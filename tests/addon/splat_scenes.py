@@ -9,7 +9,8 @@ import numpy as np
 from addon import compat
 from addon.core import Rendered, Splats, render
 from addon.render.engine import final_cache
-from addon.render.scene import Model, place, sources
+from addon.render.model import Model
+from addon.render.scene import place, sources
 from addon.splats import objects
 
 SH_C0 = 0.28209479177387814

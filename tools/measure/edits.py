@@ -127,7 +127,7 @@ def nothing() -> Iterator[str]:
 
 def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
     """What a stroke of the brush, and picking a color, begin with."""
-    from addon.cameras.captures import render_camera
+    from addon.cameras.render_camera import render_camera
     from addon.paint import painted, sight
     from addon.paint.brush import Brush
 

@@ -12,9 +12,10 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures
+from addon.cameras import captures, placing
 from addon.cameras import formulas as cm
 from addon.cameras.camera_path import export_path
+from addon.cameras.render_camera import render_camera
 from addon.core import write_splats
 from addon.splats import objects
 from gscore.datasets.camera_path_json import read_camera_path
@@ -104,7 +105,7 @@ def seen(scene, camera) -> list[np.ndarray]:
 def capture_with(camera) -> bpy.types.Object:
     """A capture that stands turned, moved and scaled in the scene."""
     made = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
-    captures.set_root_matrix(made.root, made_matrix())
+    placing.set_root_matrix(made.root, made_matrix())
     bpy.context.view_layer.update()
     return made.root
 
@@ -320,7 +321,7 @@ def test_pixels_that_are_not_square(scene, tmp_path: Path) -> None:
     file = tmp_path / "path.json"
     file.write_text(json.dumps([entry(200), entry(200)]))
     bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
-    got = captures.render_camera(scene.camera, scene)
+    got = render_camera(scene.camera, scene)
     np.testing.assert_allclose(got.K, [[250, 0, 150], [0, 200, 100], [0, 0, 1]], rtol=1e-6)
     file.write_text(json.dumps([entry(200), entry(210)]))
     count = len(bpy.data.cameras)

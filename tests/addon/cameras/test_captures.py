@@ -10,10 +10,12 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures, sfm_points
+from addon.cameras import captures, placing, sfm_points
 from addon.cameras import formulas as cm
 from addon.cameras import objects as co
 from addon.cameras.backgrounds import photo_of
+from addon.cameras.objects import cameras_of, is_camera, root_of
+from addon.cameras.render_camera import RenderCamera, render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import GsError, plan_undistortion, read_capture, read_colmap, write_colmap
 from tests.addon.captures import STUDIO, write_capture
@@ -28,7 +30,7 @@ def by_blender(ob, scene, points: np.ndarray, size: tuple[int, int]) -> np.ndarr
     return np.stack([views[:, 0] * size[0], (1 - views[:, 1]) * size[1]], axis=1)
 
 
-def in_view(render: captures.RenderCamera, rng: np.random.Generator, count: int = 30) -> np.ndarray:
+def in_view(render: RenderCamera, rng: np.random.Generator, count: int = 30) -> np.ndarray:
     """World points [count, 3] in a camera's picture, two to eight units away, as floats."""
     depths = rng.uniform(2, 8, (count, 1))
     pixels = rng.uniform([0, 0], [render.width, render.height], (count, 2))
@@ -52,7 +54,7 @@ def test_imported_cameras_project_as_colmap_says(scene, capture: Path, aligned: 
     """Oracle: COLMAP's K and pose in float64, compared with Blender's own projection."""
     made = captures.import_capture(bpy.context.scene, capture, align=aligned)
     if aligned:
-        captures.set_extent(made.root, 12.5)
+        placing.set_extent(made.root, 12.5)
     bpy.context.view_layer.update()
     world = matrix_to_numpy(made.root.matrix_world)
     states = {image.name: image for image in read_colmap(capture).images}
@@ -63,7 +65,7 @@ def test_imported_cameras_project_as_colmap_says(scene, capture: Path, aligned: 
         camera = intrinsics[image.camera_id]
         camera = plan_undistortion(camera) or camera
         captures.use_camera(scene, ob)
-        render = captures.render_camera(ob, scene)
+        render = render_camera(ob, scene)
         points = in_view(render, rng)
         mine = points @ np.linalg.inv(world)[:3, :3].T + np.linalg.inv(world)[:3, 3]
         expected, depths = cm.project(mine, camera.K, image.viewmat)
@@ -104,7 +106,7 @@ def test_render_camera(scene, size: tuple[int, int], fit: str, kind: str) -> Non
 
 def _compare(ob, scene, rng: np.random.Generator) -> None:
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    ours = captures.render_camera(ob, scene, depsgraph=depsgraph)
+    ours = render_camera(ob, scene, depsgraph=depsgraph)
     points = in_view(ours, rng)
     got, _ = cm.project(points, ours.K, ours.viewmat, orthographic=ours.orthographic)
     render = scene.render
@@ -137,15 +139,15 @@ def test_cameras_that_are_refused(scene) -> None:
     scene.collection.objects.link(ob)
     data.type = "PANO"
     with pytest.raises(ValueError, match="Eye is panoramic"):
-        captures.render_camera(ob, scene)
+        render_camera(ob, scene)
     data.type = "PERSP"
     for scale in ((-1, 1, 1), (1, 1, 0)):
         ob.scale = scale
         bpy.context.view_layer.update()
         with pytest.raises(ValueError, match=r"Eye is (mirrored|scaled)"):
-            captures.render_camera(ob, scene)
+            render_camera(ob, scene)
     with pytest.raises(ValueError, match="no camera"):
-        captures.render_camera(bpy.data.objects.new("Thing", None), scene)
+        render_camera(bpy.data.objects.new("Thing", None), scene)
 
 
 def test_another_size(scene) -> None:
@@ -153,8 +155,8 @@ def test_another_size(scene) -> None:
     data = bpy.data.cameras.new("c")
     ob = bpy.data.objects.new("c", data)
     scene.render.resolution_x, scene.render.resolution_y = 800, 600
-    whole = captures.render_camera(ob, scene)
-    half = captures.render_camera(ob, scene, width=400, height=300)
+    whole = render_camera(ob, scene)
+    half = render_camera(ob, scene, width=400, height=300)
     np.testing.assert_allclose(half.K[:2], whole.K[:2] / 2)
 
 
@@ -166,7 +168,7 @@ def test_what_an_import_makes(scene) -> None:
     assert [ob["gs_image"] for ob in made.cameras] == sorted(i.name for i in model.images)
     by_name = {image.name: image for image in model.images}
     for ob in made.cameras:
-        assert captures.is_camera(ob) and captures.root_of(ob) == made.root
+        assert is_camera(ob) and root_of(ob) == made.root
         own = co.stated(ob)
         np.testing.assert_array_equal(own.viewmat, by_name[own.image].viewmat)
         np.testing.assert_array_equal(own.K, model.cameras[by_name[own.image].camera_id].K)
@@ -174,7 +176,7 @@ def test_what_an_import_makes(scene) -> None:
         assert Path(photo.filepath) == STUDIO / "images" / own.image
         assert not photo.has_data
         assert not co.is_moved(ob, own) and not co.is_lens_changed(ob.data, own)
-    assert captures.cameras_of(made.root) == made.cameras
+    assert cameras_of(made.root) == made.cameras
     assert made.warnings == ()
 
 
@@ -299,7 +301,7 @@ def test_save_and_load(scene, tmp_path: Path) -> None:
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     root = next(ob for ob in bpy.data.objects if co.is_kind(ob, "capture"))
     by_name = {image.name: image for image in read_colmap(STUDIO).images}
-    listed = captures.cameras_of(root)
+    listed = cameras_of(root)
     assert len(listed) == 60
     for ob in listed:
         own = co.stated(ob)
@@ -338,9 +340,9 @@ def test_another_machine(scene, tmp_path: Path) -> None:
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     scene = bpy.context.scene
     root = next(ob for ob in scene.objects if co.is_kind(ob, "capture"))
-    ob = captures.cameras_of(root)[0]
+    ob = cameras_of(root)[0]
     assert "is not there" in captures.use_camera(scene, ob)[0]
-    assert captures.align_root(root).ground_found
+    assert placing.align_root(root).ground_found
     with pytest.raises(ValueError, match="none of the 60 photos"):
         captures.relink(root, tmp_path)
     assert root["gs_source"] == "//here/studio"
@@ -362,7 +364,7 @@ def test_undo(scene) -> None:
     assert _counts()["objects"] == before["objects"]
     bpy.ops.ed.redo()
     root = next(ob for ob in bpy.context.scene.objects if co.is_kind(ob, "capture"))
-    assert len(captures.cameras_of(root)) == 60
+    assert len(cameras_of(root)) == 60
 
 
 def test_moving_and_zooming_is_noticed(scene) -> None:
@@ -421,9 +423,9 @@ def test_operators(scene) -> None:
         bpy.ops.gscore.use_camera(index=60)
     with pytest.raises(RuntimeError, match="called nobody"):
         bpy.ops.gscore.use_camera(camera="nobody")
-    root = captures.root_of(scene.camera)
+    root = root_of(scene.camera)
     bpy.ops.gscore.set_extent(extent=11.0)
-    assert captures.world_extent(root) == pytest.approx(11, rel=1e-6)
+    assert placing.world_extent(root) == pytest.approx(11, rel=1e-6)
     assert scene.camera.data.clip_end == pytest.approx(1100, rel=1e-5)
     before = matrix_to_numpy(root.matrix_basis)
     bpy.ops.gscore.flip_up()
@@ -445,7 +447,7 @@ def test_two_captures(scene, capture: Path) -> None:
     """Oracle: the active object decides; without one, a name must be given."""
     a = captures.import_capture(bpy.context.scene, STUDIO)
     b = captures.import_capture(bpy.context.scene, capture)
-    assert a.root != b.root and len(captures.cameras_of(a.root)) == 60
+    assert a.root != b.root and len(cameras_of(a.root)) == 60
     with pytest.raises(RuntimeError, match="several captures"):
         bpy.ops.gscore.use_camera(index=0)
     bpy.ops.gscore.use_camera(index=0, capture=b.root.name)

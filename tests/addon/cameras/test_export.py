@@ -10,11 +10,13 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures, sfm_points
+from addon.cameras import captures, placing, sfm_points
 from addon.cameras import formulas as cm
 from addon.cameras import objects as co
 from addon.cameras.export_colmap import export_colmap
 from addon.cameras.export_transforms import export_transforms
+from addon.cameras.objects import cameras_of
+from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, read_capture, read_colmap
 from tests.addon.captures import STUDIO, write_capture
@@ -33,7 +35,7 @@ def capture(tmp_path: Path) -> Path:
 def made(scene, capture: Path) -> captures.ImportedCapture:
     """That capture in Blender, aligned and scaled."""
     made = captures.import_capture(bpy.context.scene, capture)
-    captures.set_extent(made.root, 3.0)
+    placing.set_extent(made.root, 3.0)
     bpy.context.view_layer.update()
     return made
 
@@ -178,7 +180,7 @@ def test_deleted_cameras_and_points(made, scene, capture: Path, tmp_path: Path) 
     _delete(made.points, ~keep)
     assert len(mesh.vertices) == 200
     mesh.vertices[5].co.x += 1
-    listed = captures.cameras_of(made.root)
+    listed = cameras_of(made.root)
     done = export_colmap(tmp_path, listed, scene, root=made.root, depsgraph=graph())
     assert (done.views, done.points) == (13, 200)
     before, after = read_colmap(capture), read_colmap(tmp_path)
@@ -230,15 +232,15 @@ def test_cameras_of_ones_own(made, scene, tmp_path: Path) -> None:
     scene.render.resolution_x, scene.render.resolution_y = 333, 500
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = 1.0, 1.25
     bpy.context.view_layer.update()
-    wanted = captures.render_camera(ob, scene)
+    wanted = render_camera(ob, scene)
     done = export_colmap(tmp_path, [*made.cameras, ob], scene, root=made.root, depsgraph=graph())
     assert (done.views, done.moved) == (15, 1)
     other = captures.import_capture(bpy.context.scene, tmp_path, align=False)
-    captures.set_root_matrix(other.root, matrix_to_numpy(made.root.matrix_basis))
+    placing.set_root_matrix(other.root, matrix_to_numpy(made.root.matrix_basis))
     again = next(o for o in other.cameras if o["gs_image"] == "Dolly_1.png")
     captures.use_camera(scene, again)
     bpy.context.view_layer.update()
-    got = captures.render_camera(again, scene)
+    got = render_camera(again, scene)
     np.testing.assert_allclose(got.K, wanted.K, rtol=1e-5)
     np.testing.assert_allclose(got.viewmat, wanted.viewmat, atol=1e-5)
     assert (got.width, got.height) == (wanted.width, wanted.height)

@@ -17,7 +17,7 @@ from mathutils import Vector
 from addon import preferences
 from addon.cameras import backgrounds, captures, straight, straight_operators, straightening
 from addon.cameras.backgrounds import photo_of, straight_background
-from addon.cameras.objects import PhotoCamera, stated
+from addon.cameras.objects import PhotoCamera, is_camera, stated
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
 from addon.panels.cameras import CamerasPanel
 from addon.process import beat
@@ -225,7 +225,7 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
     bpy.ops.gscore.straighten_photos()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
-    cameras = [ob for ob in bpy.data.objects if captures.is_camera(ob)]
+    cameras = [ob for ob in bpy.data.objects if is_camera(ob)]
     assert [copy_needed(ob) for ob in cameras] == [None, None]
     assert straightening.ask(cameras) == 0
     assert shown(photo_of(cameras[0])).std() > 0.3

@@ -15,9 +15,9 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
 from addon import preferences
-from addon.cameras.captures import Capture, import_capture
+from addon.cameras.captures import import_capture
 from addon.cameras.objects import stated
-from addon.core import write_splats
+from addon.core import Capture, write_splats
 from addon.job import guides, registry, training
 from addon.panels.train import GuidesPanel
 from addon.splats.files import import_splats

@@ -14,7 +14,8 @@ from addon.live.clip import Cuts, z_of
 from addon.live.marks import SHARE, TINT
 from addon.render.color import EXPONENT, over_view
 from addon.render.frozen import HIDDEN, SELECTED, freeze
-from addon.render.scene import SplatCache, place, sources
+from addon.render.model import SplatCache
+from addon.render.scene import place, sources
 from addon.render.viewport import Painter, smaller, view_camera
 from tests.addon import splat_scenes as lab
 

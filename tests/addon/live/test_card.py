@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras.captures import RenderCamera
+from addon.cameras.render_camera import RenderCamera
 from addon.core import Rendered, Splats, render, transform_splats
 from addon.live import atlas, order
 from tests.addon import splat_scenes as lab

@@ -10,7 +10,8 @@ import pytest
 
 from addon.live import atlas, order, views
 from addon.render.frozen import HIDDEN, SELECTED, FrozenMesh, freeze
-from addon.render.scene import Placed, SplatCache, place, sources
+from addon.render.model import SplatCache
+from addon.render.scene import Placed, place, sources
 from tests.addon import splat_scenes as lab
 
 EYE = order.Eye(viewmats=(np.diag([1.0, -1, -1, 1]),), orthographic=False)

@@ -8,8 +8,9 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras.captures import RenderCamera
-from addon.render.scene import Placed, SplatCache, place, sources
+from addon.cameras.render_camera import RenderCamera
+from addon.render.model import SplatCache
+from addon.render.scene import Placed, place, sources
 from tests.addon import splat_scenes as lab
 from tests.addon.live import graphics
 

@@ -12,7 +12,7 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from addon import attributes
 from addon.attributes import BASE
-from addon.cameras.captures import render_camera
+from addon.cameras.render_camera import render_camera
 from addon.core import Splats, join_splats
 from addon.paint import painted
 from addon.paint.brush import COLOR, OPACITY, SELECT, Brush

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.cameras.captures import render_camera
+from addon.cameras.render_camera import render_camera
 from addon.paint import modal, painted, session
 from addon.paint.session import Answer, Session
 from addon.panels.paint import PaintPanel

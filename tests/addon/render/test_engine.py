@@ -11,6 +11,7 @@ import pytest
 
 from addon import compat
 from addon.cameras import captures
+from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
 from addon.render import engine, panels, picture
@@ -209,7 +210,7 @@ def test_several_objects_with_their_transforms(scene, tmp_path):
         bpy.context.view_layer.update()
         world.append(transform_splats(splats, matrix_to_numpy(ob.matrix_world)))
     got = lab.render_exr(tmp_path)
-    from addon.render.scene import _concatenated
+    from addon.render.model import _concatenated
 
     want = lab.truth(camera, _concatenated(world), SIZE)
     np.testing.assert_allclose(lab.srgb(got[..., :3]), want.rgb, atol=3e-4)
@@ -456,7 +457,7 @@ def test_stopping(scene):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     model = lab.model_of(depsgraph)
     part, whole = (
-        captures.render_camera(camera, scene, depsgraph=depsgraph, width=side, height=side)
+        render_camera(camera, scene, depsgraph=depsgraph, width=side, height=side)
         for side in (1000, 3000)
     )
     began = time.monotonic()

@@ -13,7 +13,8 @@ from addon.attributes import BASE
 from addon.core import Splats
 from addon.render import copies
 from addon.render.frozen import FrozenMesh, freeze
-from addon.render.scene import Placed, SplatCache, place, sources
+from addon.render.model import SplatCache
+from addon.render.scene import Placed, place, sources
 from addon.render.trace import repainted_rows, trace_of
 from tests.addon import splat_scenes as lab
 

@@ -7,13 +7,14 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import captures
+from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import render
 from addon.process.memory import Memory
 from addon.render import copies, frozen, picture, viewport
 from addon.render.frozen import HIDDEN
-from addon.render.scene import Placed, SplatCache, marks_of, sources
+from addon.render.model import SplatCache
+from addon.render.scene import Placed, marks_of, sources
 from addon.splats import filters
 from tests.addon import splat_scenes as lab
 
@@ -29,7 +30,7 @@ def test_view_camera_is_the_camera_of_the_matrices(scene, kind):
     view = np.linalg.inv(matrix_to_numpy(ob.matrix_world))
     window = matrix_to_numpy(ob.calc_matrix_camera(depsgraph, x=120, y=70))
     got = viewport.view_camera(view, window, 120, 70, perspective=kind == "PERSP")
-    want = captures.render_camera(ob, scene, depsgraph=depsgraph)
+    want = render_camera(ob, scene, depsgraph=depsgraph)
     np.testing.assert_allclose(got.K, want.K, atol=1e-3)
     assert got.orthographic == want.orthographic
     if kind == "PERSP":
@@ -52,7 +53,7 @@ def request_for(scene, splats, size=(96, 64), **options):
     return viewport.Request(
         placed=placed,
         held=(),
-        camera=captures.render_camera(
+        camera=render_camera(
             scene.camera, scene, depsgraph=depsgraph, width=size[0], height=size[1]
         ),
         options=picture.Options(**options),

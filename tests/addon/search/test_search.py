@@ -11,9 +11,8 @@ import bpy
 import pytest
 
 from addon import preferences
-from addon.cameras.captures import cameras_of
 from addon.cameras.lookup import chosen_root
-from addon.cameras.objects import points_of
+from addon.cameras.objects import cameras_of, points_of
 from addon.job import facts, registry, training, verb_job
 from addon.panels.capture import CapturePanel
 from addon.panels.progress import ProgressPanel

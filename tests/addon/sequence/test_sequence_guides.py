@@ -9,7 +9,7 @@ import numpy as np
 import plyfile
 import pytest
 
-from addon.cameras.captures import cameras_of
+from addon.cameras.objects import cameras_of
 from addon.job import guides
 from addon.panels.train import GuidesPanel
 from addon.panels.train_sequence import TrainSequencePanel

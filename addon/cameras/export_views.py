@@ -1,0 +1,170 @@
+"""Blender cameras as they are to be written, whatever the file.
+
+What nobody touched is as the capture states it, in float64; a camera that was moved has Blender's
+single precision.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import bpy
+import numpy as np
+
+from ..core import ColmapCamera
+from . import formulas as cm
+from . import objects as co
+from .straight import lens_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportView:
+    """A camera to write."""
+
+    name: str
+    """Image name, sub-folders with '/'."""
+    photo: Path | None
+    """File of the photo; None for cameras that are of none."""
+    viewmat: np.ndarray
+    """[4, 4] float64, world to camera, OpenCV axes."""
+    camera: ColmapCamera
+    """Intrinsics."""
+    is_moved: bool
+    """Pose or lens are Blender's, not the capture's."""
+    is_lens_kept: bool = False
+    """The lens is the capture's though Blender's is another, which a bent photo would not fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """What was written."""
+
+    path: Path
+    """Folder of the model, or the transforms file."""
+    views: int
+    """Cameras."""
+    moved: int
+    """Of these, written as they stand in Blender instead of as the capture states them."""
+    points: int
+    """SfM points."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+
+def collect(
+    cameras: Sequence[bpy.types.Object],
+    scene: bpy.types.Scene,
+    root: bpy.types.Object | None,
+    depsgraph: bpy.types.Depsgraph | None = None,
+    *,
+    photos: bool = True,
+) -> list[ExportView]:
+    """The cameras as they are to be written, with names that differ.
+
+    Args:
+        cameras: As for `export_colmap`; so are the others.
+        scene: Gives resolution and pixel aspect of cameras that are of no photo.
+        root: A capture's empty; None: Blender's world.
+        depsgraph: Gives the animated poses.
+        photos: Photos belong to them, as they were taken; else a camera whose photo is straightened
+            is the pinhole camera that it is in Blender.
+
+    Raises:
+        ValueError: there are none, or one is orthographic, panoramic or sheared.
+    """
+    if not cameras:
+        raise ValueError("There are no cameras to export. Select some, or import a capture.")
+    views: list[ExportView] = []
+    taken: set[str] = set()
+    for ob in cameras:
+        if co.is_camera(ob):
+            view = _photo_view(ob, root, depsgraph, photos=photos)
+        else:
+            view = _plain_view(ob, scene, root, depsgraph)
+        name, count = view.name, 1
+        while name in taken:
+            path = PurePosixPath(view.name)
+            name, count = str(path.with_name(f"{path.stem}_{count}{path.suffix}")), count + 1
+        taken.add(name)
+        views.append(replace(view, name=name))
+    return views
+
+
+def kept_lenses(views: Sequence[ExportView]) -> list[str]:
+    """What to tell of lenses that are not written as they are in Blender, a sentence at most."""
+    names = [view.name for view in views if view.is_lens_kept]
+    if not names:
+        return []
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return [
+        f"The lens of {', '.join(names[:3])}{more} was changed in Blender; it is written as the "
+        f"capture states it, for such photos are bent by that lens."
+    ]
+
+
+def _photo_view(
+    ob: bpy.types.Object,
+    root: bpy.types.Object | None,
+    depsgraph: bpy.types.Depsgraph | None,
+    *,
+    photos: bool,
+) -> ExportView:
+    own = co.stated(ob)
+    camera = lens_of(own)
+    moved = root is None or co.root_of(ob) != root or co.is_moved(ob, own)
+    changed = co.is_lens_changed(ob.data, own)
+    kept = photos and changed and not camera.is_pinhole
+    if (changed and not kept) or (own.photo_size is not None and not photos):
+        _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
+        camera = _pinhole(_intrinsics(ob, frame), frame)
+    return ExportView(
+        name=own.image,
+        photo=Path(own.photo) if own.photo else None,
+        viewmat=_rigid(co.viewmat_in(ob, root, depsgraph)) if moved else own.viewmat,
+        camera=camera,
+        is_moved=moved or (changed and not kept),
+        is_lens_kept=kept,
+    )
+
+
+def _plain_view(
+    ob: bpy.types.Object,
+    scene: bpy.types.Scene,
+    root: bpy.types.Object | None,
+    depsgraph: bpy.types.Depsgraph | None,
+) -> ExportView:
+    if ob.type != "CAMERA":
+        raise ValueError(f"{ob.name} is no camera. Select cameras only.")
+    frame = co.frame_of(scene)
+    letters = [c if c.isalnum() or c in " ._-" else "_" for c in ob.name]
+    return ExportView(
+        name="".join(letters).strip(" .") + ".png",
+        photo=None,
+        viewmat=_rigid(co.viewmat_in(ob, root, depsgraph)),
+        camera=_pinhole(_intrinsics(ob, frame), frame),
+        is_moved=True,
+    )
+
+
+def _intrinsics(ob: bpy.types.Object, frame: cm.Frame) -> np.ndarray:
+    if ob.data.type != "PERSP":
+        raise ValueError(
+            f"Camera {ob.name} is not perspective, which COLMAP and transforms.json have no model "
+            f"for. Leave it out or change its type."
+        )
+    return cm.intrinsics(co.lens_of(ob.data), frame)
+
+
+def _pinhole(K: np.ndarray, frame: cm.Frame) -> ColmapCamera:
+    params = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+    return ColmapCamera(model="PINHOLE", width=frame.width, height=frame.height, params=params)
+
+
+def _rigid(viewmat: np.ndarray) -> np.ndarray:
+    """The nearest pose with a true rotation and the same camera centre."""
+    u, _, vt = np.linalg.svd(viewmat[:3, :3])
+    out = np.eye(4)
+    out[:3, :3] = u @ vt
+    center = -np.linalg.solve(viewmat[:3, :3], viewmat[:3, 3])
+    out[:3, 3] = -out[:3, :3] @ center
+    return out

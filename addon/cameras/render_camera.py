@@ -1,0 +1,81 @@
+"""A Blender camera as a rasterizer wants it."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..compat import matrix_to_numpy
+from . import formulas as cm
+from . import objects as co
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCamera:
+    """A Blender camera as a rasterizer wants it."""
+
+    viewmat: np.ndarray
+    """[4, 4] float64, Blender's world to camera, OpenCV axes."""
+    K: np.ndarray
+    """[3, 3] float64, pixels; orthographic: pixels per world unit."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+    near: float
+    """Clip start, world units."""
+    orthographic: bool
+    """Whether `K` is applied without dividing by z."""
+    name: str
+    """Of the object."""
+
+    def same(self, other: object) -> bool:
+        """Whether another sees the same, whatever it is called."""
+        fields = ("width", "height", "near", "orthographic")
+        return (
+            isinstance(other, RenderCamera)
+            and all(getattr(self, name) == getattr(other, name) for name in fields)
+            and np.array_equal(self.K, other.K)
+            and np.array_equal(self.viewmat, other.viewmat)
+        )
+
+
+def render_camera(
+    camera_object: bpy.types.Object,
+    scene: bpy.types.Scene,
+    *,
+    depsgraph: bpy.types.Depsgraph | None = None,
+    width: int | None = None,
+    height: int | None = None,
+) -> RenderCamera:
+    """A Blender camera as Blender itself would project with it.
+
+    Args:
+        camera_object: The camera.
+        scene: Gives resolution, percentage and pixel aspect.
+        depsgraph: Gives the animated pose and lens; without it, those of the object as it stands.
+        width: Pixels instead of the scene's.
+        height: Pixels instead of the scene's.
+
+    Raises:
+        ValueError: no camera, a panoramic or custom one, or one with a matrix that is no pose.
+    """
+    ob = camera_object.evaluated_get(depsgraph) if depsgraph else camera_object
+    if ob.type != "CAMERA":
+        raise ValueError(f"{ob.name} is no camera. Choose a camera.")
+    if ob.data.type not in ("PERSP", "ORTHO"):
+        kind = {"PANO": "panoramic", "CUSTOM": "custom"}.get(ob.data.type, ob.data.type)
+        raise ValueError(
+            f"Camera {ob.name} is {kind}; splats are rendered by perspective and orthographic "
+            f"cameras. Set its type to one of these."
+        )
+    frame = co.frame_of(scene, width, height)
+    return RenderCamera(
+        viewmat=co.rigid_viewmat(matrix_to_numpy(ob.matrix_world), ob.name),
+        K=cm.intrinsics(co.lens_of(ob.data), frame),
+        width=frame.width,
+        height=frame.height,
+        near=ob.data.clip_start,
+        orthographic=ob.data.type == "ORTHO",
+        name=ob.name,
+    )
