@@ -142,7 +142,9 @@ def test_attributes_of_all_types_are_joined(ob: bpy.types.Object) -> None:
     assert joined.keys() == KINDS
     for kind, values in joined.items():
         assert values[COUNT:] == before[kind], kind
-        assert not np.any(values[0]) and values[:COUNT] == [values[0]] * COUNT
+        lacking = values[0]
+        assert lacking == b"" or not np.any(lacking)  # numpy 1 knows no truth of bytes
+        assert values[:COUNT] == [lacking] * COUNT
     bpy.ops.ed.undo()
     assert others_of(bpy.data.objects["other"]) == before
 
