@@ -11,7 +11,7 @@ from ._version import __version__
 from .extras import offered
 
 if TYPE_CHECKING:
-    from .config import PRESETS, Background, DataConfig, Strategy, TrainConfig
+    from .config import Background, DataConfig, Strategy, TrainConfig
     from .control import Control
     from .datasets import Dataset, load_dataset
     from .errors import (
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .formats import read_splat_file, read_splats, write_splat_file
     from .io.ply.splats import write_splats
     from .metrics.image import psnr
+    from .presets import PRESETS
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
     from .raster.backend import CancelFlag
@@ -54,7 +55,7 @@ _HOME = {
     "FormatError": "errors",
     "GsError": "errors",
     "ImageLoss": "raster.loss",
-    "PRESETS": "config",
+    "PRESETS": "presets",
     "PointCloud": "scene",
     "RasterAux": "raster.autograd",
     "RasterOutput": "raster.autograd",

@@ -6,8 +6,10 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
-from .config import LIFTED_BY, PRESETS, DataConfig, TrainConfig, flag_of
+from .config import LIFTED_BY, DataConfig, TrainConfig
 from .hold_out import SPLIT, hold_out_word
+from .options import flag_of
+from .presets import PRESETS
 
 _OF_THE_SPLIT = ("eval", "test_offset", *SPLIT)
 _OF_A_PRESET = ("iterations", "max_splats", "sh_degree")

@@ -148,6 +148,11 @@ def _taken(declared: Option, value: Any) -> bool:
     return declared.range is None or value is None or value in declared.range
 
 
+def flag_of(name: str) -> str:
+    """How the command line calls an option."""
+    return {"resolution": "-r"}.get(name, "--" + name.replace("_", "-"))
+
+
 def _wanted(declared: Option) -> str:
     return f"one of {declared.values}" if declared.choices else declared.values
 

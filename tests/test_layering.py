@@ -25,6 +25,7 @@ BOTTOM = {
     "smallest_three",
     "json_text",
     "options",
+    "presets",
     "choices",
     "config",
     "config_command",

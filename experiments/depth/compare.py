@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 
 from gscore.bench.quality import COMPARED
-from gscore.config import PRESETS
 from gscore.io.pictures.images import resize, write_png
 from gscore.io.ply.splats import read_ply
+from gscore.presets import PRESETS
 from gscore.raster.api import render
 from gscore.report.colormap import colorize
 

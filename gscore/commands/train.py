@@ -7,12 +7,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..config import LIFTED_BY, PRESETS, DataConfig, TrainConfig
+from ..config import LIFTED_BY, DataConfig, TrainConfig
 from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.places import check_place
 from ..io.runs import options_of_run, others_in_run
+from ..presets import PRESETS
 from ..shown import typed
 from ..words import colour_words, count_words, learnt_exposure, quality_words, size_words
 from .block_runs import train_blocks, wants_blocks

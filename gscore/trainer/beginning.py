@@ -4,10 +4,11 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig, TrainConfig, flag_of
+from ..config import DataConfig, TrainConfig
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
 from ..formats import read_splats
+from ..options import flag_of
 from ..splats import Splats
 from .files import checkpoint
 from .files.checkpoint import Checkpoint

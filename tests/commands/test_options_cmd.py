@@ -10,8 +10,9 @@ import pytest
 from gscore.commands import dashed, main, train
 from gscore.commands.bench.changes import changed
 from gscore.commands.given import names_3dgs
-from gscore.config import LIFTED_BY, PRESETS, Background, Skip, Strategy, Switch, TrainConfig
+from gscore.config import LIFTED_BY, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
+from gscore.presets import PRESETS
 
 
 def told(line: str, capsys: pytest.CaptureFixture[str]) -> list[dict]:
@@ -55,7 +56,7 @@ def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -
     assert rates[0] == "means_lr" and {"lr_boost", "pose_lr_final"} < set(rates)
     assert main(["options", "ensemble"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "'ensemble' stands in the texts of these too: iterations." in out
+    assert "'ensemble' stands in the texts of these too: iterations, splats_a_photo." in out
     assert main(["options", "seed"]) == 0
     out = capsys.readouterr().out
     assert "seed = 0 (0 to 9223372036854775807): Same seed, same result" in " ".join(out.split())

@@ -13,9 +13,10 @@ from gscore.bench.quality import JudgedView, Training, compare, summarize
 from gscore.bench.training import load_for_bench, train_measured
 from gscore.commands import main
 from gscore.commands.bench.quality_tables import tables
-from gscore.config import PRESETS, TrainConfig
+from gscore.config import TrainConfig
 from gscore.datasets import Dataset
 from gscore.metrics import psnr
+from gscore.presets import PRESETS
 from gscore.trainer.schedule import enough
 from tests.commands.small_bench import EXAMPLE, bench_json
 

@@ -23,7 +23,8 @@ from gscore.bench.time_error import (
 from gscore.bench.training import Point, Trained, load_for_bench, open_sizes, train_measured
 from gscore.commands import main
 from gscore.commands.bench.curve_figures import table, write_curves
-from gscore.config import PRESETS, Skip, Strategy, TrainConfig
+from gscore.config import Skip, Strategy, TrainConfig
+from gscore.presets import PRESETS
 from gscore.trainer.trainer import Trainer
 from tests.commands.small_bench import EXAMPLE, bench_json
 

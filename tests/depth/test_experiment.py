@@ -17,9 +17,9 @@ from experiments.depth.measures import is_seen, known_share
 from experiments.depth.plans import ARMS, TABLES, Setting
 from experiments.depth.tables import tables
 from gscore.commands.train import add_arguments, configs
-from gscore.config import PRESETS
 from gscore.depth.origin import read_record
 from gscore.io.pictures.images import write_png
+from gscore.presets import PRESETS
 
 
 def test_seen_is_what_lies_at_its_depth_in_another_frame() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS
+from gscore.presets import PRESETS
 
 ROOT = Path(__file__).parents[2]
 BENCHMARKS = "docs/benchmarks.md"
@@ -229,7 +229,7 @@ QUOTES = (
         within=0.15,
     ),
     Quote(
-        "gscore/config.py",
+        "gscore/presets.py",
         r"about (a quarter of a minute) .* about (a minute and a quarter) .* "
         r"about (five minutes) .* gives, (ten minutes) to half an hour",
         _PRESET_SECONDS,

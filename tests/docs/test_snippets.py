@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 from gscore.commands import main
-from gscore.config import PRESETS
+from gscore.presets import PRESETS
 from tests.depth.conftest import midas
 from tests.docs.small_studio import ROOT, write_small_studio, write_small_video
 

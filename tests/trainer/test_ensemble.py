@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import PRESETS, Background, Stereo, Strategy, TrainConfig
+from gscore.config import Background, Stereo, Strategy, TrainConfig
+from gscore.presets import PRESETS
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from gscore.commands import main
-from gscore.config import PRESETS, Background, Skip, Stereo, Strategy
+from gscore.config import Background, Skip, Stereo, Strategy
 from gscore.config_file import load_config
 from gscore.io.ply.splats import read_ply
+from gscore.presets import PRESETS
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.folder import RunFolder
 

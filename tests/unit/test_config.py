@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from gscore.commands.given.data_options import add_data_options, with_data_options
-from gscore.config import PRESETS, Background, DataConfig, Strategy, TrainConfig
+from gscore.config import Background, DataConfig, Strategy, TrainConfig
 from gscore.config_file import config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
+from gscore.presets import PRESETS
 
 ODD = TrainConfig(
     iterations=7,

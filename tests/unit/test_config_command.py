@@ -11,8 +11,9 @@ from gscore.commands import depth
 from gscore.commands import train as verb
 from gscore.commands.given.data_options import with_data_options
 from gscore.commands.parser import Parser
-from gscore.config import PRESETS, Background, DataConfig, Skip, Strategy, Switch, TrainConfig
+from gscore.config import Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from gscore.config_command import depth_command, preset_words, train_command
+from gscore.presets import PRESETS
 
 CAPTURE = Path("my photos/first")
 ODD = {

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS
 from gscore.config_file import config_json
 from gscore.io.runs import RUN_FILES, clear_run, read_losses, read_run
+from gscore.presets import PRESETS
 
 
 def _run(path: Path, *, steps: tuple[int, ...], iterations: int) -> Path:

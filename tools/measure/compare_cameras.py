@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gscore.config import PRESETS
 from gscore.io.colmap.folder import ColmapModel, read_model
+from gscore.presets import PRESETS
 from gscore.sfm import Request, find_cameras
 from gscore.sfm.request import MAPPERS
 from gscore.trainer.run import train

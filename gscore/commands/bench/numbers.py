@@ -3,8 +3,8 @@
 import argparse
 from collections.abc import Sequence
 
-from ...config import flag_of
 from ...errors import ConfigError
+from ...options import flag_of
 from ...shown import shown
 from ...words import number
 

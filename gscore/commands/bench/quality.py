@@ -8,9 +8,10 @@ from functools import partial
 from pathlib import Path
 
 from ...bench.quality import train_judged
-from ...config import PRESETS, DataConfig
+from ...config import DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, LpipsNet, find_lpips
+from ...presets import PRESETS
 from ...trainer.schedule.enough import limit_by_photos, models_to_expect
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from ...bench.time_error import Variant
 from ...bench.training import open_sizes
-from ...config import PRESETS, DataConfig
+from ...config import DataConfig
 from ...errors import ConfigError
+from ...presets import PRESETS
 from ...shown import quoted
 from .changes import changed
 from .training_options import named_sources, training_configs

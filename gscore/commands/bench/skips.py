@@ -7,8 +7,9 @@ from pathlib import Path
 
 from ...bench.skips import SkipRow, bench_skips
 from ...bench.training import load_for_bench
-from ...config import PRESETS, Skip
+from ...config import Skip
 from ...metrics.machine import machine
+from ...presets import PRESETS
 from ...raster import backend
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status

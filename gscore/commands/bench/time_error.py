@@ -7,8 +7,9 @@ from collections import deque
 from pathlib import Path
 
 from ...bench.time_error import Curve, measure_variant
-from ...config import PRESETS, DataConfig, Skip
+from ...config import DataConfig, Skip
 from ...io.places import check_place
+from ...presets import PRESETS
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .curve_figures import figure_files, table, write_curves

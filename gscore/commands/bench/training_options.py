@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ...config import LIFTED_BY, PRESETS, DataConfig, Strategy, TrainConfig
+from ...config import LIFTED_BY, DataConfig, Strategy, TrainConfig
 from ...errors import ConfigError
+from ...presets import PRESETS
 from ...shown import quoted
 from ..given.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option

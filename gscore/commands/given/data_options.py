@@ -5,10 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ...config import DataConfig, flag_of
+from ...config import DataConfig
 from ...errors import ConfigError
 from ...hold_out import SPLIT, parse_hold_out
-from ...options import Option
+from ...options import Option, flag_of
 from .declared import declare, given_options, help_words
 
 _MASKS = ("masks", "mask_mode", "invert_masks")

@@ -6,8 +6,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from ...config import PRESETS, TrainConfig
+from ...config import TrainConfig
 from ...options import Option, options_of, value_words
+from ...presets import PRESETS
 from ...shown import quoted
 from ...words import number
 from ..parser import nearest

@@ -3,10 +3,10 @@
 import argparse
 from collections.abc import Callable
 
-from ...config import DataConfig, Doubling, Skip, Stereo, Strategy, Switch, TrainConfig, flag_of
+from ...config import DataConfig, Doubling, Skip, Stereo, Strategy, Switch, TrainConfig
 from ...hold_out import SPLIT
 from ...live_options import LiveOptions
-from ...options import Option, options_of
+from ...options import Option, flag_of, options_of
 
 _Idle = Callable[[argparse.Namespace, DataConfig, TrainConfig], bool]
 _Rule = tuple[str, _Idle]

@@ -17,12 +17,12 @@ from typing import Any, BinaryIO
 import torch
 
 from ..._version import __version__
-from ...config import TrainConfig, flag_of
+from ...config import TrainConfig
 from ...config_file import differences, from_dict, to_dict
 from ...errors import ConfigError, FormatError
 from ...io.files import atomic_write, check_regular
 from ...json_text import parse_json
-from ...options import options_of
+from ...options import flag_of, options_of
 from ...raster import backend
 from ...shown import shown
 from ..photos.views import Photos

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import PRESETS, Background, TrainConfig
+from gscore.config import Background, TrainConfig
+from gscore.presets import PRESETS
 from gscore.trainer.depth.regularisers import (
     drop_rate_at,
     drop_rate_of,

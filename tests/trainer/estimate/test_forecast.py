@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS, TrainConfig
+from gscore.config import TrainConfig
 from gscore.errors import GsError
+from gscore.presets import PRESETS
 from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.estimate.forecast import Estimate, check_fits, estimate, machine_pace, pace_now

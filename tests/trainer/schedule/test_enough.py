@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS, Stereo, TrainConfig
+from gscore.config import Stereo, TrainConfig
+from gscore.presets import PRESETS
 from gscore.trainer.schedule.enough import limit_by_photos, points_to_expect, thins_subject
 
 TRAIN = TrainConfig(iterations=7000, steps_a_photo=80)

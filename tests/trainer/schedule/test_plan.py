@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import PRESETS, Strategy, TrainConfig
+from gscore.config import Strategy, TrainConfig
+from gscore.presets import PRESETS
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.schedule.plan import Plan
 
