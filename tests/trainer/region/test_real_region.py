@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.config import DataConfig, preview
+from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.formats import read_splats
 from gscore.metrics import evaluate
+from gscore.presets import preview
 from gscore.raster.api import render
 from gscore.trainer.region.box import Box
 from gscore.trainer.region.photos import RegionPhotos
