@@ -1,0 +1,1 @@
+"""Depth maps made, aligned and told of, for `gscore depth`."""
