@@ -72,7 +72,7 @@ def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
         iterations: Steps that were asked for; 0: time was.
     """
     reason, steps = metrics.get("reason"), metrics.get("steps")
-    if not reason or reason in ENDED or steps is None:
+    if not reason or reason in ENDED or steps is None or 0 < iterations <= steps:
         return ""
     return f"stopped after {step_words(steps, iterations)}"
 

@@ -50,9 +50,10 @@ def test_differences_are_those_of_both_metrics(gscore, two_runs, tmp_path):
 def test_a_run_that_was_stopped_is_named(gscore, two_runs, tmp_path):
     """Oracle: the metrics.json of the second, changed."""
     path = two_runs[1] / "metrics.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"reason": "interrupted"}))
+    stopped = {"reason": "interrupted", "steps": 5}
+    path.write_text(json.dumps(json.loads(path.read_text()) | stopped))
     code, _, err = gscore("compare", *two_runs, "-o", tmp_path / "c.html")
-    assert code == 0 and "other was stopped after 12 of 12 steps" in " ".join(err.split())
+    assert code == 0 and "other was stopped after 5 of 12 steps" in " ".join(err.split())
     assert "run was stopped" not in err and "other was stopped" in (tmp_path / "c.html").read_text()
 
 

@@ -80,17 +80,18 @@ def test_a_second_ctrl_c_ends_at_once(
     capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
 ) -> None:
     """Oracle: both sentences and nothing else after the progress; the checkpoints are whole. The
-    steps take a second, so that the second key comes while the first is not yet obeyed."""
+    steps take two seconds, so that the second key comes while the first is not yet obeyed, and
+    keys are half a second apart, so that two do not become one on a busy machine."""
     code = (
         "import sys, time; from gscore.__main__ import main\n"
         "from gscore.trainer.trainer import Trainer; real = Trainer.step\n"
-        "Trainer.step = lambda self: (time.sleep(1), real(self))[1]; sys.exit(main())"
+        "Trainer.step = lambda self: (time.sleep(2), real(self))[1]; sys.exit(main())"
     )
     process = begin([sys.executable, "-c", code, *command(capture, tmp_path, *LONG)[3:]])
     is_training(process, tmp_path)
     for _ in range(2):
         process.send_signal(signal.SIGINT)
-        time.sleep(0.1)
+        time.sleep(0.5)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err.splitlines()[-2:] == [

@@ -90,6 +90,7 @@ class Meter:
             self._mse = mse if first else self._mse + weight * (mse - self._mse)
         every = max(1, self.plan.iterations // _HISTORY)
         if step // every > (step - photos) // every or step == self.plan.iterations:
+            self._remember()
             fields = vars(self.progress())
             row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
             self.history.append(row | {"photo_factor": photo_factor})
@@ -105,17 +106,24 @@ class Meter:
         more and more what steps take."""
         return self._spent / self._planned
 
+    def _planned_left(self) -> float:
+        """Seconds of the plan that are left."""
+        return self._cost.seconds_after(self._step, self._splats)
+
+    def _remember(self) -> None:
+        """Fit the time over which the pace is a mean to what is left."""
+        self._memory = max(_REMEMBERED[0], _REMEMBERED[1] * self._planned_left())
+
     def _expect(self, pace: float) -> None:
         """Take a pace for known, as far as something can be known before the steps."""
         self._planned = _EXPECTED
         self._spent = _EXPECTED * pace
-        self._memory = _REMEMBERED[0]
+        self._remember()
 
     def progress(self, *, phase: str = "") -> Progress:
         """Where the run stands."""
         spent = sum(seconds for seconds, _ in self._recent)
-        left = self._cost.seconds_after(self._step, self._splats)
-        self._memory = max(_REMEMBERED[0], _REMEMBERED[1] * left)
+        left = self.pace * self._planned_left()
         rate = sum(photos for _, photos in self._recent) / spent if spent > 0 else 0.0
         return Progress(
             step=self._step,
@@ -124,7 +132,7 @@ class Meter:
             psnr=self.psnr,
             splats=self._splats,
             steps_per_s=rate,
-            eta_s=min(self.pace * left, max(self._budget - self.train_seconds, 0.0)),
+            eta_s=min(left, max(self._budget - self.train_seconds, 0.0)),
             elapsed_s=self.train_seconds,
             phase=phase or ("adding splats" if self._step <= self.plan.refine_stop else "refining"),
         )
@@ -168,7 +176,7 @@ class Meter:
         self._count = whole("count", state["count"])
         self._step = whole("step", state.get("step", 0))
         self._splats = whole("splats", state.get("splats", self._splats))
-        self._expect(real("pace", state.get("pace", 1.0), low=0))
+        self._expect(real("pace", state.get("pace", self.pace), low=0))
 
 
 def _finite(value: Any) -> Any:
