@@ -1,6 +1,7 @@
 """Options of a run as frozen dataclasses: the same objects behind command line, JSON and add-on."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .choices import Background, Doubling, Skip, Stereo, Strategy, Switch
@@ -860,3 +861,34 @@ LIFTED_BY = {
     "ensemble": "ensemble_below",
 }
 """Limits by what the photos are like, by the option that lifts them where it is given by itself."""
+
+
+def unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
+    """The options before photos limited them, which limit them again alike.
+
+    Args:
+        train: Options of a run.
+        asked: Value by option, of those that photos limited, before they did.
+    """
+    was = {
+        option: asked[option]
+        for option, limit in LIFTED_BY.items()
+        if getattr(train, option) < asked.get(option, 0) and getattr(train, limit)
+    }
+    return replace(train, **was)
+
+
+def limited_as(train: TrainConfig, asked: Mapping[str, int], run: TrainConfig) -> TrainConfig:
+    """The options with those values of a `run` that photos limited, where the same was asked for.
+
+    Args:
+        train: Options that were given anew.
+        asked: As `unlimited`, of the run.
+        run: Options of the run.
+    """
+    same = {
+        option: getattr(run, option)
+        for option, limit in LIFTED_BY.items()
+        if getattr(train, option) == asked.get(option) and getattr(train, limit)
+    }
+    return replace(train, **same)

@@ -6,7 +6,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
-from .config import LIFTED_BY, DataConfig, TrainConfig
+from .config import LIFTED_BY, DataConfig, TrainConfig, unlimited
 from .hold_out import SPLIT, hold_out_word
 from .options import flag_of
 from .presets import PRESETS
@@ -55,19 +55,9 @@ def train_command(
     for name, value in _differences(plain_data, data):
         if name not in _OF_THE_SPLIT:
             words += _option(name, value)
-    for name, value in _given(plain_train, _unlimited(train, asked or {})).items():
+    for name, value in _given(plain_train, unlimited(train, asked or {})).items():
         words += _option(name, value)
     return shlex.join(words)
-
-
-def _unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
-    """The options before photos limited them."""
-    was = {
-        option: asked[option]
-        for option, limit in LIFTED_BY.items()
-        if getattr(train, option) < asked.get(option, 0) and getattr(train, limit)
-    }
-    return replace(train, **was)
 
 
 def _given(plain: TrainConfig, train: TrainConfig) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from ..config import DataConfig, TrainConfig
+from ..config import DataConfig, TrainConfig, limited_as, unlimited
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
 from ..formats import read_splats
@@ -16,6 +16,7 @@ from .files.ended import TrainResult, ended_run
 from .files.folder import RunFolder
 from .photos.views import Photos
 from .rows.frame import Frame
+from .rows.stored import counts
 from .session import Session
 from .trainer import Trainer
 
@@ -48,12 +49,21 @@ class Beginning:
         """
         if resume and start_checkpoint is not None:
             raise ConfigError("Give either --resume or --start-checkpoint, not both.")
-        self._folder, self._config, self._data = folder, config, data
+        self._folder, self._data = folder, data
         self._resumes = resume
         self._damaged: list[Path] = []
         self._checkpoint = self._last() if resume else None
         if start_checkpoint is not None:
             self._checkpoint = checkpoint.load(start_checkpoint)
+        asked: dict[str, int] = {}
+        if self._checkpoint is not None:
+            with checkpoint.understood(self._checkpoint.path):
+                asked = counts("asked", self._checkpoint.session.get("asked", {}))
+            config = limited_as(config, asked, self._checkpoint.config)
+        self._config = config
+        """As the checkpoint has them, where the same is asked for."""
+        self.config = unlimited(config, asked)
+        """The options to train with, before photos limit them."""
         self.ended = self._end()
         """How the run ended if it has nothing left to do."""
         self.splats: Splats | None = None

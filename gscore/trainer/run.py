@@ -77,8 +77,9 @@ def train(
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         if team:
-            team.say(orders.begin(beginning.facts(), to_dict(config), to_dict(data)))
-        found = _prepared(beginning, config, data, emit, control, team)
+            order = orders.begin(beginning.facts(), to_dict(beginning.config), to_dict(data))
+            team.say(order)
+        found = _prepared(beginning, data, emit, control, team)
         with memory_in_words():
             session = Session(
                 found.trainer,
@@ -122,7 +123,6 @@ def train(
 
 def _prepared(
     beginning: Beginning,
-    config: TrainConfig,
     data: DataConfig,
     emit: Callable[[Event], None],
     control: Control,
@@ -132,7 +132,7 @@ def _prepared(
     found, failure = None, None
     try:
         found = prepare(
-            config,
+            beginning.config,
             data,
             taken=beginning.taken,
             stereo=beginning.wants_stereo,

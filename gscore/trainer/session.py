@@ -34,7 +34,7 @@ from .length.meter import Meter
 from .length.steering import Steering
 from .length.watchdog import Watchdog
 from .ranks.waits import Waits
-from .rows.stored import counts, records, texts
+from .rows.stored import named_texts, records, texts
 from .step.result import StepResult
 from .trainer import Trainer
 from .views.exposure import Exposure
@@ -100,7 +100,7 @@ class Session:
         self._onlookers = onlookers or Onlookers()
         self._enough = enough
         self._asked = dict(asked or {})
-        self._decided = self._sentences()
+        self._decided_before: dict[str, str] = {}
         self._region = region
         self._guide = guide
         pace = pace_now(self._config.threads)
@@ -124,21 +124,26 @@ class Session:
         self._evals = records("evals", state["evals"])
         self._warnings = texts("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
-        # What goes on is decided already, so little of it is decided again.
-        before = texts("decided", state.get("decided", []))
-        self._decided = list(dict.fromkeys((*before, *self._decided)))
-        self._asked = counts("asked", state.get("asked", {})) | self._asked
+        # What goes on is decided already, so little of it is decided again; but what photos are
+        # good for is.
+        self._decided_before = named_texts("decided", state.get("decided", {}))
+        self._decided_before.pop("enough", None)
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
         if "watchdog" in state:
             self._watchdog.restore(state["watchdog"])
         self._trainer.rate_factor = self._watchdog.rate_factor
 
-    def _sentences(self) -> list[str]:
-        """What was decided for these photos, for the report."""
-        trainer = self._trainer
-        found = (self._enough, self._stereo.why, trainer.drop_words, trainer.ensemble_words)
-        found += (self._exposure.why, self._placing.why)
-        return [sentence for sentence in found if sentence]
+    def _decided(self) -> dict[str, str]:
+        """What was decided for these photos: sentences by what they are of."""
+        found = {
+            "enough": self._enough,
+            "stereo": self._stereo.why,
+            "drops": self._trainer.drop_words,
+            "ensemble": self._trainer.ensemble_words,
+            "exposure": self._exposure.why,
+            "poses": self._placing.why,
+        }
+        return self._decided_before | {topic: words for topic, words in found.items() if words}
 
     def warn(self, message: str, code: str = "") -> None:
         """Tell the user, now and in the report."""
@@ -384,7 +389,7 @@ class Session:
             "steering": self._steering.state(),
             "watchdog": self._watchdog.state(),
             "stereo": self._stereo.added > 0,
-            "decided": self._decided,
+            "decided": self._decided(),
             "asked": self._asked,
         }
         self._trainer.collect()
@@ -444,7 +449,7 @@ class Session:
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
             learnt=learnt,
-            decided=self._decided,
+            decided=list(self._decided().values()),
             asked=self._asked,
             reason=reason,
         )

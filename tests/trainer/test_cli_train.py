@@ -146,6 +146,47 @@ def test_what_photos_decide_is_kept_and_nobody_types_it(
     check()
 
 
+def test_each_model_may_have_what_photos_allow_one(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: 2 and 1 times 20 splats for each of 8 photos, of the 600 that were asked for."""
+    monkeypatch.setattr(enough, "_FEWEST_SPLATS", 10)
+    for models in (2, 1):
+        out = tmp_path / str(models)
+        words = ["train", str(capture), "-o", str(out), *SHORT, "--quiet", "--max-splats", "600"]
+        words += ["--splats-a-photo", "20", "--ensemble", str(models)]
+        assert main(words) == 0
+        assert load_config(out / "config.json")[1].max_splats == models * 160
+        metrics = json.loads((out / "metrics.json").read_text())
+        assert metrics["asked"] == {"max_splats": 600} and metrics["splats"] <= models * 160
+
+
+def test_a_run_that_photos_limit_goes_on_by_the_line_that_began_it(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the splats of the whole run; what was typed, without what was lifted since."""
+    monkeypatch.setattr(enough, "_FEWEST_SPLATS", 10)
+    monkeypatch.setattr(enough, "_FEWEST_STEPS", 5)
+    line = ["train", str(capture), "-o", str(tmp_path), "--quiet", "--sh-degree", "0"]
+    line += ["--max-splats", "600", "--splats-a-photo", "20", "--steps-a-photo", "2"]
+    assert main([*line, "--checkpoint-iterations", "8"]) == 0
+    folder = RunFolder(tmp_path)
+    whole = folder.point_cloud.read_bytes()
+    assert main([*line, "--checkpoint-iterations", "8", "--resume"]) == 0, "it is complete"
+    folder.checkpoint(16).unlink()
+    folder.point_cloud.unlink()
+    assert main([*line, "--resume"]) == 0
+    assert folder.point_cloud.read_bytes() == whole
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["asked"] == {"iterations": 7000, "max_splats": 600}
+    assert main([*line, "--max-splats", "500", "--resume"]) == 2
+    assert main(["train", "-o", str(tmp_path), "--resume", "--iterations", "20", "--quiet"]) == 0
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["asked"] == {"max_splats": 600} and metrics["steps"] == 20
+    assert not any("steps are taken" in sentence for sentence in metrics["decided"])
+    assert any("160 of 600 splats" in sentence for sentence in metrics["decided"])
+
+
 def test_resume_needs_no_options(capture: Path, tmp_path: Path) -> None:
     """Oracle: the config of the first part, with the new length."""
     first = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet", "--eval"]

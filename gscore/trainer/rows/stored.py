@@ -69,6 +69,13 @@ def texts(what: str, value: Any) -> list[str]:
     return list(value)
 
 
+def named_texts(what: str, value: Any) -> dict[str, str]:
+    """`value` if it is an object of texts."""
+    if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
+        raise ValueError(f"{what} is {quoted(value)}, expected an object of texts")
+    return dict(value)
+
+
 def counts(what: str, value: Any) -> dict[str, int]:
     """`value` if it is an object of whole numbers."""
     if not isinstance(value, dict):
