@@ -66,7 +66,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
             train,
             photos=photos,
             mask_mode="composite" if subject else "none",
-            models=models_to_expect(train, points=facts.points, subject=subject),
+            models=models_to_expect(train, photos=photos, points=facts.points, subject=subject),
         )[0],
         sizes=tuple(sorted(sizes.items())),
         points=points_to_expect(train, facts.points),

@@ -126,7 +126,9 @@ def train_judged(
             if not math.isnan(value := _view_psnr(picture_of, judged, index, background))
         ]
 
-    trained = train_measured(config, photos, judged=judged, on_step=on_step, at_end=measure)
+    trained = train_measured(
+        config, photos, limited=True, judged=judged, on_step=on_step, at_end=measure
+    )
     views = tuple(_judged(view) for view in found["views"])
     held_out = [view.psnr for view in views if view.psnr is not None]
     gap = None

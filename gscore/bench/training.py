@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..splats import Splats
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
-from ..trainer.schedule.enough import limit_by_photos, models_of, thins_subject
+from ..trainer.schedule.enough import limit_by_photos, models_of
 from ..trainer.trainer import Trainer
 from ..trainer.views.judged import judge_photos
 
@@ -140,6 +140,7 @@ def train_measured(
     photos: Dataset,
     *,
     at: Collection[int] = (),
+    limited: bool = False,
     judged: Dataset | None = None,
     on_step: Callable[[int], None] | None = None,
     at_end: Callable[[PictureOf, Color], None] | None = None,
@@ -150,6 +151,7 @@ def train_measured(
         config: How to train.
         photos: With held-out views; decoded before the clock runs.
         at: Steps after which quality is measured.
+        limited: Whether photos limit steps and splats, as in `gscore train`; else all are taken.
         judged: The same views, perhaps at another size, for quality to be measured on; None:
             `photos`.
         on_step: Called after each step, outside the clock.
@@ -166,7 +168,7 @@ def train_measured(
     with ordinary_state():
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
-        if not at:  # named steps are wanted
+        if limited:
             config = _limited(config, photos, known=start.known)
         seconds += time.perf_counter() - began
         exposure, placing = judge_photos(config, photos)
@@ -211,14 +213,11 @@ def train_measured(
 
 
 def _limited(config: TrainConfig, photos: Dataset, *, known: float | None) -> TrainConfig:
-    """The options that were limited by the photos, when it is known on how much these agree."""
+    """The options as photos limit them that agree on as much as is known."""
     mode, points = photos.mask_mode, photos.scene.points.given
-    models, _ = models_of(config, points=points, mask_mode=mode, known=known)
-    limited, _ = limit_by_photos(
-        config, photos=len(photos.train), mask_mode=mode, known=known, models=models
-    )
-    thinned = thins_subject(config, mask_mode=mode, known=known)
-    return limited if thinned else replace(limited, iterations=config.iterations)
+    count = len(photos.train)
+    models, _ = models_of(config, photos=count, points=points, mask_mode=mode, known=known)
+    return limit_by_photos(config, photos=count, mask_mode=mode, known=known, models=models)[0]
 
 
 def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:

@@ -113,12 +113,10 @@ def prepare(
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
     asked, mask_mode, given = config, photos.mask_mode, photos.scene.points.given
-    limited = partial(
-        limit_by_photos, asked, photos=len(photos.train), mask_mode=mask_mode, taken=taken
-    )
-    subject = mask_mode == "composite"
-    models = 1 if start else models_to_expect(asked, points=given, subject=subject)
-    config, enough = limited(models=models)
+    count, subject = len(photos.train), mask_mode == "composite"
+    limited = partial(limit_by_photos, asked, photos=count, mask_mode=mask_mode, taken=taken)
+    expected = models_to_expect(asked, photos=count, points=given, subject=subject)
+    config, enough = limited(models=expected)
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
@@ -144,9 +142,9 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
-            if start is None:
-                found = models_of(asked, points=given, mask_mode=mask_mode, known=added.known)
-                models = found[0]
+            models, _ = models_of(
+                asked, photos=count, points=given, mask_mode=mask_mode, known=added.known
+            )
             config, enough = limited(known=added.known, models=models)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(

@@ -33,7 +33,7 @@ from .photos.views import Photos, Sampler
 from .ranks import losses, orders
 from .ranks.agree import crc_of
 from .ranks.member import Member, members_in
-from .ranks.team import Team
+from .ranks.team import RankLostError, Team
 from .region.box import Box
 from .region.still import Still, parted
 from .rows import bounds, finest, guard
@@ -306,6 +306,8 @@ class Trainer:
             self._widen_to(member, self.plan.sh_degree_at(step))
         try:
             glances = self._glances.draw(self.plan, step, photos=count, models=len(self.members))
+        except RankLostError:
+            raise
         except GsError:
             self._collect_now()
             raise
@@ -526,8 +528,14 @@ class Trainer:
         """How many models there are, and a sentence on them where these photos decide that."""
         if self._given:
             return 1, ""
-        points, mask_mode = self.photos.scene.points.given, self.photos.mask_mode
-        return models_of(self.config, points=points, mask_mode=mask_mode, known=known)
+        photos = self.photos
+        return models_of(
+            self.config,
+            photos=len(photos.train),
+            points=photos.scene.points.given,
+            mask_mode=photos.mask_mode,
+            known=known,
+        )
 
     def _members_of(self, first: Splats) -> list[Member]:
         """As many models as there are to be, all of these splats."""

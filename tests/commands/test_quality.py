@@ -150,11 +150,13 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
     """Oracle: 3 steps for each of the photos that are not held out, where that is more than the
     least; all of them without the limit."""
     monkeypatch.setattr(enough, "_FEWEST_STEPS", 10)
-    taken = {}
+    monkeypatch.setattr(enough, "_FEWEST_SPLATS", 10)
+    taken, splats = {}, {}
     real = study.train_judged
 
     def noted(config: TrainConfig, photos: Dataset, *args: Dataset, **names: object) -> Training:
         taken[names["variant"]] = config.iterations
+        splats[names["variant"]] = config.max_splats
         assert taken.setdefault("photos", len(photos.train)) == len(photos.train)
         return real(replace(config, iterations=2), photos, *args, **names)  # pyright: ignore
 
@@ -162,9 +164,13 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
     command = ["quality", str(EXAMPLE), "-r", "60", "--mask-mode", "none", "--preset", "normal"]
     command += ["--seeds", "0", "--offsets", "0", "-o", str(tmp_path / "out"), "--compare"]
     command += ["few=steps-a-photo=3", "all=steps-a-photo=0"]
+    # Two models, unless photos turn out to agree.
+    command += ["thin=splats-a-photo=300", "one=splats-a-photo=300,ensemble=1"]
     bench_json(capsys, *command)
     assert (taken["few"], taken["all"]) == (3 * taken["photos"], 7000)
     assert taken["normal"] == min(80 * taken["photos"], 7000) < 7000
+    assert splats["normal"] == 300_000
+    assert (splats["thin"], splats["one"]) == (600 * taken["photos"], 300 * taken["photos"])
 
 
 def test_a_training_is_measured_like_an_evaluation() -> None:

@@ -224,14 +224,14 @@ QUOTES = (
     Quote(
         "README.md",
         r"a first look \| (a quarter of a minute) .* capture \| (a minute and a quarter) .* "
-        r"results \| (five minutes) .* gives \| (ten minutes) to half an hour",
+        r"results \| (five minutes) .* gives \| (ten minutes) to an hour",
         _PRESET_SECONDS,
         within=0.15,
     ),
     Quote(
         "gscore/presets.py",
         r"about (a quarter of a minute) .* about (a minute and a quarter) .* "
-        r"about (five minutes) .* gives, (ten minutes) to half an hour",
+        r"about (five minutes) .* gives, (ten minutes) to an hour",
         _PRESET_SECONDS,
         within=0.15,
     ),

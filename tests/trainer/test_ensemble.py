@@ -211,13 +211,14 @@ def test_how_many_models_there_are(
     """Oracle: the text of the options, 400,000 splats at most; the sentence comes with the
     condition; what is expected before photos are compared is no less."""
     config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO)
-    found, words = models_of(config, mask_mode=mask_mode, known=known, points=points)
+    found, words = models_of(config, photos=50, mask_mode=mask_mode, known=known, points=points)
     subject = mask_mode == "composite"
-    assert models_to_expect(config, points=points, subject=subject) >= models
+    assert models_to_expect(config, photos=50, points=points, subject=subject) >= models
     off = replace(config, stereo=Stereo.OFF, start_splats=None)
-    assert models_to_expect(off, points=points, subject=False) == (1 if below else ensemble)
+    unasked = models_to_expect(off, photos=50, points=points, subject=False)
+    assert unasked == (1 if below else ensemble)
     given = replace(config, start_splats=Path("x.ply"))
-    assert models_to_expect(given, points=points, subject=False) == 1
+    assert models_to_expect(given, photos=50, points=points, subject=False) == 1
     assert found == models
     assert bool(words) == (models > 1 and below > 0)
     if words:
@@ -226,10 +227,9 @@ def test_how_many_models_there_are(
 
 def test_which_presets_train_several() -> None:
     """Oracle: those that ask stereo, without which the condition is never met."""
-    for name, make in PRESETS.items():
-        config = make(Path())[1]
-        longer = name in ("normal", "high")
-        assert (config.ensemble, config.ensemble_below) == ((2, 0.35) if longer else (1, 0))
+    found = {name: make(Path())[1] for name, make in PRESETS.items()}
+    models = {name: (config.ensemble, config.ensemble_below) for name, config in found.items()}
+    assert models == {"preview": (1, 0), "draft": (1, 0), "normal": (2, 0.35), "high": (3, 0.35)}
 
 
 def test_given_splats_are_one_model(photos: Any) -> None:

@@ -22,7 +22,7 @@ harmonics) are the view-dependent colour, SfM points those that COLMAP found; to
 and remove splats. Learning rates are raised in runs of less than 30,000 steps and fall over the
 last tenth of any; `--set lr_boost=1 --set lr_final=1` takes them exactly as given.
 
-This page is made by `tools/build/options_table.py` from `gscore/config.py`.
+This page is made by `tools/build/options_table.py` from `gscore/config.py` and `gscore/presets.py`.
 """
 _NAMES = """
 ## Names of 3DGS

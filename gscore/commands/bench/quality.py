@@ -83,13 +83,11 @@ def _train(
             if results.has(cell.capture, label, seed, cell.offset):
                 continue
             config, mask_mode = replace(variant.config, seed=seed), photos.mask_mode
-            given, subject = photos.scene.points.given, mask_mode == "composite"
-            config, _ = limit_by_photos(
-                config,
-                photos=len(photos.train),
-                mask_mode=mask_mode,
-                models=models_to_expect(config, points=given, subject=subject),
+            count, given = len(photos.train), photos.scene.points.given
+            models = models_to_expect(
+                config, photos=count, points=given, subject=mask_mode == "composite"
             )
+            config, _ = limit_by_photos(config, photos=count, mask_mode=mask_mode, models=models)
             training = train_judged(
                 config,
                 photos,

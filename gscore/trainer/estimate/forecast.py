@@ -114,7 +114,7 @@ def estimate(
     network = lpips_file(config.lpips)
     lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
     # Whether photos agree is not known yet; where they do, it is sooner done.
-    models = models_to_expect(config, points=points, subject=subject)
+    models = models_to_expect(config, photos=len(sizes), points=points, subject=subject)
 
     def needed(splats: int, pixels: int) -> int:
         return training_bytes(
@@ -202,7 +202,8 @@ def check_fits(found: Estimate, config: TrainConfig) -> None:
 def machine_pace(threads: int = 0) -> float:
     """How many times as long this machine takes for a picture as the one of the model.
 
-    Measured once in a process, in a few dozen milliseconds; other programs at work count.
+    Measured once in a process, in a few dozen milliseconds: the fastest of some pictures, which
+    other programs at work disturb least.
 
     Args:
         threads: 0: all cores.

@@ -59,12 +59,21 @@ def splats_of_each(config: TrainConfig, models: int) -> int:
     return max(config.max_splats // models, 1)
 
 
-def models_to_expect(config: TrainConfig, *, points: int, subject: bool) -> int:
+def _splats_for(config: TrainConfig, photos: int) -> int:
+    """Most splats of a model that so many photos are good for."""
+    if not config.splats_a_photo:
+        return config.max_splats
+    return max(config.splats_a_photo * photos, _FEWEST_SPLATS)
+
+
+def models_to_expect(config: TrainConfig, *, photos: int, points: int, subject: bool) -> int:
     """How many models a run trains side by side, unless photos agree in more than
     `ensemble_below`, which is not known before they are compared.
 
     Args:
-        config: `ensemble`, and `ensemble_below`, its condition.
+        config: `ensemble`, and `ensemble_below`, its condition; before or after
+            `limit_by_photos`.
+        photos: Number of training photos.
         points: Of the capture; those of which a model would have no room to grow leave one.
         subject: Whether masks are opacity.
     """
@@ -75,17 +84,19 @@ def models_to_expect(config: TrainConfig, *, points: int, subject: bool) -> int:
         return models
     compared = config.stereo != Stereo.OFF and points_to_add(config, points) > 0
     compared &= points == 0 or config.stereo != Stereo.MISSING
-    roomy = 2 * points <= splats_of_each(config, models)
+    each = min(splats_of_each(config, models), _splats_for(config, photos))
+    roomy = 2 * points <= each
     return models if compared and roomy and not subject else 1
 
 
 def models_of(
-    config: TrainConfig, *, points: int, mask_mode: str, known: float | None
+    config: TrainConfig, *, photos: int, points: int, mask_mode: str, known: float | None
 ) -> tuple[int, str]:
     """How many models are trained side by side for these photos.
 
     Args:
         config: As `models_to_expect`.
+        photos: As `models_to_expect`.
         points: As `models_to_expect`.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
         known: As `thins_subject`.
@@ -93,7 +104,8 @@ def models_of(
     Returns:
         The number, and a sentence where photos decide that there are several; empty: they do not.
     """
-    models = models_to_expect(config, points=points, subject=mask_mode == "composite")
+    subject = mask_mode == "composite"
+    models = models_to_expect(config, photos=photos, points=points, subject=subject)
     if models == 1 or not config.ensemble_below:
         return models, ""
     if known is None or known >= config.ensemble_below:
@@ -145,8 +157,8 @@ def limit_by_photos(
             f"{number(steps)} of {number(asked)} steps are taken: more do not make unseen views of "
             f"{of_photos} better (--steps-a-photo 0 takes them all)."
         )
-    most, splats = config.max_splats, models * max(config.splats_a_photo * photos, _FEWEST_SPLATS)
-    if config.splats_a_photo and not subject and splats < most:
+    most, splats = config.max_splats, models * _splats_for(config, photos)
+    if not subject and splats < most:
         config = replace(config, max_splats=splats)
         words.append(
             f"At most {number(splats)} of {number(most)} splats grow: more do not make unseen "

@@ -36,6 +36,11 @@ def test_the_question_follows_the_settings(scene: bpy.types.Scene) -> None:
     assert asked.sizes == (((300, 400), 1), ((1000, 500), 5))
     none = forecast.question(settings, replace(FOUND, points=0), threads=3)
     assert none.points == 10_000  # those that photos agree on
+    settings.preset = "high"
+    many = replace(FOUND, points=200_000)  # which leave no room for several models
+    splats = [forecast.question(settings, f, threads=3).train.max_splats for f in (FOUND, many)]
+    assert splats == [600_000, 300_000]
+    settings.preset = "normal"
     settings.resolution = "4"
     settings.iterations, settings.strategy, settings.use_masks = 123, "mcmc", False
     asked = forecast.question(settings, FOUND, threads=0)
