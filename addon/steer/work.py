@@ -156,7 +156,13 @@ def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
     ob = next(filter(objects.is_splats, found), None)
     if ob is None:
         raise ValueError(f"The splats of the region are gone from the scene; {job.output} has all.")
-    check_replaceable(ob)
+    try:
+        check_replaceable(ob)
+    except ValueError as error:
+        raise ValueError(
+            f"The result could not be put into the scene: {error} It lies in {job.output}; Result "
+            f"> Import brings {Path(job.done.path).name} from there as an object of its own."
+        ) from error
     if signature(ob) != job.before:
         name = ob.name
         ob = _beside(ob)

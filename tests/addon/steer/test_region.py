@@ -179,6 +179,35 @@ def test_splats_that_were_edited_meanwhile_are_kept(
     assert f"{ob.name} was edited and is kept" in drawn(RegionPanel)
 
 
+@pytest.mark.parametrize("with_what", ["shape keys", "NLA tracks"])
+def test_a_result_that_has_no_place_is_told_where_it_lies(
+    studio: bpy.types.Scene, tmp_path: Path, play: Play, with_what: str
+) -> None:
+    """Oracle: the mesh as it was; the panel names the folder, the file, and the button that brings
+    it in, which then does so."""
+    write_splats(tmp_path / "a.ply", splats(50))
+    output = tmp_path / "out_region_1"
+    play({"await": "go"}, {"say": done(40, "finished", str(output / "point_cloud.ply"))})
+    ob = cropped(studio, tmp_path / "a.ply")
+    meshes = set(bpy.data.meshes)
+    bpy.ops.gscore.train_region()
+    job = work.job_of(studio)
+    until(lambda: job._process is not None)
+    write_splats(output / "point_cloud.ply", splats(70))
+    if with_what == "shape keys":
+        ob.shape_key_add(name="Basis")
+    else:
+        action = bpy.data.actions.new("moves")
+        ob.data.animation_data_create().nla_tracks.new().strips.new("moves", 1, action)
+    job._process.send("go")
+    until(lambda: job.ended and not job.wanted)
+    assert len(ob.data.vertices) == 50 and set(bpy.data.meshes) == meshes
+    assert f"has {with_what}" in job.warnings[-1] and f"lies in {output};" in job.warnings[-1]
+    assert "Result > Import brings point_cloud.ply" in drawn(RegionPanel)
+    assert bpy.ops.gscore.import_splats(filepath=str(output / "point_cloud.ply")) == {"FINISHED"}
+    assert len(bpy.context.object.data.vertices) == 70
+
+
 def test_stopping_leaves_all_as_it_was(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: the splats of the object."""
     write_splats(tmp_path / "a.ply", splats(50))
