@@ -78,17 +78,21 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     What users have put on its mesh stays too.
 
     Raises:
-        ValueError: the object is being edited, its mesh is no mesh of its own, or it has what
-            would be lost.
+        ValueError: as `check_refreshable`.
     """
-    check_writable(ob)
-    succession.check_movable(ob.data, ob.name)
+    check_refreshable(ob)
     # Vertices can be added to a mesh, but not removed, so start over where the number differs.
     if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
-        succession.check_points_alone(ob.data, ob.name)
         succession.empty(ob.data)
     lag.forget(ob.data)
     _fill(ob.data, splats)
+
+
+def check_refreshable(ob: bpy.types.Object) -> None:
+    """Raise ValueError unless all splats of an object can be replaced now, whatever their number,
+    with nothing lost that is on its mesh."""
+    check_writable(ob)
+    succession.check_points_alone(ob.data, ob.name)
 
 
 def catch_up(ob: bpy.types.Object) -> None:

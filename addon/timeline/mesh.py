@@ -35,9 +35,8 @@ def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
     Raises:
         ValueError: as `objects.refresh`.
     """
-    objects.check_writable(ob)
+    objects.check_refreshable(ob)
     if _is_shared(ob.data):  # others show other moments
-        succession.check_points_alone(ob.data, ob.name)
         ob.data = ob.data.copy()
     objects.refresh(ob, frame.splats)
     note(ob.data, frame.file)

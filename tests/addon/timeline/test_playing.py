@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import bmesh
 import bpy
@@ -327,6 +328,22 @@ def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> N
     scene.frame_set(5)
     until(lambda: number_of(playing) == 4)
     assert not follow.problem_of(playing)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("number", [0, 1])
+def test_edges_stop_it_at_once_too(scene, playing, shared: bool, number: int) -> None:
+    """Oracle: the splats and the edge before; who shows the mesh besides, and how many splats come,
+    make no difference, and no mesh is left over."""
+    if shared:
+        scene.collection.objects.link(playing.copy())
+    playing.data.edges.add(1)
+    before, meshes = number_of(playing), len(bpy.data.meshes)
+    frame = SimpleNamespace(splats=frame_splats(number), file=None)
+    with pytest.raises(ValueError, match="has edges or faces"):
+        mesh.fill_at_once(playing, frame)
+    assert number_of(playing) == before and len(playing.data.edges) == 1
+    assert len(bpy.data.meshes) == meshes
 
 
 @pytest.fixture
