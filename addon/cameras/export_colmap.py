@@ -1,8 +1,6 @@
-"""Blender cameras back into a COLMAP model.
+"""Blender cameras back into a COLMAP model, as `export_views` has them.
 
-What nobody touched is written as the capture states it, in float64 and with its observations; a
-camera that was moved has Blender's single precision and no observations, because they no longer
-hold.
+Those that nobody touched keep their observations, which no longer hold for a camera that was moved.
 """
 
 from collections.abc import Sequence

@@ -13,8 +13,6 @@ from .objects import cameras_of
 
 UP = "gs_up"
 """Property of the empty: up in the capture's world, where its files state it."""
-
-
 CLIP_START, CLIP_END = 0.002, 100.0
 """Clipping distances, in units of the cameras' extent."""
 DISPLAY = 0.2

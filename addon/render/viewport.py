@@ -107,9 +107,8 @@ class Request:
             to_scene=self.to_scene,
             over_view=self.over_view,
         )
-        return film.shoot(View(model=model, camera=camera, held=self.held), stop, cancel)[
-            "Combined"
-        ]
+        view = View(model=model, camera=camera, held=self.held)
+        return film.shoot(view, stop, cancel)["Combined"]
 
 
 class Painter:
@@ -177,12 +176,8 @@ class Painter:
             except Cancelled:
                 self._factor = max(2, self._factor)
             except (GsError, ValueError, MemoryError) as error:
-                self.problem, self.pixels, done = (
-                    error_words(error) or "Out of memory.",
-                    None,
-                    request,
-                )
-                self.fresh = True
+                self.problem = error_words(error) or "Out of memory."
+                self.pixels, done, self.fresh = None, request, True
 
     def _paint(self, request: Wish) -> None:
         """Draw at a size that is quick, then at the full one."""
