@@ -9,6 +9,7 @@ import numpy as np
 
 from ..core import Cameras, read_camera_path, rotmat_to_quat
 from ..interface import writable
+from ..interface.flags import panel_words
 from . import formulas as cm
 from . import objects as co
 
@@ -77,7 +78,7 @@ def import_path(
         count=len(cameras),
         frame=frame,
         fps=None if read.fps is None else read.fps * _frames_a_picture(numbers),
-        warnings=read.warnings,
+        warnings=tuple(map(panel_words, read.warnings)),
     )
 
 

@@ -26,6 +26,7 @@ from ..core import (
     read_capture,
 )
 from ..interface import writable
+from ..interface.flags import error_words, panel_words
 from . import alignment, sfm_points, straightening
 from . import formulas as cm
 from . import objects as co
@@ -117,7 +118,8 @@ def import_capture(
         radius = sfm_points.point_radius(cloud, centers_of(viewmats))
         made = sfm_points.create(cloud, colors, f"{name} points", collection, root, indices, radius)
         made[co.KIND] = "points"
-    warnings = (*capture.warnings, *lenses.problems, *_warnings(views, viewmats, capture))
+    said = map(panel_words, capture.warnings)
+    warnings = (*said, *lenses.problems, *_warnings(views, viewmats, capture))
     return ImportedCapture(
         root=root, collection=collection, cameras=cameras, points=made, warnings=warnings
     )
@@ -230,7 +232,9 @@ class _Lenses:
                 self._known[key] = plan_undistortion(camera)
             except GsError as error:
                 self._known[key] = None
-                self.problems.append(f"{error} Until then its photos do not fit their cameras.")
+                self.problems.append(
+                    f"{error_words(error)} Until then its photos do not fit their cameras."
+                )
         return self._known[key]
 
 

@@ -20,6 +20,7 @@ from ..core import (
     rotmat_to_quat,
     write_colmap,
 )
+from ..interface.flags import error_words
 from .export_sources import known_captures, points_to_export, source_of
 from .export_views import Exported, ExportView, collect, kept_lenses
 
@@ -96,7 +97,9 @@ def _source_model(source: Path | None) -> tuple[ColmapModel | None, list[str]]:
     try:
         return read_colmap(source), []
     except (GsError, OSError) as error:
-        return None, [f"Observations are left out, for the capture cannot be read: {error}"]
+        return None, [
+            f"Observations are left out, for the capture cannot be read: {error_words(error)}"
+        ]
 
 
 def _restated(views: list[ExportView], model: ColmapModel | None) -> int:

@@ -9,8 +9,8 @@ from pathlib import Path
 import bpy
 
 from ..interface.flags import error_words
+from ..interface.lookup import Lookup
 from ..process import beat
-from ..process.lookup import Lookup
 from .backgrounds import StraightBackground, straight_background
 
 _AGE = 3.0

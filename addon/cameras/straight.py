@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core import ColmapCamera, GsError, Undistortion, plan_undistortion
+from ..interface.flags import error_words
 from ..paths import own_folder
 from .objects import PhotoCamera
 
@@ -48,7 +49,7 @@ def undistortion_of(own: PhotoCamera) -> Undistortion | None:
     try:
         plan_undistortion(lens)
     except GsError as error:
-        raise ValueError(f"{own.image} cannot be straightened. {error}") from error
+        raise ValueError(f"{own.image} cannot be straightened. {error_words(error)}") from error
     raise ValueError(
         f"The lens of {own.image} bends lines ({own.model}), and its camera was imported without "
         f"straightening: import the capture's cameras again."

@@ -7,11 +7,11 @@ from typing import ClassVar
 import bpy
 from bpy.props import StringProperty
 
+from ..interface.lookup import Lookup
 from ..interface.operators import Acting
 from ..interface.questions import Asking, wrapped
 from ..preferences import SECTIONS, Preferences
 from ..process import beat
-from ..process.lookup import Lookup
 from . import straight, straightening
 from .lacking import lack_of
 from .lookup import find_root

@@ -3,6 +3,7 @@
 from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport
 from ..core import DepthDone, DepthProgress, Event
+from ..interface.flags import panel_words
 from ..job.verb_job import VerbJob
 
 
@@ -37,7 +38,7 @@ class DepthJob(VerbJob):
         """
         if self.done is None:
             return ""
-        self.report = depth_maps.from_table(self.done.table, why=self.done.why)
+        self.report = depth_maps.from_table(self.done.table, why=panel_words(self.done.why))
         return _sentence(self.done, self.report)
 
 

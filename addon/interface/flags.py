@@ -16,8 +16,11 @@ def panel_words(sentence: str) -> str:
     return _FLAG.sub(_label, sentence)
 
 
-def error_words(error: Exception) -> str:
-    """The sentence of an error, with the names of panels where it is one of gscore's."""
+def error_words(error: Exception | None) -> str:
+    """The sentence of an error, with the names of panels where it is one of gscore's; empty for
+    none."""
+    if error is None:
+        return ""
     return panel_words(str(error)) if isinstance(error, GsError) else str(error)
 
 

@@ -2,10 +2,11 @@
 
 import time
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..core import RunInfo, find_capture, read_run
+from ..interface.flags import panel_words
 
 _BEGINNING = 65_536
 """Bytes of a file that tell it from others."""
@@ -16,6 +17,7 @@ class EarlierRun:
     """A run on the disk."""
 
     info: RunInfo
+    """Its problem is in the words of panels."""
     trained: float
     """When its newest file was written, seconds since the epoch."""
     content: str
@@ -51,7 +53,7 @@ def look(folder: Path, capture: Path | None) -> EarlierRun | None:
     if info is None:
         return None
     return EarlierRun(
-        info=info,
+        info=replace(info, problem=panel_words(info.problem)),
         trained=_written(info),
         content="" if info.splats is None else content(info.splats),
         foreign=_is_foreign(info, capture),

@@ -169,6 +169,7 @@ def _show(
 def _failed(error: Exception, pointer: int) -> None:
     """Let go of all that lies on the graphics card, and try again in a while; where there is no use
     in that, go on with the engine's pictures, and where not even those are drawn, with points."""
+    said = error_words(error)
     refused = _state.card is None and not _state.attempts.count
     _close_views()
     _state.card = None
@@ -176,7 +177,7 @@ def _failed(error: Exception, pointer: int) -> None:
     if SESSION.by_engine:
         _log.exception("Views cannot show pictures of splats.")
         SESSION.by_engine = False
-        SESSION.problem = f"Views do not draw splats ({error}); they are shown as points."
+        SESSION.problem = f"Views do not draw splats ({said}); they are shown as points."
         _soon(_show_points, 0.0)  # nothing may change while drawing
         return
     pause = None if refused else _state.attempts.failed(time.monotonic())
@@ -185,13 +186,13 @@ def _failed(error: Exception, pointer: int) -> None:
     if pause is None:
         SESSION.by_engine = True
         SESSION.problem = (
-            f"The graphics card does not draw splats ({error}); views show the pictures of the "
+            f"The graphics card does not draw splats ({said}); views show the pictures of the "
             "render engine, which come when a view rests."
         )
         _log.warning(SESSION.problem)
     else:
         _state.problems[pointer] = (
-            f"The graphics card failed while it drew splats ({error}); it is asked again."
+            f"The graphics card failed while it drew splats ({said}); it is asked again."
         )
     _soon(redraw_views, pause or 0.0)
 

@@ -3,7 +3,6 @@
 import bpy
 
 from ..capture.inspection import ShownFacts
-from ..interface.flags import panel_words
 from ..job import captures, facts
 from ..search import work
 from ..sequence import work as sequence
@@ -55,14 +54,14 @@ class CapturePanel(TabPanel, bpy.types.Panel):
             sentence(layout, context, text, icon="INFO")
             return
         if problem:
-            sentence(layout, context, panel_words(problem), icon="ERROR")
+            sentence(layout, context, problem, icon="ERROR")
         elif found is None:
             layout.label(text="Looking into it...", icon="TIME")
         else:
             rows(layout, [(k, v) for k, v in found.lines() if k != found.kind])
             for item in found.problems:
                 icon = "ERROR" if item.is_error else "INFO"
-                sentence(layout, context, panel_words(item.text), icon=icon)
+                sentence(layout, context, item.text, icon=icon)
             if found.can_train:
                 layout.label(text=f"Good to train on ({found.kind})", icon="CHECKMARK")
             if found.bare:

@@ -203,7 +203,7 @@ def _fill(table: DepthTable, report: DepthReport) -> None:
 def _width(context: bpy.types.Context) -> float:
     """Of the sidebar, pixels at a scale of 1."""
     width = context.region.width if context.region else 260
-    return width / context.preferences.system.ui_scale
+    return width / (context.preferences.system.ui_scale or 1.0)  # without a window it is 0
 
 
 CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)

@@ -6,7 +6,7 @@ import bpy
 
 from ..cameras.lookup import root_from
 from ..core import GsError, SequenceFrame, choose_frames
-from ..interface.flags import error_words, panel_words
+from ..interface.flags import error_words
 from ..job import guides, verb_job
 from ..sequence import work
 from ..sequence.job import SequenceJob
@@ -31,7 +31,7 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
             return
         frames, problem = work.frames_of(scene)
         if problem:
-            sentence(layout, context, panel_words(problem), icon="INFO")
+            sentence(layout, context, problem, icon="INFO")
             return
         if frames is None:
             layout.label(text="Looking for frames...", icon="TIME")

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from ..core import DataConfig, SequenceFrame, SequenceIndex, find_frames, read_sequence
+from ..interface.lookup import Lookup
 from ..job.verb_jobs import VerbJobs
-from ..process.lookup import Lookup
 from .job import SequenceJob
 
 JOBS: VerbJobs[SequenceJob] = VerbJobs()

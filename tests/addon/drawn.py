@@ -47,6 +47,22 @@ class Layout:
         assert value in owner.bl_rna.properties[name].enum_items, value
         self.notes.append(f"({text})")
 
+    def template_list(
+        self,
+        kind: str,
+        _: str,
+        owner: Any,
+        items: str,
+        active_owner: Any,
+        active: str,
+        *,
+        rows: int,
+    ) -> None:
+        """Note a list."""
+        assert hasattr(bpy.types, kind) and rows > 0
+        assert items in owner.bl_rna.properties and active in active_owner.bl_rna.properties
+        self.notes.append(f"[list: {len(getattr(owner, items))}]")
+
     def menu(self, name: str, *, text: str, icon: str) -> None:
         """Note a menu with what it offers."""
         offered = Layout()

@@ -81,7 +81,8 @@ def play(tmp_path: Path) -> Callable[..., Path]:
 
 def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None:
     """Oracle: the events of the script, and Blender's own list of rows."""
-    called = play(progress(0, "reading"), progress(1), {"await": "go"}, {"say": DONE})
+    result = DONE | {"why": "Not used; --depth-mode on uses it."}
+    called = play(progress(0, "reading"), progress(1), {"await": "go"}, {"say": result})
     assert bpy.ops.gscore.predict_depth() == {"FINISHED"}
     job = work.job_of(studio)
     until(lambda: job.progress is not None and job.progress.done == 1)
@@ -95,7 +96,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
     report = work.report(studio)
     assert report is job.report
     assert [row.view for row in report.rows] == ["view_000.jpg", "view_001.jpg"]
-    assert report.why == DONE["why"]
+    assert report.why == 'Not used; "Use Depth: Always" uses it.'
     table = depth_table.table_of(bpy.context)
     assert [(i.name, i.verdict) for i in table.views] == [
         ("view_000.jpg", "accepted"),

@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-from .background import Task
+from ..process.background import Task
+from .flags import error_words
 
 KeyT = TypeVar("KeyT", bound=Hashable)
 AnswerT = TypeVar("AnswerT")
@@ -17,7 +18,8 @@ class Lookup(Generic[KeyT, AnswerT]):
         """Keep what `function` finds.
 
         Args:
-            function: Called in a thread; what it raises is its answer's problem.
+            function: Called in a thread; what it raises is its answer's problem, in the words of
+                panels.
             max_age: Seconds after which an answer is looked up again when it is asked for.
         """
         self._function = function
@@ -58,7 +60,8 @@ class Lookup(Generic[KeyT, AnswerT]):
         for key, task in list(self._tasks.items()):
             if task.running:
                 continue
-            answer = (task.result, task.problem, time.monotonic())
+            problem = error_words(task.error) or task.problem
+            answer = (task.result, problem, time.monotonic())
             changed |= answer[:2] != self._answers.get(key, (None, "", 0.0))[:2]
             self._answers[key] = answer
             del self._tasks[key]

@@ -1,0 +1,170 @@
+"""Oracle: names of fields where gscore names flags, in each panel and report that shows what was
+looked up."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import preferences, stored_paths
+from addon.cameras import camera_path_import, captures, export_colmap, straight
+from addon.cameras import objects as co
+from addon.core import (
+    PRESETS,
+    DataConfig,
+    GsError,
+    RunInfo,
+    SequenceFrame,
+    read_capture,
+    write_splats,
+)
+from addon.interface.lookup import Lookup
+from addon.job import earlier, facts, lookups
+from addon.panels.capture import CapturePanel
+from addon.panels.depth import DepthPanel
+from addon.panels.judge import ErrorsPanel
+from addon.panels.train import TrainPanel
+from addon.panels.train_sequence import TrainSequencePanel
+from addon.sequence import registry
+from addon.splats.files import import_splats
+from tests.addon.captures import STUDIO, write_capture
+from tests.addon.drawn import drawn
+from tests.addon.fake_trainer import fake_python
+from tests.addon.trainings import splats, until
+
+SAID, SHOWN = "Needs fewer --max-splats.", 'Needs fewer "Most Splats".'
+
+
+@pytest.fixture
+def studio(
+    scene: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[bpy.types.Scene]:
+    """A scene with the studio as its capture and the splats of a run, active; all that is looked up
+    for it is forgotten at the end."""
+    for known in (*lookups._ALL, registry.frames, registry.trained):
+        monkeypatch.setattr(known, "_answers", {})
+    prefs = preferences.get()
+    before = prefs.python_path
+    prefs.python_path = str(fake_python(tmp_path / "python", []))
+    scene.gscore.capture_path = str(STUDIO)
+    scene.gscore.output_path = str(tmp_path / "run")
+    facts.look_again(scene)
+    write_splats(tmp_path / "a.ply", splats(50))
+    ob = import_splats(bpy.context, tmp_path / "a.ply")
+    stored_paths.write(ob, stored_paths.RUN, tmp_path / "run")
+    bpy.context.view_layer.objects.active = ob
+    yield scene
+    until(lambda: not lookups.busy() and not registry.busy())
+    prefs.python_path = before
+
+
+def refuse(*_: object, **__: object) -> None:
+    """As gscore does."""
+    raise GsError(SAID)
+
+
+def shows(panel: type, text: str = SHOWN) -> None:
+    """Wait until a panel shows a text, and see that no flag is left in it."""
+    until(lambda: text in drawn(panel))
+    assert "--" not in drawn(panel)
+
+
+@pytest.mark.parametrize(
+    ("known", "panel"),
+    [
+        (lookups.captures, CapturePanel),
+        (lookups.forecasts, TrainPanel),
+        (lookups.runs, TrainPanel),
+        (lookups.depth_runs, DepthPanel),
+        (lookups.figures, ErrorsPanel),
+        (registry.frames, TrainSequencePanel),
+        (registry.trained, TrainSequencePanel),
+    ],
+    ids=["captures", "forecasts", "runs", "depth runs", "figures", "frames", "trained"],
+)
+def test_what_cannot_be_looked_up(
+    studio: bpy.types.Scene, known: Lookup, panel: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever raises."""
+    if known is registry.trained:
+        data = PRESETS["preview"](STUDIO)[0]
+        frame = SequenceFrame(number=0, data=data)
+        monkeypatch.setattr(registry.frames, "_function", lambda _: [frame])
+    monkeypatch.setattr(known, "_answers", {})
+    monkeypatch.setattr(known, "_function", refuse)
+    shows(panel)
+
+
+def test_what_is_wrong_with_a_capture(studio: bpy.types.Scene) -> None:
+    """A folder of photos that is not there: in the panel, and as a training refuses it."""
+    studio.gscore.images = "nothing"
+    shows(CapturePanel, '"Photo Folder"')
+    with pytest.raises(RuntimeError) as raised:
+        bpy.ops.gscore.train()
+    assert '"Photo Folder"' in str(raised.value) and "--" not in str(raised.value)
+
+
+def test_a_run_that_cannot_go_on(
+    studio: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the panel, and as *Resume* refuses it."""
+    (tmp_path / "run").mkdir()
+    data, config = PRESETS["preview"](STUDIO)
+    info = RunInfo(
+        path=tmp_path / "run",
+        steps=9,
+        iterations=90,
+        checkpoint=tmp_path / "run" / "checkpoint",
+        splats=None,
+        psnr=None,
+        data=data,
+        train=config,
+        problem=SAID,
+    )
+    monkeypatch.setattr(earlier, "read_run", lambda _: info)
+    shows(TrainPanel, f"cannot go on: {SHOWN}")
+    with pytest.raises(RuntimeError, match=f"cannot go on: {SHOWN}"):
+        bpy.ops.gscore.resume_training()
+
+
+def test_why_depth_was_not_used(studio: bpy.types.Scene, tmp_path: Path) -> None:
+    """As a training notes it in metrics.json."""
+    view = {"view": "a.jpg", "map": None, "accepted": None, "reason": ""}
+    why = "Depth is not used; --depth-mode on uses it all the same."
+    (tmp_path / "run").mkdir()
+    content = {"depth": {"why": why, "views": [view]}}
+    (tmp_path / "run" / "metrics.json").write_text(json.dumps(content))
+    studio.gscore.depth_shown = "RUN"
+    shows(DepthPanel, 'Depth is not used; "Use Depth: Always" uses it all the same.')
+
+
+def test_what_is_said_of_cameras(
+    scene: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a capture warns of, lenses that cannot be straightened, a model that cannot be read any
+    more, and what a camera path warns of."""
+    write_capture(tmp_path / "odd", np.random.default_rng(0))
+    for module in (captures, straight):
+        monkeypatch.setattr(module, "plan_undistortion", refuse)
+    odd = DataConfig(source=tmp_path / "odd")
+    warned = replace(read_capture(odd, photos_required=False), warnings=(SAID,))
+    monkeypatch.setattr(captures, "read_capture", lambda *_, **__: warned)
+    made = captures.import_capture(bpy.context.scene, tmp_path / "odd")
+    assert made.warnings[0] == SHOWN
+    assert any(text.startswith(f"{SHOWN} Until then") for text in made.warnings)
+    bent = next(ob for ob in made.cameras if not straight.lens_of(co.stated(ob)).is_pinhole)
+    with pytest.raises(ValueError, match=f"cannot be straightened. {SHOWN}"):
+        straight.undistortion_of(co.stated(bent))
+    monkeypatch.setattr(export_colmap, "read_colmap", refuse)
+    done = export_colmap.export_colmap(tmp_path / "out", made.cameras, scene, root=made.root)
+    assert done.warnings[0].endswith(f"cannot be read: {SHOWN}")
+    scene.camera, scene.frame_end = made.cameras[0], 2
+    file = tmp_path / "path.json"
+    bpy.ops.gscore.export_camera_path(filepath=str(file))
+    read = replace(camera_path_import.read_camera_path(file), warnings=(SAID,))
+    monkeypatch.setattr(camera_path_import, "read_camera_path", lambda _: read)
+    assert camera_path_import.import_path(file, scene).warnings == (SHOWN,)
