@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _request(args: argparse.Namespace) -> EditRequest:
     """The steps that were asked for, apart from what depends on cameras."""
-    names = {field.name for field in fields(EditRequest)} - {"frustum", "matrix"}
+    names = {field.name for field in fields(EditRequest)} - {"frustum", "matrix", "seen_share"}
     given = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.matrix is not None:
         given["matrix"] = _read_matrix(args.matrix)

@@ -68,7 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a capture's folder or a cameras.json; default: the run's",
     )
     which = group.add_mutually_exclusive_group()
-    which.add_argument("--view", nargs="+", metavar="NAME", help="these views, by name or number")
+    which.add_argument(
+        "--view",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help="these views, by name or number",
+    )
     which.add_argument("--all", action="store_true", help="every view (the default for stills)")
     which.add_argument("--test", action="store_true", help="the views the run held out")
     which.add_argument(

@@ -140,10 +140,13 @@ class _Work:
         if (added := r.min_contribution) is not None:
             self._keep("contribution", lambda _: self._contributions() >= added)
         if (alone := r.max_isolation) is not None:
-            self._keep("isolation", lambda s: isolation_of(s.means, threads=self._threads) <= alone)
+            self._keep(
+                "isolation",
+                lambda s: (isolation_of(s.means, threads=self._threads) <= alone) | self._seen(r),
+            )
         if (few := r.min_cluster) is not None:
             gap = GAP if r.gap is None else r.gap
-            self._keep("clusters", lambda s: cluster_sizes(s, gap) >= few)
+            self._keep("clusters", lambda s: (cluster_sizes(s, gap) >= few) | self._seen(r))
 
     def narrow(self, request: EditRequest) -> None:
         """Take coefficients away, no splats."""
@@ -223,6 +226,14 @@ class _Work:
                 on_view=lambda n: self._told(f"contribution, view {n} of {len(views.cameras)}"),
             )
         return self._added
+
+    def _seen(self, request: EditRequest) -> np.ndarray:
+        """[N] bool: what is seen too well to be taken out for where it lies."""
+        if request.seen_share is None:
+            return np.zeros(len(self.splats), bool)
+        cameras = needed_views(self._views, "What is seen").cameras
+        pixels = int((cameras.widths * cameras.heights).min())
+        return self._contributions() >= request.seen_share * pixels
 
     def _importance(self) -> np.ndarray:
         if self._views is not None:

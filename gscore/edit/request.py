@@ -38,6 +38,9 @@ class EditRequest:
     """Least of `cluster_sizes`, splats."""
     gap: float | None = None
     """Of `cluster_sizes`; None: `GAP`."""
+    seen_share: float | None = None
+    """What adds at least this share of a picture's pixels to a view is neither isolated nor in too
+    small a cluster: a few huge splats may be a wall. Needs cameras."""
     sh_degree: int | None = None
     """SH degree at most."""
     count: int | None = None
@@ -88,7 +91,8 @@ class EditRequest:
         usual = {name: getattr(USUAL, name) for name in ("min_opacity", "max_isolation")}
         # In models of a few thousand a cluster of few is no dust.
         usual["min_cluster"] = min(USUAL.min_cluster or 0, count // _DUST) or None
-        usual["min_contribution"] = USUAL.min_contribution if with_cameras else None
+        for name in ("min_contribution", "seen_share"):
+            usual[name] = getattr(USUAL, name) if with_cameras else None
         missing = {name: v for name, v in usual.items() if getattr(self, name) is None}
         return replace(self, **missing)
 
@@ -101,5 +105,7 @@ _DUST = 5000
 """A cluster is usual from one part in so many of the splats on."""
 GAP = 0.05
 """Between clusters, where none is given."""
-USUAL = EditRequest(min_opacity=0.005, min_contribution=0.1, max_isolation=8.0, min_cluster=20)
+USUAL = EditRequest(
+    min_opacity=0.005, min_contribution=0.1, max_isolation=8.0, min_cluster=20, seen_share=0.0005
+)
 """What cleans up without being seen: see docs/convert.md."""

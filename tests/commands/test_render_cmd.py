@@ -42,6 +42,7 @@ def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
     [
         (["--view", "a_3.png", "a_5"], ["a_3", "a_5"]),
         (["--view", "7"], ["a_7"]),
+        (["--view", "7", "--view", "a_3"], ["a_3", "a_7"]),
         (["--test"], ["a_0", "a_8"]),
         (["--all"], [f"a_{i}" for i in range(9)]),
     ],

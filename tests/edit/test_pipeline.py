@@ -107,12 +107,30 @@ def test_size_is_met_from_below(
     assert whole.splats is splats
 
 
+@pytest.mark.parametrize("seen_share", [None, 0.01])
+def test_what_is_seen_well_stays_wherever_it_lies(
+    make_splats: Make, views: EditViews, monkeypatch: pytest.MonkeyPatch, seen_share: float | None
+) -> None:
+    """Oracle: two splats far from the others and from each other, of which one adds a hundredth of
+    the smallest picture to a view, and the other a pixel less."""
+    splats = make_splats(300, 0)
+    splats.means[:2] = [[100, 0, 0], [0, 100, 0]]
+    pixels = int((views.cameras.widths * views.cameras.heights).min())
+    added = np.ones(300, np.float32)
+    added[:2] = 0.01 * pixels + 0.5, 0.01 * pixels - 0.5
+    monkeypatch.setattr("gscore.edit.pipeline.contributions", lambda *_, **__: added)
+    request = EditRequest(max_isolation=8, min_cluster=20, seen_share=seen_share)
+    kept = apply_edits([splats], request, views=views).kept.means
+    assert 100 not in kept[:, 1]
+    assert (100 in kept[:, 0]) == (seen_share is not None)
+
+
 def test_usual_cleaning_leaves_what_was_given() -> None:
     """Oracle: the usual values; contributions need cameras, and clusters many splats."""
     request = EditRequest(min_opacity=0.1)
     seen, blind = (request.cleaned(10**6, with_cameras=there) for there in (True, False))
     assert seen == replace(USUAL, min_opacity=0.1)
-    assert blind == replace(USUAL, min_opacity=0.1, min_contribution=None)
+    assert blind == replace(USUAL, min_opacity=0.1, min_contribution=None, seen_share=None)
     small = request.cleaned(900, with_cameras=True)
     assert small == replace(USUAL, min_opacity=0.1, min_cluster=None)
     assert EditRequest(min_cluster=7).cleaned(900, with_cameras=True).min_cluster == 7

@@ -109,7 +109,8 @@ def _add_clean(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"the usual: opacity {USUAL.min_opacity:g}, contribution {USUAL.min_contribution:g} "
         f"where there are cameras, isolation {USUAL.max_isolation:g}, clusters of "
-        f"{USUAL.min_cluster} (fewer in small models); options below change them",
+        f"{USUAL.min_cluster} (fewer in small models), but nothing that adds "
+        f"{USUAL.seen_share:.2%}% of a picture to a view; options below change them",
     )
     group.add_argument(
         "--min-opacity", type=_share, metavar="X", help="drop what is less opaque, 0 to 1"

@@ -85,7 +85,7 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
         farthest: The largest of these.
         known: By what they are known; empty: they are not.
     """
-    fact = f"{apart:.2f} stops apart, the farthest {farthest:.1f}, by {known}"
+    fact = f"{apart:.2f} stops apart, the farthest {farthest:.2f}, by {known}"
     if mode is Switch.ON:
         return True, f"The exposure of each photo is learnt ({fact if known else 'asked for'})."
     if not known:
