@@ -121,6 +121,8 @@ def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
             continue
         if key == "psnr" and _MASKED in metrics:
             note = "masked-out pixels as equal"
+        if key == "psnr" and metrics["mask_mode"] == "composite":
+            note = "of whole pictures, background too"
         yield title, f"{metrics[key]:.{digits}f}", unit, note.format(net=metrics.get("lpips_net"))
 
 

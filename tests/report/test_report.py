@@ -266,6 +266,15 @@ def test_where_pixels_are_ignored_those_that_count_come_first(run):
     assert "25.25" in words and "masked-out pixels as equal" in words
 
 
+def test_background_that_counts_is_said(run):
+    """Oracle: the note below PSNR, where photos are laid over the background, and only there."""
+    content = run()
+    for mode, is_said in (("composite", True), ("none", False)):
+        content.metrics["mask_mode"] = mode
+        words = Page(report_html(content)).words
+        assert ("of whole pictures, background too" in words) == is_said
+
+
 def test_scores_on_training_views_say_so(run):
     """Oracle: the sentence under the title."""
     shown = " ".join(Page(report_html(run(split="train", test_views=[]))).words)

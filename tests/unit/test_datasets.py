@@ -231,6 +231,10 @@ class TestMissing:
         (tmp_path / "empty" / "notes.txt").touch()
         with pytest.raises(DatasetError, match=r"No COLMAP model.*or a transforms\.json"):
             _load(tmp_path / "empty")
+        (tmp_path / "empty" / "images").mkdir()
+        (tmp_path / "empty" / "images" / "notes.txt").touch()
+        with pytest.raises(DatasetError, match=r"There are no photos in .*empty/images\."):
+            _load(tmp_path / "empty")
 
     def test_other_ending_or_case(self, make_capture: Callable) -> None:
         """Oracle: photos converted to another format or renamed by case are found, and said."""

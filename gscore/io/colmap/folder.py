@@ -1,5 +1,6 @@
 """COLMAP reconstructions read from and written to folders, binary or text, with numpy alone."""
 
+import mimetypes
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -14,6 +15,7 @@ from ...shown import quoted
 from ...words import count_words
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from ..foreign import foreign
+from ..pictures.images import IMAGE_ENDINGS
 from ..world_file import read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
@@ -78,10 +80,21 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
         raise DatasetError(
             f"{path} is an empty folder. Give one with photos, or with photos and their cameras."
         )
+    images = path / "images"
+    if images.is_dir() and not any(map(_is_picture, images.rglob("*"))):
+        raise DatasetError(
+            f"There are no photos in {images}. Put some there, or give their folder."
+        )
     raise DatasetError(
         f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
         f"sparse or in the folder itself, or a transforms.json. " + (foreign(path) or _ADVICE)
     )
+
+
+def _is_picture(path: Path) -> bool:
+    """Whether it is one by its name, of a kind that is read or of another."""
+    kind, _ = mimetypes.guess_type(path.name)
+    return path.suffix.lower() in IMAGE_ENDINGS or (kind or "").startswith("image/")
 
 
 def _no_folder(path: Path) -> str:
