@@ -1,6 +1,5 @@
 """COLMAP reconstructions read from and written to folders, binary or text, with numpy alone."""
 
-import mimetypes
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -32,7 +31,8 @@ __all__ = [
     "write_model",
 ]
 
-
+_OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
+"""Endings of photos that are not read here."""
 _ADVICE = (
     "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training "
     "that found them keeps them in the folder `capture` of its output."
@@ -92,9 +92,8 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def _is_picture(path: Path) -> bool:
-    """Whether it is one by its name, of a kind that is read or of another."""
-    kind, _ = mimetypes.guess_type(path.name)
-    return path.suffix.lower() in IMAGE_ENDINGS or (kind or "").startswith("image/")
+    """Whether it is one by its name, of a kind that is read here or of another."""
+    return path.suffix.lower() in (*IMAGE_ENDINGS, *_OTHER_PICTURES)
 
 
 def _no_folder(path: Path) -> str:
