@@ -102,7 +102,6 @@ from gscore.frontend import (
     join_splats,
     limit_by_photos,
     mesh_depth,
-    models_to_expect,
     most_important,
     of_size,
     options_of,

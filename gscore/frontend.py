@@ -89,7 +89,7 @@ if TYPE_CHECKING:
     from .sh import rgb_to_sh0, sh0_to_rgb, sh_basis
     from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
-    from .trainer.schedule.enough import limit_by_photos, models_to_expect, points_to_expect
+    from .trainer.schedule.enough import limit_by_photos, points_to_expect
     from .transforms import quat_to_rotmat, rotmat_to_quat
     from .video import VIDEO_ENDINGS, is_video
 
@@ -164,7 +164,6 @@ _HOME = {
     "depth_networks": "depth.catalogue:all_networks",
     "downscale": "io.pictures.resample",
     "limit_by_photos": "trainer.schedule.enough",
-    "models_to_expect": "trainer.schedule.enough",
     "points_to_expect": "trainer.schedule.enough",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
@@ -302,7 +301,6 @@ __all__ = [
     "join_splats",
     "limit_by_photos",
     "mesh_depth",
-    "models_to_expect",
     "most_important",
     "of_size",
     "options_of",

@@ -11,7 +11,6 @@ from ..core import (
     TrainConfig,
     estimate,
     limit_by_photos,
-    models_to_expect,
     points_to_expect,
     target_size,
 )
@@ -65,8 +64,8 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         train=limit_by_photos(
             train,
             photos=photos,
+            points=facts.points,
             mask_mode="composite" if subject else "none",
-            models=models_to_expect(train, photos=photos, points=facts.points, subject=subject),
         )[0],
         sizes=tuple(sorted(sizes.items())),
         points=points_to_expect(train, facts.points),

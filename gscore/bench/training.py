@@ -16,7 +16,7 @@ from ..splats import Splats
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.state import ordinary_state
 from ..trainer.photos.views import Photos
-from ..trainer.schedule.enough import limit_by_photos, models_of
+from ..trainer.schedule.enough import limit_by_photos
 from ..trainer.trainer import Trainer
 from ..trainer.views.judged import judge_photos
 
@@ -169,7 +169,14 @@ def train_measured(
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
         if limited:
-            config = _limited(config, photos, known=start.known)
+            config, _ = limit_by_photos(
+                config,
+                photos=len(photos.train),
+                points=photos.scene.points.given,
+                mask_mode=photos.mask_mode,
+                known=start.known,
+                compared=True,
+            )
         seconds += time.perf_counter() - began
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
@@ -210,14 +217,6 @@ def train_measured(
             backward_pairs=backward,
             splats=trainer.splats(),
         )
-
-
-def _limited(config: TrainConfig, photos: Dataset, *, known: float | None) -> TrainConfig:
-    """The options as photos limit them that agree on as much as is known."""
-    mode, points = photos.mask_mode, photos.scene.points.given
-    count = len(photos.train)
-    models, _ = models_of(config, photos=count, points=points, mask_mode=mode, known=known)
-    return limit_by_photos(config, photos=count, mask_mode=mode, known=known, models=models)[0]
 
 
 def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from ..config import DataConfig, TrainConfig
+from ..config import LIFTED_BY, DataConfig, TrainConfig
 from ..control import Control
 from ..datasets import load_dataset
 from ..datasets.dataset import Dataset
@@ -26,13 +26,7 @@ from .ranks.team import Team
 from .region.box import Box
 from .region.photos import RegionPhotos
 from .rows.frame import Frame
-from .schedule.enough import (
-    LIMITED_BY_PHOTOS,
-    limit_by_photos,
-    models_of,
-    models_to_expect,
-    points_to_expect,
-)
+from .schedule.enough import limit_by_photos, points_to_expect
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.judged import judge_photos
@@ -112,11 +106,16 @@ def prepare(
     photos = load_dataset(data, cancelled=lambda: control.stopping)
     if region is not None:
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
-    asked, mask_mode, given = config, photos.mask_mode, photos.scene.points.given
-    count, subject = len(photos.train), mask_mode == "composite"
-    limited = partial(limit_by_photos, asked, photos=count, mask_mode=mask_mode, taken=taken)
-    expected = models_to_expect(asked, photos=count, points=given, subject=subject)
-    config, enough = limited(models=expected)
+    asked, given = config, photos.scene.points.given
+    limited = partial(
+        limit_by_photos,
+        asked,
+        photos=len(photos.train),
+        points=given,
+        mask_mode=photos.mask_mode,
+        taken=taken,
+    )
+    config, enough = limited()
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # refuses a folder that is not there
@@ -142,10 +141,7 @@ def prepare(
         if stereo:
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
-            models, _ = models_of(
-                asked, photos=count, points=given, mask_mode=mask_mode, known=added.known
-            )
-            config, enough = limited(known=added.known, models=models)
+            config, enough = limited(known=added.known, compared=True)
         exposure, placing = judge_photos(config, photos)
         trainer = Trainer(
             config,
@@ -181,7 +177,7 @@ def prepare(
 
 def _asked_beyond(asked: TrainConfig, limited: TrainConfig) -> dict[str, int]:
     """What was asked for, by option, of that of which photos allow less."""
-    both = {name: (getattr(asked, name), getattr(limited, name)) for name in LIMITED_BY_PHOTOS}
+    both = {name: (getattr(asked, name), getattr(limited, name)) for name in LIFTED_BY}
     return {name: was for name, (was, now) in both.items() if was != now}
 
 

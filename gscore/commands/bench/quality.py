@@ -12,7 +12,7 @@ from ...config import DataConfig
 from ...io.places import check_place
 from ...metrics import Lpips, LpipsNet, find_lpips
 from ...presets import PRESETS
-from ...trainer.schedule.enough import limit_by_photos, models_to_expect
+from ...trainer.schedule.enough import limit_by_photos
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .numbers import check_numbers
@@ -82,12 +82,12 @@ def _train(
             label, photos = variant.label, variant.photos
             if results.has(cell.capture, label, seed, cell.offset):
                 continue
-            config, mask_mode = replace(variant.config, seed=seed), photos.mask_mode
-            count, given = len(photos.train), photos.scene.points.given
-            models = models_to_expect(
-                config, photos=count, points=given, subject=mask_mode == "composite"
+            config, _ = limit_by_photos(
+                replace(variant.config, seed=seed),
+                photos=len(photos.train),
+                points=photos.scene.points.given,
+                mask_mode=photos.mask_mode,
             )
-            config, _ = limit_by_photos(config, photos=count, mask_mode=mask_mode, models=models)
             training = train_judged(
                 config,
                 photos,

@@ -7,8 +7,6 @@ from ...config import Stereo, TrainConfig
 from ...datasets.points import RANDOM_POINTS
 from ...words import count_words, number
 
-LIMITED_BY_PHOTOS = ("iterations", "max_splats")
-"""Options of which `limit_by_photos` allows less than what was asked for."""
 MOST_ADDED = 10_000
 """Most points that are added where the option leaves it open."""
 SPLATS_A_POINT = 5
@@ -122,9 +120,10 @@ def limit_by_photos(
     config: TrainConfig,
     *,
     photos: int,
+    points: int = 0,
     mask_mode: str = "none",
     known: float | None = None,
-    models: int = 1,
+    compared: bool = False,
     taken: int = 0,
 ) -> tuple[TrainConfig, str]:
     """The options with no more steps and splats than so many photos are good for.
@@ -132,15 +131,17 @@ def limit_by_photos(
     Where masks are opacity (`composite`), all splats are taken: a subject alone is seen from all
     sides, and there is nothing before or behind it that one photo alone could explain. Twice as
     many steps are, unless splats are left out of them. Under a time budget steps are
-    found otherwise.
+    found otherwise. Models that are trained side by side learn the photos each by itself, so each
+    may have as many splats as one alone.
 
     Args:
         config: How to train.
         photos: Number of training photos.
+        points: As `models_to_expect`.
         mask_mode: What masks are for, as `Dataset.mask_mode`.
         known: As `thins_subject`.
-        models: How many are trained side by side. Each learns the photos by itself, so each may
-            have as many splats as one alone.
+        compared: Whether photos were compared, so that the number of models is known; else it is
+            the one to expect.
         taken: Steps that a run has taken already, which nothing takes back.
 
     Returns:
@@ -157,6 +158,12 @@ def limit_by_photos(
             f"{number(steps)} of {number(asked)} steps are taken: more do not make unseen views of "
             f"{of_photos} better (--steps-a-photo 0 takes them all)."
         )
+    if compared:
+        models, _ = models_of(
+            config, photos=photos, points=points, mask_mode=mask_mode, known=known
+        )
+    else:
+        models = models_to_expect(config, photos=photos, points=points, subject=subject)
     most, splats = config.max_splats, models * _splats_for(config, photos)
     if not subject and splats < most:
         config = replace(config, max_splats=splats)

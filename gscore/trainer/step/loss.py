@@ -95,8 +95,8 @@ class StepLoss:
         picture's opacity and inverse depth; None: it does not depend on them."""
         config, mask, composite = self._config, glance.sized.mask, self._mask_mode == "composite"
         value, v_alpha, v_inverse_depth = 0.0, None, None
-        terms = self._depth_terms(glance.index, step)
-        if terms and picture.inverse_depth is not None:
+        if picture.inverse_depth is not None:  # it was drawn because it counts
+            terms = self._depth_terms(glance.index, step)
             inverse_depth = picture.inverse_depth.detach().requires_grad_()
             alpha = picture.alpha.detach().requires_grad_()
             parts = [weight * loss(glance.index, inverse_depth, alpha) for weight, loss in terms]

@@ -90,13 +90,14 @@ def test_which_presets_have_the_limit() -> None:
 
 def test_each_model_may_have_as_many_splats_as_one_alone() -> None:
     """Oracle: twice 60 times 6,000, by hand."""
-    config = TrainConfig(max_splats=900_000, splats_a_photo=6000)
-    found, why = limit_by_photos(config, photos=60, models=2)
+    config = TrainConfig(max_splats=900_000, splats_a_photo=6000, ensemble=2)
+    found, why = limit_by_photos(config, photos=60)
     assert found == replace(config, max_splats=720_000)
     assert "At most 720,000 of 900,000 splats grow" in why
     high = PRESETS["high"](Path())[1]
-    assert limit_by_photos(high, photos=30, models=3)[0].max_splats == high.max_splats
-    assert limit_by_photos(high, photos=30)[0].max_splats == 300_000
+    assert limit_by_photos(high, photos=30)[0].max_splats == high.max_splats
+    agreeing, _ = limit_by_photos(high, photos=30, known=0.5, compared=True)
+    assert agreeing.max_splats == 300_000
 
 
 @pytest.mark.parametrize(
