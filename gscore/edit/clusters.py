@@ -11,6 +11,10 @@ _REACH = 2.0
 """Standard deviations as far as an ellipsoid goes; there it has an eighth of its opacity."""
 _STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Places along an axis of an ellipsoid, as shares of its reach, that it joins to its middle."""
+_LARGE = 4.0
+"""Times the reach from which on axes count: from here on the ellipsoid is filled with places."""
+_FILLED = 48
+"""Places in a large ellipsoid; two that overlap have some in cells that touch."""
 _EXPONENT = 88.0
 """Of scales, at most: float32 holds no more, and squares stay finite."""
 _BITS = 20
@@ -25,8 +29,9 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     """How many splats belong to the cluster of each.
 
     Space is cut into cells. Splats in the same cell or in cells that touch, at corners too, belong
-    together, and a large splat counts in the cells that its axes reach: those of a background lie
-    far apart and yet without a gap. Beyond the middle of the model cells grow with the distance.
+    together, and a large splat counts in cells all over its ellipsoid: those of a wall or of a
+    background lie far apart and yet without a gap. One that holds the middle of the model, as a
+    sky does, belongs to what is there. Beyond the middle cells grow with the distance.
 
     Args:
         splats: Finite.
@@ -43,10 +48,11 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     distances = _lengths(means - middle)
     size = float(np.median(distances)) or 1.0
     shortest = gap / 2 * size * np.maximum(distances / size, 1)
+    heart = means[np.argmin(distances)]
     middles, ends, owners = [], [], []
     for at in range(0, len(means), _BLOCK):
         part = slice(at, at + _BLOCK)
-        places, rows = _reached(splats, part, shortest[part])
+        places, rows = _reached(splats, part, shortest[part], heart)
         found = _keys(_near_and_far((places - middle) / size) / gap)
         further = np.flatnonzero(found != found[rows])
         middles.append(found[: len(shortest[part])])
@@ -83,20 +89,50 @@ def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray
     return found[labels]
 
 
-def _reached(splats: Splats, part: slice, shortest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places [M, 3] that some splats join: the middles of all, then those along axes that reach
-    farther than `shortest` [B]; and the row [M] in the part that each belongs to."""
+def _reached(
+    splats: Splats, part: slice, shortest: np.ndarray, heart: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places [M, 3] that some splats join: the middles of all; those along axes that reach farther
+    than `shortest` [B]; those all over large ellipsoids, and `heart` [3] where one holds it. And
+    the row [M] in the part that each belongs to."""
     means = splats.means[part].astype(np.float64)
     scales = splats.scales[part].astype(np.float64)
     reaches = _REACH * np.exp(np.minimum(scales, _EXPONENT))
+    rows = np.flatnonzero((reaches > shortest[:, None]).any(axis=1))
+    axes = quat_to_rotmat(splats.quats[part][rows].astype(np.float64)) * reaches[rows, None, :]
     places, owners = [means], [np.arange(len(means))]
     for axis in range(3):
-        rows = np.flatnonzero(reaches[:, axis] > shortest)
-        turned = quat_to_rotmat(splats.quats[part][rows].astype(np.float64))[:, :, axis]
-        arm = turned * reaches[rows, axis, None]
-        places += [means[rows] + step * arm for step in _STEPS]
-        owners += [rows] * len(_STEPS)
+        long = reaches[rows, axis] > shortest[rows]
+        arm, own = axes[long, :, axis], rows[long]
+        places += [means[own] + step * arm for step in _STEPS]
+        owners += [own] * len(_STEPS)
+    large = (reaches[rows] > _LARGE * shortest[rows, None]).any(axis=1)
+    axes, rows = axes[large], rows[large]
+    places.append((means[rows, None] + _ball() @ axes.transpose(0, 2, 1)).reshape(-1, 3))
+    owners.append(np.repeat(rows, _FILLED))
+    inside = _holds(axes, heart - means[rows])
+    places.append(np.tile(heart, (int(inside.sum()), 1)))
+    owners.append(rows[inside])
     return np.concatenate(places), np.concatenate(owners)
+
+
+def _ball() -> np.ndarray:
+    """[_FILLED, 3] places spread evenly in the unit ball, always the same: a sequence of low
+    discrepancy (steps of 1/g and 1/g^2 with g^3 = g + 1; Roberts 2018) on spheres that grow."""
+    n = np.arange(_FILLED) + 0.5
+    z = 1 - 2 * (n * 0.7548776662466927 % 1)
+    angle = 2 * np.pi * n * 0.5698402909980532
+    ring = np.sqrt(1 - z * z)
+    directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    return np.cbrt(n / _FILLED)[:, None] * directions
+
+
+def _holds(axes: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """[L] bool: ellipsoids around 0, by their axes [L, 3, 3] in columns, that offsets [L, 3] lie
+    in. The columns are orthogonal, so the shares along them are offset . axis / |axis|^2."""
+    squares = np.maximum((axes * axes).sum(axis=1), np.finfo(float).tiny)
+    shares = (axes * offsets[:, :, None]).sum(axis=1) / squares
+    return (shares * shares).sum(axis=1) <= 1
 
 
 def _near_and_far(places: np.ndarray) -> np.ndarray:

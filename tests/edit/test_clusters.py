@@ -72,6 +72,32 @@ def test_a_background_far_away_hangs_together() -> None:
     assert cluster_sizes(small(means), 0.05)[5000:].max() < 1000
 
 
+def test_a_wall_of_few_large_splats_is_no_floater(clumps: np.ndarray) -> None:
+    """Oracle: the scene with six flat round splats of radius 3, turned at random in their plane,
+    that overlap in a wall beside the ball."""
+    rng = np.random.default_rng(5)
+    wall = np.stack([np.full(6, -2.5), np.repeat([-1.5, 1.5], 3), np.tile([-2.0, 0, 2], 2)], axis=1)
+    splats = small(np.concatenate([clumps, wall]))
+    scales, quats = splats.scales.copy(), splats.quats.copy()
+    scales[-6:, 1:] = np.log(1.5)
+    half = rng.uniform(0, np.pi, 6)
+    quats[-6:] = np.stack([np.cos(half), np.sin(half), 0 * half, 0 * half], axis=1)
+    sizes = cluster_sizes(replace(splats, scales=scales, quats=quats), 0.05)
+    assert sizes[-6:].tolist() == [6] * 6
+    assert sizes[3040:-6].tolist() == [1, 1]
+
+
+def test_what_holds_the_scene_belongs_to_it(clumps: np.ndarray) -> None:
+    """Oracle: the scene within a sky of one splat whose middle is far away; a smaller sky does not
+    reach it."""
+    splats = small(np.concatenate([clumps, [[0, 0, 50.0]]]))
+    scales = splats.scales.copy()
+    scales[-1] = np.log(40)
+    assert cluster_sizes(replace(splats, scales=scales), 0.25)[-1] > 3000
+    scales[-1] = np.log(15)
+    assert cluster_sizes(replace(splats, scales=scales), 0.25)[-1] == 1
+
+
 def test_place_size_and_order_do_not_matter(make_splats: Make) -> None:
     """Oracle: the same splats moved by cells, scaled and shuffled."""
     splats = make_splats(3000, spread=3.0)
