@@ -140,7 +140,7 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
     facts["metrics"] = None
     if metrics:
-        facts["metrics"] = {key: metrics.get(key) for key in keys}
+        facts["metrics"] = {key: metrics.get(key) for key in (*keys, "models")}
         if "psnr_masked" in metrics:
             facts["metrics"] |= {
                 key: metrics[key] for key in ("psnr_masked", MASKED_OF) if key in metrics
@@ -261,9 +261,10 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     lines = [f"{facts['path']}: a run" + (f" on {facts['source']}" if facts["source"] else "")]
     metrics = facts["metrics"]
     if metrics and (worth := quality_words(metrics)):
+        models = f", {metrics['models']} models as one" if metrics["models"] else ""
         lines.append(
-            f"  {metrics['split']} views: {worth}; "
-            f"{count_words(metrics['steps'], 'step')} in {time_words(metrics['train_seconds'])}"
+            f"  {metrics['split']} views: {worth}; {count_words(metrics['steps'], 'step')} in "
+            f"{time_words(metrics['train_seconds'])}{models}"
         )
     count = facts["checkpoints"]
     if facts["in_training"]:

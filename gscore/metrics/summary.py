@@ -13,7 +13,7 @@ from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
 _LISTS = frozenset({"views", "train_views", "test_views", "history", "evals", "decided"})
-_PARTS = ("depth", "exposure", "poses", "ranks", "decided", "asked")
+_PARTS = ("models", "depth", "exposure", "poses", "ranks", "decided", "asked")
 """Of a `Course`, what is left out where there is nothing to say."""
 
 
@@ -35,6 +35,8 @@ class Course:
     """{"step", "elapsed_s", "psnr"} measured on the same split during it."""
     peak_memory_bytes: int | None = None
     """None: that of this process."""
+    models: int | None = None
+    """How many are shown as one; None: it is one alone."""
     depth: dict[str, Any] | None = None
     """Numbers of `DepthReport`; None: there were no maps."""
     exposure: dict[str, Any] | None = None

@@ -113,6 +113,7 @@ def _means_table(comparison: RunComparison) -> str:
 
 _WORK: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("splats", "Splats", number),
+    ("models", "Models shown as one", number),
     ("storage_bytes", "Storage", size_words),
     ("steps", "Steps", number),
     ("train_seconds", "Training", time_words),

@@ -127,7 +127,9 @@ def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
 
 
 def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
-    yield "Splats", number(metrics["splats"]), "", f"SH degree {metrics['sh_degree']}"
+    models = f"{metrics['models']} models as one" if "models" in metrics else ""
+    note = _comma(f"SH degree {metrics['sh_degree']}", models)
+    yield "Splats", number(metrics["splats"]), "", note
     if metrics["train_seconds"] is not None:
         yield "Training", time_words(metrics["train_seconds"]), "", _steps(metrics)
     if metrics.get("fps") is not None:

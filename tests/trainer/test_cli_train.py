@@ -113,11 +113,26 @@ def test_a_config_file_repeats_a_run(capture: Path, tmp_path: Path) -> None:
 def test_models_side_by_side_are_told(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: 150 points of the capture, from all of which each model starts."""
-    words = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--max-splats", "400"]
-    assert main([*words, "--ensemble", "2"]) == 0
+    """Oracle: 150 points of the capture, from all of which each model starts; what a run of one
+    model says, before and after its evaluation."""
+    one, two = tmp_path / "one", tmp_path / "two"
+    words = ["train", str(capture), *SHORT, "--max-splats", "400"]
+    assert main([*words, "-o", str(one), "--quiet"]) == 0
+    assert main([*words, "-o", str(two), "--ensemble", "2"]) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "300 splats to start with, the same 150 for each of 2 models; " in said
+    assert main(["eval", str(two), "--quiet"]) == 0
+    pages = [(folder / "report.html").read_text() for folder in (one, two)]
+    assert ["<p>SH degree 0, 2 models as one</p>" in page for page in pages] == [False, True]
+    capsys.readouterr()
+    told = []
+    for folder in (one, two):
+        assert main(["info", str(folder)]) == 0
+        told.append(", 2 models as one\n" in capsys.readouterr().out)
+    assert told == [False, True]
+    page = tmp_path / "compare.html"
+    assert main(["compare", str(one), str(two), "-o", str(page), "--quiet"]) == 0
+    assert "<tr><th>Models shown as one</th><td>n/a</td><td>2</td>" in page.read_text()
 
 
 def test_what_photos_decide_is_kept_and_nobody_types_it(

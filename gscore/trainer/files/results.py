@@ -119,6 +119,7 @@ class Results:
             trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
             history=meter.history,
             evals=evals,
+            models=trainer.plan.models if trainer.plan.models > 1 else None,
             depth=None if depth is None else depth.numbers,
             ranks=_of_ranks(trainer.team),
             decided=list(decided) or None,
