@@ -31,6 +31,8 @@ from .terminal.status import Status, wrapped
 
 _EXACT = "ply"
 """The format that holds splats to the bit."""
+_VISIBLE = 30.0
+"""Decibels between pictures below which anyone sees that splats are missing."""
 _MARK = "gscore convert"
 """A comment of files that have room for it: they may be replaced."""
 
@@ -101,6 +103,12 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     lost = None
     if views is not None and after is not edited.cropped:
         lost = picture_loss(edited.cropped, after, views, args.views, status)
+        thinned = request.count is not None or request.size is not None
+        if thinned and lost.psnr is not None and lost.psnr < _VISIBLE:
+            edited.notes.append(
+                f"The pictures show that splats are missing ({lost.psnr:.1f} dB). If the photos "
+                f"are at hand, a training with --max-splats {len(edited.splats)} looks better."
+            )
     if args.picture is not None:
         status.show(["Rendering the picture"])
         _write_picture(args, edited.joined, after, views)

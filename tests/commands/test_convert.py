@@ -124,6 +124,19 @@ def test_count_and_error_of_a_run(gscore, run_folder, tmp_path, splats, capture,
     assert facts["bytes"] == (tmp_path / "small.ply").stat().st_size < facts["bytes_before"]
 
 
+def test_thinning_that_shows_is_told(gscore, run_folder, tmp_path):
+    """Oracle: the dB that are printed beside it."""
+    run = run_folder()
+    told = {}
+    for count in (1, 30, 45, 59):
+        out = tmp_path / f"{count}.ply"
+        code, text, err = gscore("convert", run, out, "--count", count, "--json")
+        worth = json.loads(text)["error"]["psnr"]
+        told[worth < 30] = shows = f"--max-splats {count} looks better" in " ".join(err.split())
+        assert code == 0 and shows == (worth < 30)
+    assert told == {True: True, False: False}, "both happen"
+
+
 @pytest.mark.parametrize("source", ["capture", "run", "cameras.json"])
 def test_cameras_of_every_kind(gscore, ply, tmp_path, run_folder, capture, source):
     """Oracle: the same splats are kept, whoever names the cameras."""
