@@ -10,6 +10,8 @@ from gpu_extras.batch import batch_for_shader
 
 from ..cameras.render_camera import RenderCamera
 from ..compat import blends_float32, shaders_write_depth
+from ..render.picture import Window
+from ..render.viewport import drawn_to, part_of
 from . import program
 from .clip import PLANES, Cuts, depth_of_z
 from .photos import FrontPhoto
@@ -162,12 +164,10 @@ class Card:
     def show(
         self,
         canvas: Canvas,
-        left: int,
-        bottom: int,
-        width: int,
-        height: int,
+        view: tuple[int, int, int, int],
         photo: FrontPhoto | None = None,
         scene: gpu.types.GPUFrameBuffer | None = None,
+        window: Window | None = None,
     ) -> None:
         """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it.
 
@@ -175,32 +175,35 @@ class Card:
 
         Args:
             canvas: The picture.
-            left: Of the part, pixels.
-            bottom: Of the part, pixels.
-            width: Pixels.
-            height: Pixels.
+            view: Left, bottom, width and height of the part, pixels.
             photo: What is seen before the splats.
             scene: The target of the view's own picture, which keeps more digits than what lies over
                 it, linear light; what the splats hide of the latter is taken away. None: it cannot
                 be drawn to.
+            window: The part of the view that gets any of it; None: all.
         """
-        smaller = canvas.width / width, canvas.height / height
-        place = left, bottom, *smaller
-        if scene is not None and self._lay_within(scene, canvas, place):
-            self._lay(canvas, place, "MULTIPLY", _HIDDEN)
-        else:
-            self._lay(canvas, place, "ALPHA_PREMULT", _OVER, photo)
+        left, bottom, width, height = view
+        place = left, bottom, canvas.width / width, canvas.height / height
+        shown = part_of(view, window)
+        with drawn_to(shown):
+            if scene is not None and self._lay_within(scene, canvas, place, shown):
+                self._lay(canvas, place, "MULTIPLY", _HIDDEN)
+            else:
+                self._lay(canvas, place, "ALPHA_PREMULT", _OVER, photo)
 
     def _lay_within(
-        self, scene: gpu.types.GPUFrameBuffer, canvas: Canvas, place: tuple[float, ...]
+        self,
+        scene: gpu.types.GPUFrameBuffer,
+        canvas: Canvas,
+        place: tuple[float, ...],
+        shown: tuple[int, int, int, int],
     ) -> bool:
         """Lay it into a view's own picture; whether that can be done."""
         if self._shut:
             return False
         try:
             with scene.bind():
-                width, height = canvas.width / place[2], canvas.height / place[3]
-                gpu.state.viewport_set(*map(round, (*place[:2], width, height)))
+                gpu.state.viewport_set(*shown)
                 self._lay(canvas, place, "ALPHA_PREMULT", _WITHIN)
         except Exception:  # drivers raise anything; what lies over the picture does as well
             _log.exception("The pictures of views cannot be drawn to: dark colors get less exact.")

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..cameras.render_camera import RenderCamera
 from ..render.model import SplatCache
+from ..render.picture import Window
 from ..render.scene import Placed
 from ..render.viewport import Viewport
 from .by_engine import Wish
@@ -48,6 +49,7 @@ class EngineView:
         *,
         cuts: Cuts,
         tint: bool,
+        clip: Window | None,
     ) -> None:
         """Draw what is there, and ask for what is missing.
 
@@ -59,6 +61,7 @@ class EngineView:
             meshes: Reads depths of what may hide splats (`Depths.values`). None: nothing does.
             cuts: Where the view ends.
             tint: Whether what is selected is seen.
+            clip: The part of the view that shows any of it; None: all.
 
         Raises:
             ValueError: there is no picture; says why.
@@ -81,4 +84,4 @@ class EngineView:
             raise ValueError(painter.problem)
         if pixels is None:
             return
-        self._viewport.draw_over(pixels, camera.width, camera.height)
+        self._viewport.draw_over(pixels, clip)

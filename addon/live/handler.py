@@ -15,6 +15,7 @@ from ..interface.flags import error_words
 from ..interface.views import redraw_views
 from ..render import copies, viewport
 from ..render.engine import final_cache
+from ..render.regions import drawn_window
 from ..render.scene import Placed, Source, sources
 from ..splats import settings as splat_settings
 from ..splats.live import SESSION
@@ -108,7 +109,7 @@ def _lay_over(exact: viewport.Viewport) -> None:
     """Draw the engine's picture where Blender has drawn over it what is behind."""
     pixels = exact.painter.pixels
     if pixels is not None:
-        exact.draw_over(pixels, *gpu.state.viewport_get()[2:])
+        exact.draw_over(pixels)
 
 
 def _draw(context: bpy.types.Context, pointer: int) -> None:
@@ -148,9 +149,10 @@ def _show(
     antialias = context.scene.gscore_render.antialias
     cuts = cuts_of(context)
     tint = context.space_data.overlay.show_overlays and not is_own(context)
+    region = drawn_window(context, window, *part[2:])
     if isinstance(view, EngineView):
         values = partial(view.depths.values, *part, front=front) if hides else None
-        view.draw(placed, camera, window, antialias, values, cuts=cuts, tint=tint)
+        view.draw(placed, camera, window, antialias, values, cuts=cuts, tint=tint, clip=region)
     else:
         read = partial(view.depths.read, *part, front=front) if hides else None
         picture = view.draw(
@@ -163,7 +165,7 @@ def _show(
             photo = photos.in_front(context, window, *part[2:])
             rests = photo is None and picture.nearness is None and not view.level.moving
             within = _state.scene if rests and keeps_colors(context) else None
-            _state.card.show(picture, *part, photo, within)
+            _state.card.show(picture, part, photo, within, region)
 
 
 def _failed(error: Exception, pointer: int) -> None:

@@ -8,6 +8,8 @@ import bpy
 import gpu
 import numpy as np
 
+from ..render.regions import camera_of, frame_of
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrontPhoto:
@@ -44,26 +46,15 @@ def in_front(
     found = [s for s in _shown(context) if s.display_depth == "FRONT" and _fills_frame(s)]
     if not found:
         return None
-    slot, camera = found[-1], _camera(context)
+    slot, camera = found[-1], camera_of(context)
     texture = gpu.texture.from_image(slot.image)  # which Blender has made already
-    corners = np.array([tuple(c) for c in camera.data.view_frame(scene=context.scene)])
-    clip = np.column_stack([corners, np.ones(4)]) @ window.T
-    places = (clip[:, :2] / clip[:, 3:] + 1) / 2 * (width, height)
-    low, size = places.min(axis=0), np.ptp(places, axis=0)
+    low, size = frame_of(camera, context.scene, window, width, height)
     return FrontPhoto(texture=texture, frame=(*low, *size), opacity=slot.alpha)
-
-
-def _camera(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The camera through which a view looks, if it does."""
-    space, region = context.space_data, context.region_data
-    if region.view_perspective != "CAMERA":
-        return None
-    return space.camera if space.use_local_camera else context.scene.camera
 
 
 def _shown(context: bpy.types.Context) -> Iterator[bpy.types.CameraBackgroundImage]:
     """What is drawn of a view's camera."""
-    camera = _camera(context)
+    camera = camera_of(context)
     if camera is None or camera.type != "CAMERA" or not context.space_data.overlay.show_overlays:
         return
     if not camera.data.show_background_images:

@@ -14,9 +14,8 @@ from ..cameras.panorama import Panorama
 from ..cameras.render_camera import RenderCamera
 from .color import NOTHING
 from .model import Model
+from .picture import Window
 
-Window = tuple[int, int, int, int]
-"""Left, top, width and height, pixels."""
 _SIDES = np.array(
     [
         [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

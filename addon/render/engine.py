@@ -19,6 +19,7 @@ from .apart import main_scene
 from .film import Film
 from .model import SplatCache
 from .passes import asked_of
+from .regions import border_corner, border_window, drawn_window
 from .samples import Mean
 from .scene import Identity, Placed, sources
 from .stage import Stage
@@ -119,15 +120,15 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             EXACT.add(pointer)
         made = view.painter.made
         is_meant = isinstance(made, Request) and made.over_view == over
-        pixels = view.painter.pixels if is_meant else None
+        pixels, window = view.painter.pixels if is_meant else None, view.window
         waits = live is not None and pointer not in EXACT
         if over and pixels is not None and not waits:
             OVER[pointer] = view
         if over or waits:
-            pixels = self._empty(depsgraph)
+            pixels, window = self._empty(depsgraph), request.options.window
         if pixels is not None:
             self.bind_display_space_shader(depsgraph.scene)
-            view.draw(pixels, region.width, region.height)
+            view.draw(pixels, region.width, region.height, window)
             self.unbind_display_space_shader()
 
     _view: Viewport | None = None
@@ -153,7 +154,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     ) -> Request:
         scene = depsgraph.scene
         region, rv3d = context.region, context.region_data
-        matrices = (matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix))
+        matrices = [matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix)]
         size = region.width, region.height
         transparent = scene.render.film_transparent or over
         light = np.zeros(3) if transparent else _light(depsgraph)
@@ -162,7 +163,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             held=held,
             camera=view_camera(*matrices, *size, perspective=rv3d.is_perspective),
             options=picture.Options(
-                background=background_of(light), antialias=scene.gscore_render.antialias
+                background=background_of(light),
+                antialias=scene.gscore_render.antialias,
+                window=drawn_window(context, matrices[1], *size),
             ),
             transparent=transparent,
             to_scene=rec709_to_scene(),
@@ -290,7 +293,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         layer: str,
         view: str,
         render: bpy.types.RenderSettings,
-        window: tuple[int, int, int, int] | None,
+        window: picture.Window | None,
     ) -> None:
         """Hand pictures over, of the window that was drawn; Blender's own may be a little less."""
         full = self.resolution_x, self.resolution_y
@@ -310,26 +313,6 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
 def _light(depsgraph: bpy.types.Depsgraph) -> np.ndarray:
     """[3] scene-linear color of what is behind the splats."""
     return world_light(world_of(depsgraph.scene, depsgraph.view_layer_eval))[0]
-
-
-def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int]:
-    """Left and bottom pixel of the render border, as Blender computes them: in float32."""
-    left = np.float32(render.border_min_x) * np.float32(width)
-    bottom = np.float32(render.border_min_y) * np.float32(height)
-    return int(left), int(bottom)
-
-
-def border_window(
-    render: bpy.types.RenderSettings, width: int, height: int
-) -> tuple[int, int, int, int] | None:
-    """Left, top, width and height of a part that holds the render border; None without one."""
-    if not render.use_border:
-        return None
-    left, bottom = border_corner(render, width, height)
-    right = min(int(np.ceil(render.border_max_x * width)) + 1, width)
-    top = min(int(np.ceil(render.border_max_y * height)) + 1, height)
-    left, bottom = min(left, width - 1), min(bottom, height - 1)
-    return left, height - top, max(right - left, 1), max(top - bottom, 1)
 
 
 CLASSES = (SplatsRenderEngine,)

@@ -10,9 +10,10 @@ from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered
 from . import color, picture
 from .coverage import one_hot
-from .cube import Window, beyond, unfold
+from .cube import beyond, unfold
 from .mesh_holdout import Hidden, cut
 from .model import Model
+from .picture import Window
 from .scene import Identity
 from .stage import View
 

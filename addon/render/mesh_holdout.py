@@ -11,9 +11,8 @@ from ..cameras.render_camera import RenderCamera
 from ..core import Rendered, mesh_depth
 from ..triangles import Triangles, joined, repeated
 from .held_meshes import HeldMesh
+from .picture import Window
 
-Window = tuple[int, int, int, int]
-"""Left, top, width and height, pixels."""
 _LOOKS = 4
 """Places along either side of a pixel at which meshes are looked for."""
 MOST_TRIANGLES = 20_000_000

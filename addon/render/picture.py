@@ -10,6 +10,8 @@ from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered, render
 from .model import Model
 
+Window = tuple[int, int, int, int]
+"""Left, top, width and height of a part of a picture, pixels."""
 AUTO, ON, OFF = "AUTO", "ON", "OFF"
 POLL = 0.02
 """Seconds between two questions whether to stop."""
@@ -25,8 +27,8 @@ class Options:
     """Make depths too."""
     antialias: str = AUTO
     """ON, OFF, or AUTO: as the objects were trained."""
-    window: tuple[int, int, int, int] | None = None
-    """Left, top, width and height of the part that is drawn, pixels; None: everything."""
+    window: Window | None = None
+    """The part that is drawn; None: everything."""
 
 
 def compensates(wish: str, *, trained: tuple[str, ...], plain: tuple[str, ...]) -> bool:

@@ -2,7 +2,8 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 from weakref import WeakValueDictionary
@@ -101,8 +102,12 @@ class Request:
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
         """As `Wish`; scene-linear, if it is not to lie over the view."""
+        options = self.options
+        if options.window is not None and camera is not self.camera:
+            camera = _cropped(camera, options.window, camera.width / self.camera.width)
+            options = replace(options, window=None)
         film = Film(
-            options=self.options,
+            options=options,
             transparent=self.transparent,
             to_scene=self.to_scene,
             over_view=self.over_view,
@@ -212,32 +217,83 @@ class Viewport:
         self.painter = Painter(cache)
         self._texture: tuple[np.ndarray, gpu.types.GPUTexture] | None = None
 
-    def draw(self, pixels: np.ndarray, width: int, height: int) -> None:
+    @property
+    def window(self) -> picture.Window | None:
+        """The part of the view that the painter's last picture is of; None: all of it."""
+        made = self.painter.made
+        return made.options.window if isinstance(made, Request) else None
+
+    def draw(
+        self, pixels: np.ndarray, width: int, height: int, window: picture.Window | None = None
+    ) -> None:
         """Draw [H, W, 4] float32, premultiplied, over a region of width x height pixels.
 
         They are taken to the graphics card when they are others than before.
+
+        Args:
+            pixels: What is drawn.
+            width: Of the region.
+            height: Of the region.
+            window: The part of it that they fill; None: all.
         """
+        left, top, wide, high = window or (0, 0, width, height)
         if self._texture is None or self._texture[0] is not pixels:
             flat = gpu.types.Buffer("FLOAT", pixels.size, pixels.reshape(-1))
             made = gpu.types.GPUTexture(pixels.shape[1::-1], format="RGBA16F", data=flat)
             self._texture = pixels, made
         gpu.state.blend_set("ALPHA_PREMULT")
-        draw_texture_2d(self._texture[1], (0, 0), width, height)
+        draw_texture_2d(self._texture[1], (left, height - top - high), wide, high)
         gpu.state.blend_set("NONE")
 
-    def draw_over(self, pixels: np.ndarray, width: int, height: int) -> None:
-        """The same over all that Blender has drawn of a view of that size, while it draws it."""
-        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+    def draw_over(self, pixels: np.ndarray, clip: picture.Window | None = None) -> None:
+        """The same over all that Blender has drawn of a view, while it draws it.
+
+        Args:
+            pixels: What is drawn.
+            clip: The part of the view that gets any of it; None: all.
+        """
+        view = gpu.state.viewport_get()
+        part = part_of(view, clip)
+        low = part[0] - view[0], part[1] - view[1]
+        with drawn_to(part), gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_identity()
-            gpu.matrix.load_projection_matrix(_over(width, height))
+            gpu.matrix.load_projection_matrix(_from(*low, *part[2:]))
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
-            self.draw(pixels, width, height)
+            self.draw(pixels, *view[2:], self.window)
 
 
-def _over(width: int, height: int) -> Matrix:
-    """The projection in which a view of that many pixels goes from its lower left corner."""
-    return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
+def part_of(
+    view: tuple[int, int, int, int], window: picture.Window | None
+) -> tuple[int, int, int, int]:
+    """Left, bottom, width and height of a window of a view that is given in the same way."""
+    left, bottom, width, height = view
+    own_left, top, wide, high = window or (0, 0, width, height)
+    return left + own_left, bottom + height - top - high, wide, high
+
+
+@contextmanager
+def drawn_to(part: tuple[int, int, int, int]) -> Iterator[None]:
+    """Draw to a part of a target, as `part_of`, and to nothing beside it."""
+    before = gpu.state.viewport_get()
+    gpu.state.viewport_set(*part)
+    try:
+        yield
+    finally:
+        gpu.state.viewport_set(*before)
+
+
+def _from(left: int, bottom: int, width: int, height: int) -> Matrix:
+    """The projection of pixels in which a part of them fills what is drawn to."""
+    right, up = 2 / width, 2 / height
+    return Matrix(
+        (
+            (right, 0, 0, -1 - left * right),
+            (0, up, 0, -1 - bottom * up),
+            (0, 0, 1, 0),
+            (0, 0, 0, 1),
+        )
+    )
 
 
 class StandIn(Protocol):
@@ -303,6 +359,23 @@ def smaller(camera: RenderCamera, factor: int) -> RenderCamera:
     K[0] *= width / camera.width
     K[1] *= height / camera.height
     return replace(camera, K=K, width=width, height=height)
+
+
+def _cropped(camera: RenderCamera, window: picture.Window, scale: float) -> RenderCamera:
+    """The part of a view that a window of it shows, in about as many pixels.
+
+    Args:
+        camera: Of the whole view, with fewer pixels.
+        window: In pixels of the view.
+        scale: How many times as many pixels a side the camera has.
+    """
+    left, top, width, height = (scale * v for v in window)
+    size = max(1, round(width)), max(1, round(height))
+    K = camera.K.copy()
+    K[:2, 2] -= left, top
+    K[0] *= size[0] / width
+    K[1] *= size[1] / height
+    return replace(camera, K=K, width=size[0], height=size[1])
 
 
 def redraw_when_ready(painter: Painter) -> None:

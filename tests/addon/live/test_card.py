@@ -281,7 +281,7 @@ def laid(card):
 
     from addon.live.card import Canvas
 
-    def lay(scene_of=lambda target: target):
+    def lay(scene_of=lambda target: target, window=None):
         splats, camera = lab.blob(2000), view()
         rgba = drawn(card, [splats], [np.eye(4)], camera, exact=True)
         canvas = Canvas(*SIZE, nearness=False, exact=True)
@@ -296,7 +296,7 @@ def laid(card):
             with target.bind():
                 target.clear(color=(0.5, 0.5, 0.5, 0.25))
         with over_target.bind():
-            card.show(canvas, 0, 0, *SIZE, None, scene_of(within_target))
+            card.show(canvas, (0, 0, *SIZE), None, scene_of(within_target), window)
         return values(over, 4), values(within, 4), rgba
 
     yield lay
@@ -315,6 +315,20 @@ def test_a_picture_lies_within_a_view(laid):
     want = np.concatenate([light, np.ones_like(alpha)], axis=2) * alpha + grey * (1 - alpha)
     np.testing.assert_allclose(within, want, atol=1e-4)
     assert alpha.mean() > 0.2
+
+
+@pytest.mark.parametrize("within", [False, True])
+def test_a_region_of_a_view_alone_is_drawn(laid, within):
+    """Oracle: the whole picture in the region, to the bit; what was there beside it."""
+    scene_of = (lambda target: target) if within else (lambda target: None)
+    left, top, width, height = window = 20, 10, 90, 70
+    part = np.s_[top : top + height, left : left + width]
+    for got, whole in zip(laid(scene_of, window)[:2], laid(scene_of)[:2], strict=True):
+        np.testing.assert_array_equal(got[part], whole[part])
+        beside = np.ones(SIZE[::-1], bool)
+        beside[part] = False
+        assert (got[beside] == (0.5, 0.5, 0.5, 0.25)).all()
+    assert (whole[beside] != got[beside]).any() == within
 
 
 def test_a_view_that_cannot_be_drawn_to_is_drawn_over(laid, card, caplog):

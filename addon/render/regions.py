@@ -1,0 +1,87 @@
+"""Render regions: of a render, and of a 3D view, with the camera that it looks through."""
+
+import bpy
+import numpy as np
+
+from .picture import Window
+
+
+def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The camera through which a view looks, if it does."""
+    space, region = context.space_data, context.region_data
+    if region.view_perspective != "CAMERA":
+        return None
+    return space.camera if space.use_local_camera else context.scene.camera
+
+
+def frame_of(
+    camera: bpy.types.Object, scene: bpy.types.Scene, window: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left corner and size, pixels of a view, of the frame of a camera that it looks through.
+
+    Args:
+        camera: Of type CAMERA.
+        scene: Gives the frame's aspect.
+        window: [4, 4] float64, Blender's projection of the view.
+        width: Of the view, pixels.
+        height: Of the view, pixels.
+    """
+    corners = np.array([tuple(c) for c in camera.data.view_frame(scene=scene)])
+    clip = np.column_stack([corners, np.ones(4)]) @ window.T
+    places = (clip[:, :2] / clip[:, 3:] + 1) / 2 * (width, height)
+    return places.min(axis=0), np.ptp(places, axis=0)
+
+
+def drawn_window(
+    context: bpy.types.Context, window: np.ndarray, width: int, height: int
+) -> Window | None:
+    """The part of a view that its Render Region (Ctrl-B) leaves, as Cycles and EEVEE have it; None:
+    all of it.
+
+    Args:
+        context: Of the view.
+        window: As `frame_of`.
+        width: Of the view, pixels.
+        height: Of the view, pixels.
+    """
+    render, space = context.scene.render, context.space_data
+    workbench = space.shading.type == "RENDERED" and render.engine == "BLENDER_WORKBENCH"
+    if space.shading.type not in {"MATERIAL", "RENDERED"} or workbench:
+        return None
+    low, size = np.zeros(2), np.array([width, height], np.float64)
+    if context.region_data.view_perspective != "CAMERA":
+        if not space.use_render_border:
+            return None
+        least = space.render_border_min_x, space.render_border_min_y
+        most = space.render_border_max_x, space.render_border_max_y
+    else:
+        camera = camera_of(context)
+        if camera is None or camera.type != "CAMERA" or not render.use_border:
+            return None
+        low, size = frame_of(camera, context.scene, window, width, height)
+        least = render.border_min_x, render.border_min_y
+        most = render.border_max_x, render.border_max_y
+    left, bottom = (round(v) for v in low + size * least)
+    right, top = (round(v) for v in low + size * most)
+    # A pixel at least, as with Cycles, also where the region lies beside the view.
+    left, bottom = min(max(left, 0), width - 1), min(max(bottom, 0), height - 1)
+    right, top = min(max(right, left + 1), width), min(max(top, bottom + 1), height)
+    return left, height - top, right - left, top - bottom
+
+
+def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int]:
+    """Left and bottom pixel of the render border, as Blender computes them: in float32."""
+    left = np.float32(render.border_min_x) * np.float32(width)
+    bottom = np.float32(render.border_min_y) * np.float32(height)
+    return int(left), int(bottom)
+
+
+def border_window(render: bpy.types.RenderSettings, width: int, height: int) -> Window | None:
+    """Left, top, width and height of a part that holds the render border; None without one."""
+    if not render.use_border:
+        return None
+    left, bottom = border_corner(render, width, height)
+    right = min(int(np.ceil(render.border_max_x * width)) + 1, width)
+    top = min(int(np.ceil(render.border_max_y * height)) + 1, height)
+    left, bottom = min(left, width - 1), min(bottom, height - 1)
+    return left, height - top, max(right - left, 1), max(top - bottom, 1)
