@@ -11,9 +11,9 @@ from ..core import CancelFlag
 from ..render import picture
 from ..render.color import over_view
 from ..render.model import Model
-from ..render.scene import Placed, marks_of
+from ..render.scene import Placed
+from ..render.selections import Tinted, marked
 from .clip import Cuts, z_of
-from .marks import tinted_splats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,8 @@ class Wish:
     """[H, W] float32 of what hides splats (`Depths.values`), another array where they differ."""
     cuts: Cuts
     """Where the view ends."""
-    tint: bool
-    """Whether what is selected is seen."""
+    tinted: Tinted
+    """Of which objects what is selected is seen."""
 
     def same(self, other: "Wish | None") -> bool:
         """Whether the other picture is this one."""
@@ -46,7 +46,7 @@ class Wish:
             )
             and self.camera.same(other.camera)
             and np.array_equal(self.window, other.window)
-            and (self.antialias, self.tint) == (other.antialias, other.tint)
+            and (self.antialias, self.tinted) == (other.antialias, other.tinted)
             and self.depths is other.depths
             and self.cuts.same(other.cuts)
         )
@@ -70,11 +70,7 @@ class Wish:
 
     def _seen(self, model: Model) -> Model:
         """Without what is cut off or hidden, and with what is selected tinted."""
-        splats = model.splats
-        found = [marks_of(placed, selected=self.tint) for placed in self.placed]
-        if any(marks is not None for marks in found):
-            pairs = zip(self.placed, found, strict=True)
-            splats = tinted_splats(splats, np.concatenate([_marks(p, m) for p, m in pairs]))
+        splats = marked(model, self.placed, self.tinted).splats
         if self.cuts.far or len(self.cuts.planes):
             matrix = (self.camera.viewmat @ model.matrix).astype(np.float32)
             places = splats.means @ matrix[:3, :3].T + matrix[:3, 3]
@@ -97,11 +93,3 @@ class Wish:
 
 def _shown(placed: Placed) -> tuple[object, ...]:
     return placed.part, placed.antialias, placed.edited
-
-
-def _marks(placed: Placed, marks: np.ndarray | None) -> np.ndarray:
-    """[N] uint8 of the splats that are drawn of an object, given as `marks_of` gives them."""
-    if marks is not None:
-        return marks
-    filters, count = placed.filters, len(placed.frozen.vertices)
-    return np.zeros(count if filters is None else placed.frozen.kept(filters).sum(), np.uint8)

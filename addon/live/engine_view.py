@@ -9,6 +9,7 @@ from ..cameras.render_camera import RenderCamera
 from ..render.model import SplatCache
 from ..render.picture import Window
 from ..render.scene import Placed
+from ..render.selections import Tinted
 from ..render.viewport import Viewport
 from .by_engine import Wish
 from .clip import Cuts
@@ -48,7 +49,7 @@ class EngineView:
         meshes: Callable[[], np.ndarray] | None,
         *,
         cuts: Cuts,
-        tint: bool,
+        tinted: Tinted,
         clip: Window | None,
     ) -> None:
         """Draw what is there, and ask for what is missing.
@@ -60,7 +61,7 @@ class EngineView:
             antialias: What the scene wishes.
             meshes: Reads depths of what may hide splats (`Depths.values`). None: nothing does.
             cuts: Where the view ends.
-            tint: Whether what is selected is seen.
+            tinted: Of which objects what is selected is seen.
             clip: The part of the view that shows any of it; None: all.
 
         Raises:
@@ -73,7 +74,7 @@ class EngineView:
             antialias=antialias,
             depths=None if meshes is None else meshes(),
             cuts=cuts,
-            tint=tint,
+            tinted=tinted,
         )
         painter = self._viewport.painter
         painter.ask(wish)

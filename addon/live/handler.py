@@ -17,6 +17,7 @@ from ..render import copies, viewport
 from ..render.engine import final_cache
 from ..render.regions import drawn_window
 from ..render.scene import Placed, Source, sources
+from ..render.selections import tinted_in
 from ..splats import settings as splat_settings
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
@@ -148,18 +149,18 @@ def _show(
     hides = is_hidden_by_others(context, depsgraph)
     antialias = context.scene.gscore_render.antialias
     cuts = cuts_of(context)
-    tint = context.space_data.overlay.show_overlays and not is_own(context)
+    tinted = tinted_in(context.space_data, own=is_own(context))
     region = drawn_window(context, window, *part[2:])
     if isinstance(view, EngineView):
         values = partial(view.depths.values, *part, front=front) if hides else None
-        view.draw(placed, camera, window, antialias, values, cuts=cuts, tint=tint, clip=region)
+        view.draw(placed, camera, window, antialias, values, cuts=cuts, tinted=tinted, clip=region)
     else:
         read = partial(view.depths.read, *part, front=front) if hides else None
         picture = view.draw(
             *(_state.card, placed, camera, window, antialias, read),
             front=front,
             cuts=cuts,
-            tint=tint,
+            tinted=tinted,
         )
         if picture is not None:
             photo = photos.in_front(context, window, *part[2:])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import Splats, sh_basis
+from ..render.marks import shown, tinted
 from .atlas import Atlas
-from .marks import shown, tinted
 
 _BLOCK = 1 << 14
 """Splats whose colours are computed at once: they stay in the cache, and Blender's thread gets

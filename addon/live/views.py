@@ -11,15 +11,16 @@ import numpy as np
 from ..cameras.render_camera import RenderCamera
 from ..process.latest import Latest
 from ..render import picture
+from ..render.marks import reselected
 from ..render.model import SplatCache, check_similar
-from ..render.scene import Placed, marks_of
+from ..render.scene import Placed
+from ..render.selections import Tinted, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
 from .card import Canvas, Card, Shot
 from .clip import Cuts
 from .depths import Depths
 from .level import Level
-from .marks import reselected
 from .uploads import Order, Texels
 from .view_picture import ViewPicture
 
@@ -38,8 +39,8 @@ class Wish:
     eye: order.Eye
     count: int
     """Rows of the atlas to sort; beyond its end: all."""
-    tint: bool = False
-    """Whether what is selected is seen."""
+    tinted: Tinted = Tinted.NONE
+    """Of which objects what is selected is seen."""
 
     @property
     def parts(self) -> tuple[Any, ...]:
@@ -49,7 +50,7 @@ class Wish:
     @property
     def marks(self) -> tuple[Any, ...]:
         """What differs where other splats are selected or hidden: they need another order alone."""
-        return (self.tint, *((id(p.frozen.marks), p.edited) for p in self.placed))
+        return (self.tinted, *((id(p.frozen.marks), p.edited) for p in self.placed))
 
     def same(self, other: "Wish | None") -> bool:
         """Whether the other asks for nothing else."""
@@ -76,7 +77,7 @@ class _Arranged:
     wish: Wish
     atlas: atlas.Atlas
     marks: list[np.ndarray | None]
-    """Of each object, [N] as `render.scene.marks_of`."""
+    """Of each object, [N] as `render.selections.marks_of`."""
     entries: np.ndarray
     """[M, 4], the order."""
 
@@ -99,7 +100,7 @@ class Arranger:
             ValueError: an object cannot be drawn; it is named.
         """
         built, repainted = self._laid_out(wish)
-        marks = [marks_of(placed, selected=wish.tint) for placed in wish.placed]
+        marks = [marks_of(placed, wish.tinted) for placed in wish.placed]
         rows = None
         if self._last is not None and repainted is not None and wish.same_order(self._last.wish):
             rows = _recolored_rows(built, repainted, self._last.marks, marks)
@@ -202,9 +203,9 @@ class View:
         *,
         front: bool,
         cuts: Cuts,
-        tint: bool = False,
+        tinted: Tinted = Tinted.NONE,
     ) -> Canvas | None:
-        """Draw what is there, and ask for what is missing; `tint` what is selected.
+        """Draw what is there, and ask for what is missing.
 
         Args:
             card: What draws.
@@ -216,7 +217,7 @@ class View:
                 while the view moves, if the card does without. None: nothing does.
             front: Whether some of it has no depth: then `meshes` is called in a moving view too.
             cuts: Where the view ends.
-            tint: Whether what is selected is seen.
+            tinted: Of which objects what is selected is seen.
 
         Returns:
             The picture; None where there is none.
@@ -230,7 +231,7 @@ class View:
         seen = b"".join(m.tobytes() for m in (camera.K, *viewmats))
         detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-        wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tint=tint)
+        wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
         self._take_in(card)
         self.complete = False
         for one in placed:  # the card would draw them at once, where it has their splats already

@@ -22,6 +22,7 @@ from .passes import asked_of
 from .regions import border_corner, border_window, drawn_window
 from .samples import Mean
 from .scene import Identity, Placed, sources
+from .selections import tinted_in
 from .stage import Stage
 from .stereo import eye_of, refusal, views_of
 from .viewport import (
@@ -170,6 +171,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             transparent=transparent,
             to_scene=rec709_to_scene(),
             over_view=over,
+            tinted=tinted_in(context.space_data, own=True),
         )
 
     def _ask(self, view: Viewport, request: Request) -> None:

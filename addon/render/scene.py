@@ -205,21 +205,5 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
     )
 
 
-def marks_of(placed: Placed, *, selected: bool) -> np.ndarray | None:
-    """[N] uint8 marks of the splats that are drawn of an object, or None where none has any.
-
-    Args:
-        placed: The object. Its hidden points count in Edit Mode alone, as those of meshes do.
-        selected: Whether those that are selected count.
-    """
-    wanted = SELECTED * selected | HIDDEN * placed.edited
-    if placed.frozen.marks is None or not wanted:
-        return None
-    marks = placed.frozen.marks & np.uint8(wanted)
-    if not marks.any():
-        return None
-    return marks if placed.filters is None else marks[placed.frozen.kept(placed.filters)]
-
-
 def _may_show(ob: bpy.types.Object) -> bool:
     return is_splats(ob) or is_native(ob)

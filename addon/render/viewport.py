@@ -25,6 +25,7 @@ from .film import Film
 from .held_meshes import HeldMesh, same_meshes
 from .model import Model, SplatCache
 from .scene import Placed
+from .selections import Tinted, marked
 from .stage import View
 
 QUICK = 0.08
@@ -80,13 +81,15 @@ class Request:
     to_scene: np.ndarray
     over_view: bool = False
     """As `Film`; whether it is laid over what Blender draws over views of the engine."""
+    tinted: Tinted = Tinted.NONE
+    """Of which objects what is selected is seen."""
 
     def same(self, other: "Request | None") -> bool:
         """Whether the other picture is this one."""
         return (
             other is not None
-            and [(p.part, p.antialias, p.holdout) for p in self.placed]
-            == [(p.part, p.antialias, p.holdout) for p in other.placed]
+            and [(p.part, p.antialias, p.holdout, p.edited) for p in self.placed]
+            == [(p.part, p.antialias, p.holdout, p.edited) for p in other.placed]
             and all(
                 a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
                 for a, b in zip(self.placed, other.placed, strict=True)
@@ -94,7 +97,7 @@ class Request:
             and same_meshes(self.held, other.held)
             and self.camera.same(other.camera)
             and (self.options, self.transparent) == (other.options, other.transparent)
-            and self.over_view == other.over_view
+            and (self.over_view, self.tinted) == (other.over_view, other.tinted)
             and np.array_equal(self.to_scene, other.to_scene)
         )
 
@@ -112,7 +115,8 @@ class Request:
             to_scene=self.to_scene,
             over_view=self.over_view,
         )
-        view = View(model=model, camera=camera, held=self.held)
+        seen = marked(model, self.placed, self.tinted)
+        view = View(model=seen, camera=camera, held=self.held)
         return film.shoot(view, stop, cancel)["Combined"]
 
 

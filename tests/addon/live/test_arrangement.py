@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, transform_splats
-from addon.live import atlas, marks, order
+from addon.live import atlas, order
 from addon.live.level import BUDGET, FEWEST, STILL, Detail, Level
 from addon.process.latest import Latest
+from addon.render import marks
 from addon.render.frozen import HIDDEN, SELECTED
 from gscore import sh
 from tests.addon import splat_scenes as lab

@@ -11,11 +11,12 @@ from addon.compat import TEXTURES_ARE_ENCODED
 from addon.core import CancelFlag, Splats, render
 from addon.live.by_engine import Wish
 from addon.live.clip import Cuts, z_of
-from addon.live.marks import SHARE, TINT
 from addon.render.color import EXPONENT, over_view
 from addon.render.frozen import HIDDEN, SELECTED, freeze
+from addon.render.marks import SHARE, TINT
 from addon.render.model import SplatCache
 from addon.render.scene import place, sources
+from addon.render.selections import Tinted
 from addon.render.viewport import Painter, smaller, view_camera
 from tests.addon import splat_scenes as lab
 
@@ -45,7 +46,7 @@ def wish(scene: bpy.types.Scene) -> tuple[Wish, Splats]:
         antialias="AUTO",
         depths=None,
         cuts=Cuts(),
-        tint=True,
+        tinted=Tinted.ALL,
     )
     return made, frozen.read()
 
@@ -167,7 +168,7 @@ def test_a_painter_draws_it_once(wish):
     others = [
         replace(asked, cuts=Cuts(far=True)),
         replace(asked, depths=np.ones(SIZE[::-1], np.float32)),
-        replace(asked, tint=False),
+        replace(asked, tinted=Tinted.NONE),
         replace(asked, placed=[replace(asked.placed[0], edited=True)]),
         parallel(asked),
     ]

@@ -12,6 +12,7 @@ from addon.live import atlas, order, views
 from addon.render.frozen import HIDDEN, SELECTED, FrozenMesh, freeze
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, place, sources
+from addon.render.selections import Tinted
 from tests.addon import splat_scenes as lab
 
 EYE = order.Eye(viewmats=(np.diag([1.0, -1, -1, 1]),), orthographic=False)
@@ -26,7 +27,7 @@ def wish(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.Wish]:
 
     def make(frozen: FrozenMesh) -> views.Wish:
         placed: Placed = place(source, frozen)
-        return views.Wish(placed=(placed,), eye=EYE, count=800, tint=True)
+        return views.Wish(placed=(placed,), eye=EYE, count=800, tinted=Tinted.ALL)
 
     make.frozen = freeze(ob.data, ob.name)
     return make

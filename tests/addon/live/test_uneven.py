@@ -11,6 +11,7 @@ import pytest
 from addon.cameras.render_camera import RenderCamera
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, place, sources
+from addon.render.selections import Tinted
 from tests.addon import splat_scenes as lab
 from tests.addon.live import graphics
 
@@ -52,7 +53,7 @@ def test_a_known_object_is_refused_at_once(placed: Placed) -> None:
 
     def draw(view: View, one: Placed) -> object:
         return view.draw(
-            card, [one], CAMERA, WINDOW, "AUTO", None, front=False, cuts=Cuts(), tint=False
+            card, [one], CAMERA, WINDOW, "AUTO", None, front=False, cuts=Cuts(), tinted=Tinted.NONE
         )
 
     def drawn(view: View, one: Placed) -> object:

@@ -9,12 +9,13 @@ import pytest
 
 from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
-from addon.core import render
+from addon.core import CancelFlag, Splats, render
 from addon.process.memory import Memory
 from addon.render import copies, frozen, picture, viewport
-from addon.render.frozen import HIDDEN
+from addon.render.frozen import HIDDEN, SELECTED
 from addon.render.model import SplatCache
-from addon.render.scene import Placed, marks_of, sources
+from addon.render.scene import Placed, sources
+from addon.render.selections import Tinted, marks_of
 from addon.splats import filters
 from tests.addon import splat_scenes as lab
 
@@ -202,7 +203,7 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
     def look() -> np.ndarray | None:
         placed = copied()
         seen.append(placed.frozen.attributes["position"] is before)
-        return marks_of(placed, selected=True)
+        return marks_of(placed, Tinted.ALL)
 
     def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         made.forget_changed(depsgraph)
@@ -238,3 +239,69 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
         assert look() is None  # as meshes do: what is hidden in Edit Mode shows outside of it
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(changed)
+
+
+def test_what_is_hidden_and_selected_in_edit_mode(scene: bpy.types.Scene) -> None:
+    """Oracle: gscore.render of the splats that show, with the selected ones in the mixed color; in
+    Object Mode the whole picture. A second object, selected too, is not edited."""
+    lab.prepare(scene, (96, 64))
+    request, _ = request_for(scene, lab.blob())
+    splats, marks = request.placed[0].frozen.read(), np.zeros(len(lab.blob()), np.uint8)
+    marks[::3], marks[1::3] = SELECTED, HIDDEN
+    edited = replace(
+        request.placed[0], frozen=request.placed[0].frozen.remarked(marks), edited=True
+    )
+    other = np.eye(4)
+    other[0, 3] = 0.5
+    beside = replace(edited, matrix=other, uid=-1, edited=False)
+    asked = replace(request, placed=[edited, beside], tinted=Tinted.EDITED)
+
+    def shot(request: viewport.Request) -> np.ndarray:
+        model = SplatCache().model(request.placed)
+        found = request.shoot(model, request.camera, lambda: False, CancelFlag())
+        return lab.srgb(found[::-1, :, :3])
+
+    def truth(*parts: Splats) -> np.ndarray:
+        whole = {n: np.concatenate([getattr(p, n) for p in parts]) for n in vars(parts[0])}
+        camera = request.camera
+        return render(Splats(**whole), camera.K, camera.viewmat, 96, 64, near=camera.near).rgb
+
+    sh0, shN = splats.sh0.copy(), splats.shN.copy()
+    sh0[::3] = 0.35 * sh0[::3] + 0.65 * (np.float32([1.0, 0.5, 0.05]) - 0.5) / 0.28209479
+    shN[::3] *= 0.35
+    moved = replace(splats, means=splats.means + np.float32([0.5, 0, 0]))
+    there, tinted = marks != HIDDEN, replace(splats, sh0=sh0, shN=shN)
+    np.testing.assert_allclose(shot(asked), truth(tinted.subset(there), moved), atol=1e-4)
+    plain = replace(asked, tinted=Tinted.NONE)
+    np.testing.assert_allclose(shot(plain), truth(splats.subset(there), moved), atol=1e-4)
+    left = replace(asked, placed=[replace(edited, edited=False), beside])
+    np.testing.assert_allclose(shot(left), truth(splats, moved), atol=1e-4)
+    assert not any(asked.same(one) for one in (plain, left))
+
+
+def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
+    """Oracle: the picture of held out splats of which some were never there; a selection of them,
+    which have no color, changes nothing."""
+    lab.prepare(scene, (96, 64))
+    request, _ = request_for(scene, lab.blob(500))
+    own = request.placed[0]
+    marks = np.full(500, SELECTED, np.uint8)
+    marks[:250] = HIDDEN
+    cut = replace(own, frozen=own.frozen.remarked(marks), edited=True, holdout=True)
+    behind = np.eye(4)
+    behind[2, 3] = -0.2
+    seen = replace(own, matrix=behind, uid=-1)
+    asked = replace(request, placed=[cut, seen], tinted=Tinted.EDITED)
+    model = SplatCache().model(asked.placed)
+    got = asked.shoot(model, asked.camera, lambda: False, CancelFlag())
+    fewer = lab.add(scene, own.frozen.read().subset(marks == SELECTED))
+    bpy.context.view_layer.update()
+    frozen_fewer = frozen.freeze(fewer.data, "fewer")
+    wanted = replace(asked, placed=[replace(cut, frozen=frozen_fewer, edited=False), seen])
+    model = SplatCache().model(wanted.placed)
+    want = wanted.shoot(model, asked.camera, lambda: False, CancelFlag())
+    np.testing.assert_allclose(got, want, atol=1e-5)
+    whole = replace(asked, placed=[replace(cut, edited=False), seen])
+    model = SplatCache().model(whole.placed)
+    every = whole.shoot(model, asked.camera, lambda: False, CancelFlag())
+    assert (every[..., 3] < want[..., 3] - 0.1).mean() > 0.02
