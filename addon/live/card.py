@@ -202,8 +202,7 @@ class Card:
         if self._shut:
             return False
         try:
-            with scene.bind():
-                gpu.state.viewport_set(*shown)
+            with scene.bind(), drawn_to(shown):
                 self._lay(canvas, place, "ALPHA_PREMULT", _WITHIN)
         except Exception:  # drivers raise anything; what lies over the picture does as well
             _log.exception("The pictures of views cannot be drawn to: dark colors get less exact.")

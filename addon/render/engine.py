@@ -19,7 +19,8 @@ from .apart import main_scene
 from .film import Film
 from .model import SplatCache
 from .passes import asked_of
-from .regions import border_corner, border_window, drawn_window
+from .regions import border_corner, border_window, camera_of, drawn_window
+from .renders_only import renders_only
 from .samples import Mean
 from .scene import Identity, Placed, sources
 from .selections import tinted_in
@@ -107,15 +108,17 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         stays = live is not None and not holds and live.stays(context)
         over = not stays and any(one.lays_over(context) for one in STAND_INS)
         request = self._request(context, depsgraph, placed, held, over=over)
+        said = ""
         if not complete:
-            self.update_stats("", "Reading splats")
+            said = "Reading splats"
             if copies.SHARED.under_way(found):
                 self.tag_redraw()
         elif not placed:
             view.painter.pixels = None
-            self.update_stats("", "There are no splats to show")
+            said = "There are no splats to show"
         elif live is None or not (stays or live.moves(context)):
-            self._ask(view, request)
+            said = self._ask(view, request)
+        self.update_stats("", said or renders_only(depsgraph, camera_of(context)))
         view.painter.fresh = False
         if complete and not stays and view.painter.shows(request):
             EXACT.add(pointer)
@@ -174,12 +177,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             tinted=tinted_in(context.space_data, own=True),
         )
 
-    def _ask(self, view: Viewport, request: Request) -> None:
+    def _ask(self, view: Viewport, request: Request) -> str:
+        """Have a picture drawn; why there is none, or an empty string."""
         painter = view.painter
         painter.ask(request)
         if painter.busy:
             redraw_when_ready(painter)
-        self.update_stats("", painter.problem)
+        return painter.problem
 
     def _empty(self, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
         """[1, 1, 4] of a picture without splats."""

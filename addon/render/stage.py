@@ -94,7 +94,7 @@ class Stage:
     def blurs(self) -> bool:
         """Whether a picture is the mean of several."""
         camera = self._camera.evaluated_get(self._depsgraph)
-        return self._shutter is not None or _has_depth_of_field(camera)
+        return self._shutter is not None or has_depth_of_field(camera)
 
     def view(self) -> View:
         """What a pinhole in the middle of the lens shows at the frame itself.
@@ -220,7 +220,7 @@ class Stage:
 
 def blurs(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
     """Whether pictures of a scene by a camera are the mean of several."""
-    return _opens(scene.render) or _has_depth_of_field(camera)
+    return has_motion_blur(scene.render) or has_depth_of_field(camera)
 
 
 def _moves(*owners: bpy.types.Object) -> bool:
@@ -232,7 +232,7 @@ def _moves(*owners: bpy.types.Object) -> bool:
 def shutter_of(scene: bpy.types.Scene) -> Shutter | None:
     """When light falls in a frame of a scene; None without motion blur."""
     render = scene.render
-    if not _opens(render):
+    if not has_motion_blur(render):
         return None
     length = float(render.motion_blur_shutter)
     curve = render.motion_blur_shutter_curve
@@ -261,7 +261,7 @@ def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Ape
 
     None where everything is in focus.
     """
-    if not _has_depth_of_field(camera):
+    if not has_depth_of_field(camera):
         return None
     data, dof = camera.data, camera.data.dof
     length = data.lens * 1e-3 if data.type == "PERSP" else 1.0
@@ -274,11 +274,13 @@ def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Ape
     )
 
 
-def _opens(render: bpy.types.RenderSettings) -> bool:
+def has_motion_blur(render: bpy.types.RenderSettings) -> bool:
+    """Whether light falls for a time in a scene's frames."""
     return render.use_motion_blur and render.motion_blur_shutter > 0
 
 
-def _has_depth_of_field(camera: bpy.types.Object) -> bool:
+def has_depth_of_field(camera: bpy.types.Object) -> bool:
+    """Whether a camera has a lens that blurs what is out of focus; panoramas have none."""
     data = camera.data
     return getattr(data, "type", "") in {"PERSP", "ORTHO"} and data.dof.use_dof
 

@@ -1,0 +1,25 @@
+"""What renders show of a camera and a view that looks through it does not."""
+
+import bpy
+
+from .stage import has_depth_of_field, has_motion_blur
+
+
+def renders_only(depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object | None) -> str:
+    """A sentence for a view in Rendered shading; empty where it shows what a render does.
+
+    Args:
+        depsgraph: Of the view.
+        camera: Through which it looks; None: through none.
+    """
+    if camera is None or camera.type != "CAMERA":
+        return ""
+    scene, data = depsgraph.scene, camera.data
+    found = {
+        "Depth of Field": has_depth_of_field(camera),
+        "Motion Blur": has_motion_blur(scene.render) and depsgraph.view_layer_eval.use_motion_blur,
+        "Panoramic": data.type == "PANO",
+        "Stereoscopy": scene.render.use_multiview,
+    }
+    names = [name for name, there in found.items() if there]
+    return f"In renders only: {', '.join(names)}" if names else ""

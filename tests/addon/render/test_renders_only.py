@@ -1,0 +1,65 @@
+"""What views that look through a camera say that they leave out. Oracles are named in the tests."""
+
+import bpy
+import pytest
+
+from addon.render.renders_only import renders_only
+from tests.addon import splat_scenes as lab
+
+
+def said(camera: bpy.types.Object | None) -> str:
+    """Of a view in the open file."""
+    bpy.context.view_layer.update()
+    return renders_only(bpy.context.evaluated_depsgraph_get(), camera)
+
+
+def lens(scene: bpy.types.Scene) -> None:
+    """One that blurs."""
+    scene.camera.data.dof.use_dof = True
+
+
+def shutter(scene: bpy.types.Scene) -> None:
+    """One that is open for a while."""
+    scene.render.use_motion_blur = True
+
+
+def panorama(scene: bpy.types.Scene) -> None:
+    """A camera of another kind."""
+    scene.camera.data.type = "PANO"
+
+
+def eyes(scene: bpy.types.Scene) -> None:
+    """Two pictures."""
+    scene.render.use_multiview = True
+
+
+SETTINGS = {
+    "Depth of Field": lens,
+    "Motion Blur": shutter,
+    "Panoramic": panorama,
+    "Stereoscopy": eyes,
+}
+
+
+@pytest.mark.parametrize("words", SETTINGS)
+def test_what_a_view_leaves_out_is_named(scene: bpy.types.Scene, words: str) -> None:
+    """Oracle: the names of Blender's panels, only while a camera is looked through."""
+    lab.prepare(scene)
+    assert not said(scene.camera)
+    SETTINGS[words](scene)
+    assert said(scene.camera) == f"In renders only: {words}"
+    assert not said(None)
+
+
+def test_what_has_no_effect_in_renders_is_not_named(scene: bpy.types.Scene) -> None:
+    """Oracle: panoramas are sharp at every distance; a layer may leave motion blur out; a shutter
+    that is open for no time blurs nothing. What is named comes in one sentence."""
+    lab.prepare(scene)
+    for change in (lens, shutter, panorama):
+        change(scene)
+    assert said(scene.camera) == "In renders only: Motion Blur, Panoramic"
+    bpy.context.view_layer.use_motion_blur = False
+    assert said(scene.camera) == "In renders only: Panoramic"
+    bpy.context.view_layer.use_motion_blur = True
+    scene.render.motion_blur_shutter = 0
+    assert said(scene.camera) == "In renders only: Panoramic"
