@@ -123,9 +123,21 @@ def _others(shown: Shown) -> str:
         if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
         if not is_native(ob)
         if not (may_hide(ob) and is_held_by(shown.layer, ob))
+        if not ob.is_shadow_catcher
     ]
     more = f" and {len(names) - 2} more" if len(names) > 2 else ""
     return ", ".join(names[:2]) + more
+
+
+def _catchers(shown: Shown) -> str:
+    """Objects of other engines that are to show shadows alone."""
+    return ", ".join(
+        ob.name
+        for ob in shown.layer.objects
+        if ob.type in _DRAWN_BY_OTHERS and ob.is_shadow_catcher and not ob.hide_render
+        if "gs_kind" not in ob and not is_native(ob)
+        if not (may_hide(ob) and is_held_by(shown.layer, ob))
+    )
 
 
 def _composited(shown: Shown) -> bool:
@@ -208,6 +220,11 @@ CHECKS = (
     Check(
         "Shadow Catcher of {} has no effect: light throws no shadows on splats.",
         lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),
+    ),
+    Check(
+        "Shadow Catcher {} is not drawn by this engine: Cycles lays its shadows over splats, with "
+        "Composite Splats with Meshes.",
+        _catchers,
     ),
     Check(
         "The Material Override {} has no effect: splats have colors of their own.",

@@ -304,6 +304,29 @@ def test_held_out_splats_hide_splats_alone(mixed, tmp_path):
     assert got[24, 38, :3] == pytest.approx((0, 0, 1), abs=0.02)
 
 
+@pytest.mark.parametrize("z", [1.02, 0.98])
+def test_a_catcher_before_splats_darkens_them(mixed, tmp_path, z):
+    """Oracle: where a mesh stands in the sun's way, by construction: the shadow lies on the splats
+    if the plane that catches it is a little before them, and below them otherwise."""
+    bpy.data.objects.remove(bpy.data.objects["behind"])
+    ground = plane(mixed, z, (1, 1, 1), -2.0, 2.0, "ground")
+    ground.is_shadow_catcher = True
+    ground.data.materials.clear()
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.angle, sun.rotation_euler = 0.0, (0, -np.pi / 4, 0)  # down and to the right
+    mixed.collection.objects.link(sun)
+    mixed.cycles.samples = 16
+    compositor.set_up(mixed)
+    row = lab.render_exr(tmp_path)[24]
+    assert row[20, :3] == pytest.approx((0, 1, 0), abs=0.01)
+    assert lab.srgb(row[30, :3]) == pytest.approx(RED, abs=0.02)
+    if z > 1:  # what is left is light of the green plane
+        assert row[45, 0] < 0.05 * row[30, 0]
+    else:
+        assert lab.srgb(row[45, :3]) == pytest.approx(RED, abs=0.02)
+    assert row[45, 3] == pytest.approx(1, abs=0.01)
+
+
 def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
     """Oracle: what stands where, by construction; one that is held out later is named."""
     compositor.set_up(mixed)

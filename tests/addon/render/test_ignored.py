@@ -29,6 +29,12 @@ def others(scene: bpy.types.Scene) -> None:
     scene.collection.objects.link(bpy.data.objects.new("board", mesh))
 
 
+def catcher(scene: bpy.types.Scene) -> None:
+    """The same, for shadows alone."""
+    others(scene)
+    bpy.data.objects["board"].is_shadow_catcher = True
+
+
 def composited(scene: bpy.types.Scene) -> None:
     """The same, set up to be composited, and then the splats' engine."""
     others(scene)
@@ -89,6 +95,7 @@ WITHOUT_EFFECT = {
     "with which compositing rests": composited,
     "shape keys of splats": modified,
     "Shadow Catcher of splats": setting("splats.is_shadow_catcher", True),
+    "Shadow Catcher board is not drawn": catcher,
     "Material Override clay": override,
     "there is no Mist": setting("layer.use_pass_mist", True),
     "Freestyle": setting("render.use_freestyle", True),
