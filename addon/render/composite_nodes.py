@@ -3,6 +3,7 @@
 import bpy
 
 from .. import compat
+from . import held_passes
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
 """Names of the nodes in the scene's tree."""
@@ -32,21 +33,29 @@ def insert(
     layers, combine = tree.nodes.get(LAYER_NODE), tree.nodes.get(COMBINE_NODE)
     if layers is not None and combine is not None:
         layers.scene = splats
-        _renew(tree, combine)
+        _renew(tree, combine, layers)
     else:
         combine = _combine(tree, scene, splats)
     _show_world(tree, combine, world)
 
 
-def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node) -> None:
-    """Give the node a group that knows of worlds; older files have one that does not."""
-    if combine.node_tree is not None and _has_world(combine.node_tree):
+def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node, layers: bpy.types.Node) -> None:
+    """Give the node a group that knows of worlds and of what is held out; older files have one that
+    does not."""
+    if combine.node_tree is not None and _is_of_now(combine.node_tree):
         return
     # The new group's result is another socket to Blender, so that its links would go.
     targets = [link.to_socket for link in combine.outputs[0].links]
     combine.node_tree = _group()
     for target in targets:
         tree.links.new(combine.outputs[0], target)
+    _link_held(tree, layers, combine)
+
+
+def _link_held(tree: bpy.types.NodeTree, layers: bpy.types.Node, combine: bpy.types.Node) -> None:
+    """Tell the node of what is held out, of which the node of the splats knows."""
+    for name in held_passes.NAMES:
+        tree.links.new(layers.outputs[name], combine.inputs[name])
 
 
 def show_passes(scene: bpy.types.Scene, splats: bpy.types.Scene) -> None:
@@ -103,6 +112,7 @@ def _combine(
     for i, output in enumerate((meshes, layers)):
         tree.links.new(output.outputs["Image"], combine.inputs[2 * i])
         tree.links.new(output.outputs["Depth"], combine.inputs[2 * i + 1])
+    _link_held(tree, layers, combine)
     if not followers:
         tree.links.new(combine.outputs[0], compat.compositor_result(tree))
     return combine
@@ -120,14 +130,14 @@ def _render_layers(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.type
 
 def _group() -> bpy.types.NodeTree:
     """Two premultiplied pictures with depths to one: at each pixel the nearer one over the other,
-    and both over a world.
+    and both over a world. Where splats are held out before meshes or the world, these are cut.
 
     Blender's own Z Combine multiplies colours by alpha once more, so it is not used. Depths know no
     part of a pixel: where meshes and splats meet, the edge is smoothed.
     """
     for tree in bpy.data.node_groups:
         ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
-        if ours and _has_world(tree):
+        if ours and _is_of_now(tree):
             return tree
     tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
     for name in ("Meshes", "Splats"):
@@ -136,27 +146,48 @@ def _group() -> bpy.types.NodeTree:
     backdrop = tree.interface.new_socket("World", in_out="INPUT", socket_type="NodeSocketColor")
     backdrop.default_value = (0, 0, 0, 0)
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    for name in held_passes.NAMES:  # after all others, whose links in older files so stay
+        tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
     given, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
-    given.location, result.location = (-1000, 0), (600, 0)
+    given.location, result.location = (-1600, 0), (600, 0)
     meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    nearer = _compare(tree, "LESS_THAN", splat_depth, mesh_depth, (-800, -200))
-    smooth = tree.nodes.new("CompositorNodeAntiAliasing")
-    smooth.location = (-600, -200)
-    tree.links.new(nearer, smooth.inputs[0])
-    before = smooth.outputs[0]
-    behind = _compare(tree, "SUBTRACT", None, before, (-400, -200))
+    alone, all_of_it, held_depth = (given.outputs[name] for name in held_passes.NAMES)
+    before = _before(tree, splat_depth, mesh_depth, -200)
+    behind = _math(tree, "SUBTRACT", None, before, (-400, -200))
+    # Splats that are held out alone before a mesh let through what they do; with all others before
+    # it too, what all do, and how much the others block is seen by their alpha.
+    more = _math(tree, "SUBTRACT", all_of_it, alone, (-1000, -400))
+    more = _math(tree, "MULTIPLY", more, before, (-800, -400))
+    cut = _math(tree, "ADD", alone, more, (-600, -400))
+    held = _before(tree, held_depth, mesh_depth, -600)
+    cut = _math(tree, "MULTIPLY", cut, held, (-400, -400))
+    left = _over(tree, None, meshes, _math(tree, "SUBTRACT", None, cut, (-200, -400)), (-200, 200))
     far = _over(tree, None, splats, behind, (-200, 0))
-    middle = _over(tree, far, meshes, None, (0, 0))
+    middle = _over(tree, far, left, None, (0, 0))
     near = _over(tree, middle, splats, before, (200, 0))
-    tree.links.new(_over(tree, world, near, None, (400, 0)), result.inputs[0])
+    light = _math(tree, "SUBTRACT", None, all_of_it, (0, -400))
+    sky = _over(tree, None, world, light, (200, -200))
+    tree.links.new(_over(tree, sky, near, None, (400, 0)), result.inputs[0])
     return tree
 
 
-def _has_world(tree: bpy.types.NodeTree) -> bool:
-    return "World" in (item.name for item in tree.interface.items_tree)
+def _is_of_now(tree: bpy.types.NodeTree) -> bool:
+    """Whether a group has all sockets."""
+    return held_passes.HELD_DEPTH in (item.name for item in tree.interface.items_tree)
 
 
-def _compare(
+def _before(
+    tree: bpy.types.NodeTree, depth: bpy.types.NodeSocket, other: bpy.types.NodeSocket, height: int
+) -> bpy.types.NodeSocket:
+    """1 where a depth is less than another, smoothed where that changes."""
+    nearer = _math(tree, "LESS_THAN", depth, other, (-1400, height))
+    smooth = tree.nodes.new("CompositorNodeAntiAliasing")
+    smooth.location = (-1200, height)
+    tree.links.new(nearer, smooth.inputs[0])
+    return smooth.outputs[0]
+
+
+def _math(
     tree: bpy.types.NodeTree,
     operation: str,
     first: bpy.types.NodeSocket | None,

@@ -14,11 +14,11 @@ from ..interface.flags import error_words
 from ..timeline import follow
 from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
-from . import copies, held_meshes, ignored, picture
+from . import copies, held_meshes, held_passes, ignored, picture
 from .apart import main_scene
 from .film import Film
 from .model import SplatCache
-from .passes import asked_of
+from .passes import Asked, asked_of
 from .regions import border_corner, border_window, camera_of, drawn_window
 from .renders_only import renders_only
 from .samples import Mean
@@ -63,7 +63,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self, scene: bpy.types.Scene | None = None, renderlayer: Any = None
     ) -> None:
         """Tell the compositor which passes there will be."""
-        for one in asked_of(renderlayer).registered():
+        for one in asked_of(scene, renderlayer).registered():
             self.register_pass(scene, renderlayer, *one)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -213,18 +213,22 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         eye = eye_of(self, view)
         stage = Stage(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = stage.view()
-        asked = asked_of(layer)
+        asked = asked_of(scene, layer)
         film = self._film(depsgraph, depths=asked.depth)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if stage.blurs:
             # Of the frame itself, through the lens's middle: means of depths are of no use.
             passes = film.shoot(still, self.test_break) if asked.depth else {}
-            mean = self._mean(film, stage, scene.gscore_render.blur_samples, mattes=asked.mattes)
-            passes["Combined"], covered = mean
+            mean = self._mean(film, stage, asked, scene.gscore_render.blur_samples)
+            passes["Combined"], covered, held = mean
         else:
             passes = film.shoot(still, self.test_break)
             covered = film.coverage(still, self.test_break) if asked.mattes else {}
+            held = held_passes.blocked(film, still, self.test_break) if asked.held else {}
+        if asked.held:
+            held |= held_passes.depths(film, still, self.test_break)
+            passes |= held_passes.completed(held, passes["Combined"])
         passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
         self._deliver(passes, layer.name, view, scene.render, film.options.window)
@@ -243,13 +247,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return Film(options=options, transparent=transparent, to_scene=rec709_to_scene())
 
     def _mean(
-        self, film: Film, stage: Stage, count: int, *, mattes: bool
-    ) -> tuple[np.ndarray, dict[Identity, np.ndarray]]:
-        """The mean of the pictures from all over the lens and the exposure, [H, W, 4] float32; and
-        how much each object adds in the mean, where that is asked for."""
+        self, film: Film, stage: Stage, asked: Asked, count: int
+    ) -> tuple[np.ndarray, dict[Identity, np.ndarray], dict[str, np.ndarray]]:
+        """The mean of the pictures from all over the lens and the exposure, [H, W, 4] float32; how
+        much each object adds, and what is held out blocks, in the mean, where that is asked for."""
         plain, last = film.without_depths(), None
-        picture, covered = Mean(), Mean()
-        shot, parts = {}, {}
+        picture, covered, blocked = Mean(), Mean(), Mean()
+        shot, parts, held = {}, {}, {}
         _, top, _, height = film.options.window or (0, 0, 0, self.resolution_y)
         # Pictures come with their bottom rows first.
         rows = (np.arange(top, top + height)[::-1] + 0.5) / self.resolution_y
@@ -259,14 +263,16 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
                     last, shot = view, plain.shoot(view, self.test_break)
-                    parts = plain.coverage(view, self.test_break) if mattes else {}
+                    parts = plain.coverage(view, self.test_break) if asked.mattes else {}
+                    held = held_passes.blocked(plain, view, self.test_break) if asked.held else {}
                 if self.test_break():
                     raise Cancelled
                 row = None if shares is None else shares[i]
                 picture.add(shot, row)
                 covered.add(parts, row)
+                blocked.add(held, row)
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
-        return picture.result()["Combined"], covered.result()
+        return picture.result()["Combined"], covered.result(), blocked.result()
 
     def _warn(self, shown: ignored.Shown) -> None:
         """Say what has no effect or is missing; of an animation with its first frame."""

@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 
 from ..compat import index_pass_name
-from . import cryptomatte
+from . import cryptomatte, held_passes
+from .apart import main_scene
 from .coverage import index_pass, summed
 from .scene import Identity
 
@@ -29,6 +30,8 @@ class Asked:
     """The passes of a view layer besides the picture."""
 
     depth: bool
+    held: bool
+    """Those by which meshes are cut where splats are held out."""
     index: bool
     kinds: tuple[str, ...]
     """Those of Cryptomatte."""
@@ -47,6 +50,8 @@ class Asked:
         found = [("Combined", 4, "RGBA", "COLOR")]
         if self.depth:
             found.append(("Depth", 1, "Z", "VALUE"))
+        if self.held:
+            found += [(name, 1, "Z", "VALUE") for name in held_passes.NAMES]
         if self.index:
             found.append((index_pass_name(), 1, "X", "VALUE"))
         for kind in self.kinds:
@@ -92,14 +97,16 @@ _NAMES = {
 }
 
 
-def asked_of(layer: bpy.types.ViewLayer) -> Asked:
-    """What a view layer asks for."""
+def asked_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Asked:
+    """What a view layer of a scene asks for; scenes whose splats are laid among meshes ask for what
+    that takes."""
     kinds = {
         cryptomatte.OBJECT: layer.use_pass_cryptomatte_object,
         cryptomatte.ASSET: layer.use_pass_cryptomatte_asset,
     }
     return Asked(
         depth=layer.use_pass_z,
+        held=layer.use_pass_z and main_scene(scene) is not None,
         index=layer.use_pass_object_index,
         kinds=tuple(kind for kind, on in kinds.items() if on),
         levels=layer.pass_cryptomatte_depth,

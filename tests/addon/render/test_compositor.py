@@ -6,7 +6,7 @@ import pytest
 
 from addon import compat
 from addon.panels.render import RenderPanel
-from addon.render import composite_nodes, compositor, ignored, stage
+from addon.render import composite_nodes, compositor, held_passes, ignored, stage
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -280,28 +280,37 @@ def switch(scene, name: str, *, on: bool) -> None:
 
 @pytest.mark.parametrize("hide", ["hide_render", "exclude", "indirect_only", "holdout"])
 def test_what_collections_hide_is_hidden_and_comes_back(mixed, tmp_path, hide):
-    """Oracle: what stands where, by construction, without the wall; then the picture of before."""
+    """Oracle: what stands where, by construction, without the wall, whose hole shows no mesh behind
+    it either; then the picture of before."""
     in_collection(mixed, bpy.data.objects["splats"])
     compositor.set_up(mixed)
     before = lab.render_exr(tmp_path, "before")
     switch(mixed, hide, on=True)
     hidden = lab.render_exr(tmp_path, "hidden")
     assert hidden[24, 32, 3] == 0
-    assert hidden[24, 38, :3] == pytest.approx((0, 0, 1), abs=1e-2)
+    blue = (0, 0, 0, 0) if hide == "holdout" else (0, 0, 1, 1)
+    assert hidden[24, 38] == pytest.approx(blue, abs=1e-2)
     assert hidden[24, 22, :3] == pytest.approx((0, 1, 0), abs=1e-2)
     switch(mixed, hide, on=False)
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
 
 
-def test_held_out_splats_hide_splats_alone(mixed, tmp_path):
-    """Oracle: what stands where, by construction: a held-out wall before red splats and meshes."""
-    lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.8), "cut")
+def test_held_out_splats_hide_all_that_is_behind_them(mixed, tmp_path):
+    """Oracle: what stands where, by construction: a held-out wall before red splats and a blue
+    mesh, and behind a green one."""
+    lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.5), "cut")
     in_collection(mixed, bpy.data.objects["cut"])
     switch(mixed, "holdout", on=True)
     compositor.set_up(mixed)
     got = lab.render_exr(tmp_path)
     assert got[24, 32, 3] < 0.02
-    assert got[24, 38, :3] == pytest.approx((0, 0, 1), abs=0.02)
+    assert got[24, 38].max() < 0.02
+    assert got[24, 22] == pytest.approx((0, 1, 0, 1), abs=1e-2)
+    assert got[24, 62] == pytest.approx((0, 0, 1, 1), abs=1e-2)
+    bpy.data.objects["cut"].location.z = -3.0  # behind everything
+    got = lab.render_exr(tmp_path, "far")
+    assert lab.srgb(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
+    assert got[24, 62] == pytest.approx((0, 0, 1, 1), abs=1e-2)
 
 
 @pytest.mark.parametrize("z", [1.02, 0.98])
@@ -325,6 +334,46 @@ def test_a_catcher_before_splats_darkens_them(mixed, tmp_path, z):
     else:
         assert lab.srgb(row[45, :3]) == pytest.approx(RED, abs=0.02)
     assert row[45, 3] == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("lens", [False, True])
+def test_soft_splats_that_are_held_out_cut_softly(mixed, tmp_path, lens):
+    """Oracle: before a mesh that fills the picture, what the splats' scene renders by itself, and
+    of the mesh what all splats let through, told by the alpha of a render in which none is held
+    out. Through a lens too, but where the sharp picture, whose depths count, has nothing."""
+    for name in ("splats", "before", "behind"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    back = plane(mixed, -1.0, (0, 0, 1), -9.0, 9.0, "back")
+    back.scale.y = 20.0
+    lab.add(mixed, lab.blob(60, center=(0.2, 0, 1.0), size=0.4), "soft")
+    cut = lab.add(mixed, lab.blob(80, center=(-0.2, 0.1, 1.1), size=0.4), "cut")
+    if lens:
+        mixed.camera.data.dof.use_dof, mixed.camera.data.dof.aperture_fstop = True, 0.3
+        mixed.camera.data.dof.focus_distance = 2.5
+        mixed.gscore_render.blur_samples = 4
+    other = compositor.set_up(mixed)
+    bpy.context.window.scene = other
+    every = lab.render_exr(tmp_path, "every")
+    cut.is_holdout = True
+    alone = lab.render_exr(tmp_path, "alone")
+    bpy.context.window.scene = mixed
+    got = lab.render_exr(tmp_path, "both")
+    want = alone + (1 - every[..., 3:]) * np.float32([0, 0, 1, 1])
+    np.testing.assert_allclose(got, want, atol=2e-2 if lens else 5e-3)
+    soft = (got[..., 3] > 0.1) & (got[..., 3] < 0.9)
+    assert soft.mean() > 0.02 and got[..., 3].min() < 0.3
+
+
+def test_held_out_splats_hide_the_world(mixed, tmp_path):
+    """Oracle: nothing in the hole, the world beside it and beyond a green mesh."""
+    paint_world(mixed, 0.1, 0.2, 0.8)
+    bpy.data.objects.remove(bpy.data.objects["behind"])
+    bpy.data.objects["splats"].is_holdout = True
+    compositor.set_up(mixed)
+    got = lab.render_exr(tmp_path)
+    assert np.abs(got[24, 40]).max() < 0.02
+    assert got[2, 62] == pytest.approx((0.1, 0.2, 0.8, 1), abs=0.01)
+    assert got[24, 20] == pytest.approx((0, 1, 0, 1), abs=0.01)
 
 
 def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
@@ -422,16 +471,20 @@ def test_an_engine_that_is_gone_is_replaced(mixed):
     assert mixed.render.engine in ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
 
 
-def test_a_file_of_before_worlds_keeps_its_links(mixed, tmp_path):
-    """Oracle: the picture of a new set-up, and one group, though the file has an older one."""
+@pytest.mark.parametrize("lacking", [held_passes.NAMES, ("World", *held_passes.NAMES)])
+def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
+    """Oracle: the picture of a new set-up, in which splats are held out, and one group, though the
+    file has an older one."""
     paint_world(mixed, 0.1, 0.2, 0.8)
+    lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.3), "cut").is_holdout = True
     compositor.set_up(mixed)
     want = lab.render_exr(tmp_path, "new")
     tree = compat.compositor_tree(mixed)
     combine = tree.nodes[composite_nodes.COMBINE_NODE]
     group = combine.node_tree
     old = group.copy()
-    old.interface.remove(next(i for i in old.interface.items_tree if i.name == "World"))
+    for item in [i for i in old.interface.items_tree if i.name in lacking]:
+        old.interface.remove(item)
     targets = [link.to_socket for link in combine.outputs[0].links]
     combine.node_tree = old
     for target in targets:

@@ -1,0 +1,71 @@
+"""Passes by which the compositor cuts meshes, and the world, where splats are held out before them.
+
+`HOLDOUT` is how much of the light the splats that are held out block by themselves, `BEHIND` how
+much of what lies behind all splats is to go, beyond what the picture's alpha says, and `HELD_DEPTH`
+where those that are held out are. *Depth* is that of the others then.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from .color import NOTHING
+from .film import Film
+from .stage import View
+
+HOLDOUT, BEHIND, HELD_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
+NAMES = HOLDOUT, BEHIND, HELD_DEPTH
+"""Of the passes, in their order."""
+_FULL = 1e-4
+"""Share of a pixel below which nothing behind the splats shows."""
+
+Stop = Callable[[], bool]
+
+
+def blocked(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
+    """How much of the light some splats block, [H, W] float32, the bottom row first: `HOLDOUT`, and
+    as `BEHIND` all of them; nothing where none is held out.
+
+    Args:
+        film: What the picture is to be, transparent.
+        view: What stands where.
+        stop: As `Film.shoot`.
+    """
+    if view.model.shares is None:
+        return {}
+    whole = replace(view, model=replace(view.model, shares=None))
+    shown = {HOLDOUT: _only(view, held=True), BEHIND: whole}
+    plain = film.without_depths()
+    return {name: plain.shoot(v, stop)["Combined"][..., 3].copy() for name, v in shown.items()}
+
+
+def depths(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
+    """*Depth* and `HELD_DEPTH`; arguments and result as `blocked`."""
+    if view.model.shares is None:
+        return {}
+    shown = {"Depth": _only(view, held=False), HELD_DEPTH: _only(view, held=True)}
+    return {name: film.shoot(v, stop)["Depth"] for name, v in shown.items()}
+
+
+def completed(found: dict[str, np.ndarray], picture: np.ndarray) -> dict[str, np.ndarray]:
+    """All passes.
+
+    Args:
+        found: Of `blocked`, or means of such, and of `depths`.
+        picture: [H, W, 4] float32, Combined.
+    """
+    if HOLDOUT not in found:
+        nothing = np.zeros(picture.shape[:2], np.float32)
+        return {HOLDOUT: nothing, BEHIND: nothing, HELD_DEPTH: nothing + np.float32(NOTHING)}
+    light, left = 1 - found[BEHIND], 1 - picture[..., 3]
+    kept = np.divide(light, left, out=np.zeros_like(light), where=left > _FULL)
+    return {**found, BEHIND: 1 - np.clip(kept, 0, 1)}
+
+
+def _only(view: View, *, held: bool) -> View:
+    """What stands where without the splats that are not held out, or those that are."""
+    owners, counts = zip(*view.model.owners, strict=True)
+    cuts = np.repeat([owner is None for owner in owners], counts)
+    splats = view.model.splats.subset(cuts == held)
+    return replace(view, model=replace(view.model, splats=splats, shares=None, owners=()))
