@@ -27,7 +27,7 @@ MODULES: tuple[str, ...] = (
     "splats.mend_operators",
     "splats.watch",
     "splats.held",
-    "splats.temporary",
+    "interface.temporary",
     "job.properties",
     "job.follow",
     "job.operators",

@@ -64,8 +64,8 @@ WRITES = {
     "addon/cameras/camera_path.py:export_path ..core.atomic_write": "the user's choice",
     "addon/cameras/camera_path.py:export_path ..core.write_cameras": "the user's choice",
     "addon/cameras/camera_path.py:export_path ..core.write_nerfstudio_path": "the user's choice",
-    "addon/cameras/export_colmap.py:export_colmap ..core.write_colmap": "the user's choice",
-    "addon/cameras/export_transforms.py:export_transforms ..core.atomic_write": "the user's choice",
+    "addon/cameras/export_colmap.py:_write ..core.write_colmap": "the user's choice",
+    "addon/cameras/export_transforms.py:_write ..core.atomic_write": "the user's choice",
     "addon/cameras/straight.py:remove file.unlink": "Blender's folder of it",
     "addon/cameras/straightener.py:straighten copy.parent.mkdir": "Blender's folder of it",
     "addon/cameras/straightener.py:straighten part.replace": "Blender's folder of it",
@@ -84,6 +84,7 @@ WRITES = {
     "addon/python/installer.py:_make_venv folder.parent.mkdir": "Blender's folder of it",
     "addon/python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",
     "addon/python/installer.py:_rename os.replace": "Blender's folder of it",
+    "addon/cameras/importing.py:_move before.objects.unlink": "no file, an object",
     "addon/job/results.py:adopt collection.objects.unlink": "no file, an object",
     "addon/render/compositor.py:_link other.collection.objects.unlink": "no file, an object",
 }

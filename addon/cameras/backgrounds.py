@@ -42,41 +42,102 @@ class StraightBackground:
         return None if copy.is_file() else copy
 
 
+class KnownImages:
+    """Images of the open file by their files. Names are kept, not images, which undo replaces."""
+
+    def __init__(self) -> None:
+        """Look at all there are."""
+        images = (i for i in bpy.data.images if i.source == "FILE" and i.filepath)
+        self._names = {str(file_of(image)): (image.name, _library_of(image)) for image in images}
+        self._made: set[str] = set()
+
+    def of(self, shown: Path, photo: Path) -> bpy.types.Image:
+        """The image of a file, made where there is none, called like its photo."""
+        found = self._found(shown)
+        if found is None:
+            # `images.load` looks into every file, which makes it 80 times slower.
+            found = bpy.data.images.new(photo.name, 1, 1)
+            found.source = "FILE"
+            found.filepath = relative(shown) if shown == photo else str(shown)
+            self._names[str(shown)] = found.name, None
+            self._made.add(found.name)
+        if _MADE not in found and writable.keeps(found):
+            found[_MADE] = True
+        return found
+
+    def drop(self) -> None:
+        """Remove those that were made here and that nothing shows."""
+        made = (image for image in bpy.data.images if image.name in self._made)
+        unused = [image for image in made if _MADE in image and not image.users]
+        if unused:
+            bpy.data.batch_remove(unused)
+
+    def _found(self, shown: Path) -> bpy.types.Image | None:
+        name = self._names.get(str(shown))
+        image = bpy.data.images.get(name) if name is not None else None
+        return image if image is not None and file_of(image) == shown else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """A photo as the disk has it; needs no bpy any more."""
+
+    file: Path
+    """It."""
+    shown: Path | None
+    """What is shown of it: its straightened copy, which may still have to be made, where its camera
+    is made for that; None: the photo is not there."""
+
+
+def photo_on_disk(own: PhotoCamera, file: Path) -> Photo:
+    """Look for a photo of a camera."""
+    if not file.is_file():
+        return Photo(file=file, shown=None)
+    return Photo(file=file, shown=file if own.photo_size is None else copy_of(own, file))
+
+
 def photo_of(ob: bpy.types.Object) -> bpy.types.Image | None:
     """The picture in a camera's background, or None."""
     return next((slot.image for slot in ob.data.background_images if slot.image), None)
 
 
-def set_photo(ob: bpy.types.Object, file: Path, known: dict[str, bpy.types.Image]) -> bool:
-    """Put a photo into a camera's background, unless the user chose pictures for it; whether the
-    file is there.
+def set_photo(ob: bpy.types.Object, photo: Photo, known: KnownImages) -> None:
+    """Put a photo into a camera's background, unless it is not there, or the user chose pictures.
 
-    Blender decodes it when it is first drawn. Of a lens that bends lines it is the straightened
-    copy, which may still have to be made (`straightening`); until then nothing is drawn.
+    Blender decodes it when it is first drawn. Until a straightened copy is made (`straightening`)
+    nothing is drawn.
 
     Args:
         ob: The camera.
-        file: The photo.
-        known: Images already in the file by absolute path; the new one is added.
+        photo: The photo.
+        known: Images already in the file; the new one is added.
     """
-    stored_paths.write(ob, stored_paths.PHOTO, file)
-    if not file.is_file():
-        return False
+    stored_paths.write(ob, stored_paths.PHOTO, photo.file)
+    if photo.shown is None:
+        return
     slot = _own_slot(ob) or _free_slot(ob)
     if slot is None:
-        return True
-    own = stated(ob)
-    image = _image(file if own.photo_size is None else copy_of(own, file), file, known)
+        return
+    image = known.of(photo.shown, photo.file)
     if slot.image != image:
         slot.image = image
     slot.alpha = 1.0
     # The raster of the photo is the camera's own, so it fills the frame whatever the pixel aspect.
     slot.frame_method, slot.display_depth = "STRETCH", "BACK"
     ob.data.show_background_images = True
-    return True
 
 
-def lead_to(ob: bpy.types.Object, copy: Path, known: dict[str, bpy.types.Image]) -> None:
+def shows_photo(ob: bpy.types.Object, photo: Photo) -> bool:
+    """Whether a camera has what `set_photo` gives it."""
+    if stored_paths.read(ob, stored_paths.PHOTO) != str(photo.file):
+        return False
+    slot = _own_slot(ob)
+    if photo.shown is None or (slot is None and photo_of(ob) is not None):
+        return True
+    return slot is not None and file_of(slot.image) == photo.shown
+
+
+def lead_to(ob: bpy.types.Object, copy: Path, known: KnownImages) -> None:
     """Have the background that `straight_background` told of show another copy of its photo.
 
     Args:
@@ -86,7 +147,7 @@ def lead_to(ob: bpy.types.Object, copy: Path, known: dict[str, bpy.types.Image])
     """
     slot = _own_slot(ob)
     if slot is not None:
-        slot.image = _image(copy, Path(stored_paths.read(ob, stored_paths.PHOTO)), known)
+        slot.image = known.of(copy, Path(stored_paths.read(ob, stored_paths.PHOTO)))
 
 
 def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
@@ -106,15 +167,13 @@ def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
     )
 
 
-def known_images() -> dict[str, bpy.types.Image]:
-    """The images of this file by absolute path."""
-    images = (i for i in bpy.data.images if i.source == "FILE" and i.filepath)
-    return {str(file_of(image)): image for image in images}
-
-
 def file_of(image: bpy.types.Image) -> Path:
     """The file of a picture, absolute."""
     return Path(os.path.normpath(bpy.path.abspath(image.filepath, library=image.library)))
+
+
+def _library_of(image: bpy.types.Image) -> str | None:
+    return None if image.library is None else image.library.filepath
 
 
 def _own_slot(ob: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
@@ -129,16 +188,3 @@ def _free_slot(ob: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
     if any(slot.image is not None for slot in slots):
         return None
     return slots[0] if slots else slots.new()
-
-
-def _image(shown: Path, photo: Path, known: dict[str, bpy.types.Image]) -> bpy.types.Image:
-    """The image of a file, called like its photo."""
-    image = known.get(str(shown))
-    if image is None:
-        # `images.load` looks into every file, which makes it 80 times slower.
-        image = known[str(shown)] = bpy.data.images.new(photo.name, 1, 1)
-        image.source = "FILE"
-        image.filepath = relative(shown) if shown == photo else str(shown)
-    if _MADE not in image and writable.keeps(image):
-        image[_MADE] = True
-    return image

@@ -4,7 +4,7 @@ import bpy
 
 from .. import stored_paths
 from ..interface.operators import make_active_in
-from .captures import ImportedCapture
+from .importing import ImportedCapture
 
 
 def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool = True) -> None:

@@ -5,6 +5,7 @@ Those that nobody touched keep their observations, which no longer hold for a ca
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -21,8 +22,15 @@ from ..core import (
     write_colmap,
 )
 from ..interface.flags import error_words
-from .export_sources import known_captures, points_to_export, source_of
-from .export_views import Exported, ExportView, collect, kept_lenses
+from ..process.pieces import Check, Pieces, aside, at_once
+from .export_sources import (
+    HeldPoints,
+    known_captures,
+    points_to_export,
+    reading_points,
+    source_of,
+)
+from .export_views import Exported, ExportView, Graph, collecting, kept_lenses
 
 
 def export_colmap(
@@ -34,6 +42,20 @@ def export_colmap(
     binary: bool = True,
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
+    """The same as `exporting_colmap`, at once."""
+    given = {"root": root, "binary": binary, "depsgraph": lambda: depsgraph}
+    return at_once(exporting_colmap(path, cameras, scene, **given))
+
+
+def exporting_colmap(
+    path: str | Path,
+    cameras: Sequence[bpy.types.Object],
+    scene: bpy.types.Scene,
+    *,
+    root: bpy.types.Object | None,
+    depsgraph: Graph,
+    binary: bool = True,
+) -> Pieces[Exported]:
     """Write cameras and points into `path`/sparse/0; photos are not copied.
 
     Args:
@@ -41,26 +63,43 @@ def export_colmap(
         cameras: Cameras of photos, or any perspective ones.
         scene: Gives resolution and pixel aspect of cameras that are of no photo.
         root: A capture's empty: its world is written, with its points; None: Blender's world.
-        binary: `.bin` rather than `.txt` files.
         depsgraph: Gives the animated poses.
+        binary: `.bin` rather than `.txt` files.
 
     Raises:
         GsError: a file cannot be written.
         ValueError: a camera cannot be written, or the folder is that of a capture of this file.
     """
     folder = Path(path) / "sparse" / "0"
-    source = source_of(root)
-    for known in known_captures():
+    source, captures = source_of(root), known_captures()
+    root_uid = None if root is None else root.session_uid
+    views = yield from collecting(cameras, scene, root, depsgraph)
+    held = yield from reading_points(root_uid)
+    write = partial(_write, folder, views, held, source, captures, binary)
+    return (yield from aside(write, f"Writing {folder}"))
+
+
+def _write(
+    folder: Path,
+    views: list[ExportView],
+    held: HeldPoints | None,
+    source: Path | None,
+    captures: list[Path],
+    binary: bool,
+    check: Check,
+) -> Exported:
+    """What needs no bpy."""
+    for known in captures:
         if _same(folder, _model_folder(known)):
             raise ValueError(f"{folder} is the own model of {known}. Choose another folder.")
     if not binary and (folder / "cameras.bin").exists():
         raise ValueError(
             f"{folder} holds a binary model, which readers prefer to text. Choose another folder."
         )
-    views = collect(cameras, scene, root, depsgraph)
     model, warnings = _source_model(source)
+    check()
     warnings += kept_lenses(views)
-    cloud, more = points_to_export(root, source, model)
+    cloud, more = points_to_export(held, source, model)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
     other = _restated(views, model)
@@ -70,6 +109,7 @@ def export_colmap(
             f"they were imported, without observations."
         )
     written = ColmapModel(cameras=table, images=images, points=cloud)
+    check()
     write_colmap(written, folder, binary=binary)
     return Exported(
         path=folder,

@@ -1,6 +1,7 @@
 """The captures that an export goes back to, and the points that they and Blender have."""
 
 import contextlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -17,6 +18,7 @@ from ..core import (
     read_capture,
 )
 from ..paths import absolute
+from ..process.pieces import Pieces, aside
 from . import objects as co
 from . import sfm_points
 
@@ -24,28 +26,78 @@ UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""
 
 
-def points_to_export(
-    root: bpy.types.Object | None, source: Path | None, model: ColmapModel | None = None
-) -> tuple[ColmapPoints, list[str]]:
-    """The points as they are in Blender: deleted ones left out, untouched ones exact.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldPoints:
+    """The points as they are in Blender."""
+
+    positions: np.ndarray
+    """[P, 3] float32."""
+    indices: np.ndarray
+    """As `sfm_points.indices_of`."""
+    linear: np.ndarray | None
+    """As `sfm_points.linear_of`; None: the colours are gone."""
+    name: str
+    """Of the object."""
+
+    @property
+    def colors(self) -> np.ndarray:
+        """[P, 3] uint8 sRGB; ValueError where they are gone."""
+        if self.linear is None:
+            raise ValueError(sfm_points.lost_colors(self.name))
+        return sfm_points.encoded(self.linear)
+
+
+def reading_points(root: int | None) -> Pieces[HeldPoints | None]:
+    """The points of a capture, an attribute a piece.
 
     Args:
-        root: The capture's empty; without one there are no points.
+        root: Session number of its empty; None: there is none.
+
+    Raises:
+        ValueError: they were removed or changed meanwhile.
+    """
+    empty = _object(root)
+    ob = None if empty is None else co.points_of(empty)
+    if ob is None:
+        return None
+    uid, name, found = ob.session_uid, ob.name, []
+    for read in (sfm_points.positions_of, sfm_points.linear_of, sfm_points.places_of):
+        yield f"Reading {name}"
+        ob = _object(uid)
+        if ob is None:
+            raise ValueError(f"{name} was removed while it was exported: export it again.")
+        found.append(read(ob))
+    positions, linear, places = found
+    if len({len(values) for values in found if values is not None}) != 1:
+        raise ValueError(f"{name} was changed while it was exported: export it again.")
+    indices = yield from aside(lambda check: sfm_points.unique_places(places), f"Reading {name}")
+    return HeldPoints(positions=positions, indices=indices, linear=linear, name=name)
+
+
+def points_to_export(
+    held: HeldPoints | None, source: Path | None, model: ColmapModel | None = None
+) -> tuple[ColmapPoints, list[str]]:
+    """The points as they are in Blender: deleted ones left out, untouched ones exact. Touches no
+    bpy.
+
+    Args:
+        held: They; without any there are those of the capture's files.
         source: The capture's files, if they are there.
         model: Their COLMAP model, if that has been read already.
 
     Returns:
         Points, with the ids of the model where they come from it, and sentences for the user.
+
+    Raises:
+        ValueError: the colours are gone.
     """
     exact = model.points if model is not None else _points_without_tracks(source)
-    ob = co.points_of(root) if root is not None else None
-    if ob is None:
+    if held is None:
         return (ColmapPoints.none() if exact is None else exact), []
-    now = sfm_points.positions_of(ob)
-    places = sfm_points.indices_of(ob)
+    now, places = held.positions, held.indices
     if exact is None:
         note = "The capture's own files are not there; points are written in single precision."
-        return _new_points(now, sfm_points.colors_of(ob)), [note]
+        return _new_points(now, held.colors), [note]
     own = (places >= 0) & (places < len(exact))
     rows = places[own]
     then = exact.xyz[rows]
@@ -60,7 +112,7 @@ def points_to_export(
     if own.all():
         return kept, []
     first = int(exact.ids.max(initial=0)) + 1
-    added = _new_points(now[~own], sfm_points.colors_of(ob)[~own], first)
+    added = _new_points(now[~own], held.colors[~own], first)
     return _joined(kept, added), []
 
 
@@ -80,6 +132,10 @@ def known_captures() -> list[Path]:
             with contextlib.suppress(ValueError):  # none is chosen
                 found.append(find_capture(absolute(holder.capture_path, "Capture")))
     return [path for path in dict.fromkeys(found) if path.exists()]
+
+
+def _object(uid: int | None) -> bpy.types.Object | None:
+    return next((ob for ob in bpy.data.objects if ob.session_uid == uid), None)
 
 
 def _points_without_tracks(source: Path | None) -> ColmapPoints | None:

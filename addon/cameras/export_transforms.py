@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,16 @@ import bpy
 import numpy as np
 
 from ..core import ColmapPoints, atomic_write
+from ..process.pieces import Check, Pieces, aside, at_once
 from . import formulas as cm
-from .export_sources import known_captures, points_to_export, source_of
-from .export_views import Exported, ExportView, collect, kept_lenses
+from .export_sources import (
+    HeldPoints,
+    known_captures,
+    points_to_export,
+    reading_points,
+    source_of,
+)
+from .export_views import Exported, ExportView, Graph, collecting, kept_lenses
 
 POINTS = "sparse_pc.ply"
 """The name nerfstudio gives the points."""
@@ -29,11 +37,24 @@ def export_transforms(
     root: bpy.types.Object | None = None,
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
+    """The same as `exporting_transforms`, at once."""
+    given = {"root": root, "depsgraph": lambda: depsgraph}
+    return at_once(exporting_transforms(path, cameras, scene, **given))
+
+
+def exporting_transforms(
+    path: str | Path,
+    cameras: Sequence[bpy.types.Object],
+    scene: bpy.types.Scene,
+    *,
+    root: bpy.types.Object | None,
+    depsgraph: Graph,
+) -> Pieces[Exported]:
     """Write a transforms.json as nerfstudio has it: camera to world, OpenGL axes; photos stay.
 
     Args:
         path: The file to write.
-        cameras: As for `export_colmap`; so are the others.
+        cameras: As for `exporting_colmap`; so are the others.
         scene: Gives resolution and pixel aspect of cameras that are of no photo.
         root: A capture's empty; None: Blender's world.
         depsgraph: Gives the animated poses.
@@ -43,13 +64,28 @@ def export_transforms(
         ValueError: a camera cannot be written, or the file is that of a capture of this file.
     """
     path = Path(path)
-    source = source_of(root)
-    for known in known_captures():
+    source, captures = source_of(root), known_captures()
+    root_uid = None if root is None else root.session_uid
+    views = yield from collecting(cameras, scene, root, depsgraph)
+    held = yield from reading_points(root_uid)
+    write = partial(_write, path, views, held, source, captures)
+    return (yield from aside(write, f"Writing {path}"))
+
+
+def _write(
+    path: Path,
+    views: list[ExportView],
+    held: HeldPoints | None,
+    source: Path | None,
+    captures: list[Path],
+    check: Check,
+) -> Exported:
+    """What needs no bpy."""
+    for known in captures:
         own = known if known.is_file() else known / path.name
         if own.exists() and own.resolve() == path.resolve():
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
-    views = collect(cameras, scene, root, depsgraph)
-    points, warnings = points_to_export(root, source)
+    points, warnings = points_to_export(held, source)
     warnings += kept_lenses(views)
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
     if away:
@@ -59,6 +95,7 @@ def export_transforms(
         )
     further = {"ply_file_path": POINTS} if len(points) else {}
     text = transforms_text(views, path.parent, further)
+    check()
     if len(points):
         atomic_write(path.with_name(POINTS), _ply(points))
     atomic_write(path, text.encode())

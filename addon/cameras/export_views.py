@@ -4,7 +4,8 @@ What nobody touched is as the capture states it, in float64; a camera that was m
 single precision.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -12,9 +13,13 @@ import bpy
 import numpy as np
 
 from ..core import ColmapCamera
+from ..process.pieces import Pieces, at_once
 from . import formulas as cm
 from . import objects as co
 from .straight import lens_of
+
+BUDGET = 0.008
+"""Seconds of a piece in which cameras are begun."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +56,10 @@ class Exported:
     """Sentences for the user."""
 
 
+Graph = Callable[[], bpy.types.Depsgraph | None]
+"""Gives the animated poses, as they are now."""
+
+
 def collect(
     cameras: Sequence[bpy.types.Object],
     scene: bpy.types.Scene,
@@ -59,6 +68,18 @@ def collect(
     *,
     photos: bool = True,
 ) -> list[ExportView]:
+    """The same as `collecting`, at once."""
+    return at_once(collecting(cameras, scene, root, lambda: depsgraph, photos=photos))
+
+
+def collecting(
+    cameras: Sequence[bpy.types.Object],
+    scene: bpy.types.Scene,
+    root: bpy.types.Object | None,
+    depsgraph: Graph,
+    *,
+    photos: bool = True,
+) -> Pieces[list[ExportView]]:
     """The cameras as they are to be written, with names that differ.
 
     Args:
@@ -70,17 +91,25 @@ def collect(
             is the pinhole camera that it is in Blender.
 
     Raises:
-        ValueError: there are none, or one is orthographic, panoramic or sheared.
+        ValueError: there are none, one is orthographic, panoramic or sheared, or the scene was
+            changed meanwhile.
     """
     if not cameras:
         raise ValueError("There are no cameras to export. Select some, or import a capture.")
+    watched = _Watched(cameras, scene, root)
     views: list[ExportView] = []
     taken: set[str] = set()
-    for ob in cameras:
+    graph, until = depsgraph(), time.perf_counter() + BUDGET
+    for done in range(len(cameras)):
+        if time.perf_counter() > until:
+            yield f"Reading cameras: {done} of {len(cameras)}"
+            watched.look_again()
+            graph, until = depsgraph(), time.perf_counter() + BUDGET
+        ob = watched.cameras[done]
         if co.is_camera(ob):
-            view = _photo_view(ob, root, depsgraph, photos=photos)
+            view = _photo_view(ob, watched.root, graph, photos=photos)
         else:
-            view = _plain_view(ob, scene, root, depsgraph)
+            view = _plain_view(ob, watched.scene, watched.root, graph)
         name, count = view.name, 1
         while name in taken:
             path = PurePosixPath(view.name)
@@ -88,6 +117,37 @@ def collect(
         taken.add(name)
         views.append(replace(view, name=name))
     return views
+
+
+class _Watched:
+    """Cameras that are read in pieces, at one frame. They are looked up anew after each: undo
+    replaces objects."""
+
+    def __init__(
+        self,
+        cameras: Sequence[bpy.types.Object],
+        scene: bpy.types.Scene,
+        root: bpy.types.Object | None,
+    ) -> None:
+        self.cameras, self.scene, self.root = list(cameras), scene, root
+        self._uids = [ob.session_uid for ob in cameras]
+        self._others = scene.session_uid, None if root is None else root.session_uid
+        self._frame = scene.frame_current_final
+
+    def look_again(self) -> None:
+        """Look all of it up; ValueError where it is gone, or the frame is another."""
+        obs = {ob.session_uid: ob for ob in bpy.data.objects}
+        scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
+        scene, root = self._others
+        is_there = scene in scenes and (root is None or root in obs)
+        if not is_there or not all(uid in obs for uid in self._uids):
+            raise ValueError("Cameras were removed while they were exported: export them again.")
+        self.scene, self.root = scenes[scene], None if root is None else obs[root]
+        self.cameras = [obs[uid] for uid in self._uids]
+        if self.scene.frame_current_final != self._frame:
+            raise ValueError(
+                "The frame was changed while cameras were exported: export them again."
+            )
 
 
 def kept_lenses(views: Sequence[ExportView]) -> list[str]:

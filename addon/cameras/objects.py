@@ -77,30 +77,59 @@ def points_of(root: bpy.types.Object) -> bpy.types.Object | None:
     return next((ob for ob in root.children if is_kind(ob, "points") and ob.type == "MESH"), None)
 
 
-def make(
-    stated: PhotoCamera,
-    name: str,
-    root: bpy.types.Object,
-    collection: bpy.types.Collection,
-) -> bpy.types.Object:
-    """A Blender camera with a photo's pose and intrinsics, below `root`."""
-    lens, _ = cm.lens_from_intrinsics(stated.K, stated.width, stated.height)
-    data = bpy.data.cameras.new(name)
-    set_lens(data, lens)
-    ob = bpy.data.objects.new(name, data)
-    ob.parent = root
-    set_pose(ob, stated.viewmat)
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """What Blender is told of a photo's camera."""
+
+    own: PhotoCamera
+    """The camera."""
+    lens: cm.Lens
+    location: np.ndarray
+    """[3] in the capture's world."""
+    rotation: np.ndarray
+    """[4] quaternion wxyz, of the same."""
+
+
+def setup_of(own: PhotoCamera) -> Setup:
+    """Work it out; needs no bpy."""
+    lens, _ = cm.lens_from_intrinsics(own.K, own.width, own.height)
+    location, rotation = _pose(own.viewmat)
+    return Setup(own=own, lens=lens, location=location, rotation=rotation)
+
+
+def make(setup: Setup, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A Blender camera with a photo's pose and intrinsics."""
+    ob = bpy.data.objects.new(name, bpy.data.cameras.new(name))
     collection.objects.link(ob)
-    ob[KIND] = "camera"
-    ob["gs_image"] = stated.image
-    stored_paths.write(ob, stored_paths.PHOTO, stated.photo)
-    ob["gs_K"] = stated.K.ravel().tolist()
-    ob["gs_viewmat"] = stated.viewmat.ravel().tolist()
-    ob["gs_size"] = [stated.width, stated.height]
-    ob["gs_model"], ob["gs_params"] = stated.model, list(stated.params)
-    if stated.photo_size is not None:
-        ob["gs_photo_size"] = list(stated.photo_size)
+    state(ob, setup)
     return ob
+
+
+def state(ob: bpy.types.Object, setup: Setup) -> None:
+    """Give a camera a photo's pose, intrinsics and custom properties, but `gs_photo`."""
+    own = setup.own
+    set_lens(ob.data, setup.lens)
+    _put(ob, setup.location, setup.rotation)
+    ob[KIND] = "camera"
+    ob["gs_image"] = own.image
+    ob["gs_K"] = own.K.ravel().tolist()
+    ob["gs_viewmat"] = own.viewmat.ravel().tolist()
+    ob["gs_size"] = [own.width, own.height]
+    ob["gs_model"], ob["gs_params"] = own.model, list(own.params)
+    ob.pop("gs_photo_size", None)
+    if own.photo_size is not None:
+        ob["gs_photo_size"] = list(own.photo_size)
+
+
+def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
+    """Whether a camera has what `state` gives it."""
+    try:
+        own = stated(ob)
+    except ValueError:
+        return False
+    now, then = vars(own), vars(setup.own)
+    same = all(np.array_equal(now[key], then[key]) for key in now if key != "photo")
+    return same and not is_moved(ob, own) and not is_lens_changed(ob.data, own)
 
 
 def stated(ob: bpy.types.Object) -> PhotoCamera:
@@ -145,15 +174,6 @@ def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]])
                 ob.pop(key, None)
             else:
                 ob[key] = value
-
-
-def set_pose(ob: bpy.types.Object, viewmat: np.ndarray) -> None:
-    """Give an object the pose of a camera in its parent's space, as exactly as Blender can."""
-    matrix = cm.matrix_world_from_viewmat(viewmat)
-    ob.rotation_mode = "QUATERNION"  # Euler angles lose up to 5e-6 rad
-    ob.location = matrix[:3, 3]
-    ob.rotation_quaternion = rotmat_to_quat(matrix[:3, :3])
-    ob.scale = (1.0, 1.0, 1.0)
 
 
 def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
@@ -258,6 +278,18 @@ def rigid_viewmat(matrix: np.ndarray, name: str) -> np.ndarray:
             f"positive scale for all axes."
         )
     return viewmat
+
+
+def _pose(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Location [3] and quaternion wxyz [4] of a camera in its parent's space."""
+    matrix = cm.matrix_world_from_viewmat(viewmat)
+    return matrix[:3, 3], rotmat_to_quat(matrix[:3, :3])
+
+
+def _put(ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray) -> None:
+    """Give an object a pose as exactly as Blender can."""
+    ob.rotation_mode = "QUATERNION"  # Euler angles lose up to 5e-6 rad
+    ob.location, ob.rotation_quaternion, ob.scale = location, rotation, (1.0, 1.0, 1.0)
 
 
 def _is_plain_child(ob: bpy.types.Object) -> bool:

@@ -1,19 +1,20 @@
 """Operators of captures and their cameras: thin covers over `cameras` and the exporters."""
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..interface.operators import Acting, OnScene
+from ..interface.stepping import Stepping
 from ..paths import absolute
+from ..process.pieces import Pieces
 from . import captures
 from .choosing import choose
-from .export_colmap import export_colmap
-from .export_transforms import export_transforms
-from .export_views import Exported
+from .export_colmap import exporting_colmap
+from .export_transforms import exporting_transforms
+from .importing import importing
 from .lookup import find_camera, find_root
 from .objects import cameras_of
 
@@ -46,8 +47,9 @@ def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str
     return _shown
 
 
-class ImportCameras(OnScene, OnCapture, bpy.types.Operator):
-    """Bring a capture's cameras, photos and SfM points into the scene"""
+class ImportCameras(Stepping, OnScene, OnCapture, bpy.types.Operator):
+    """Bring a capture's cameras, photos and SfM points into the scene. Where they are there, they
+    become what the capture's files say now; alignment and splats stay"""
 
     bl_idname = "gscore.import_cameras"
     bl_label = "Import Cameras"
@@ -85,38 +87,48 @@ class ImportCameras(OnScene, OnCapture, bpy.types.Operator):
         "the lines from each camera to its capture",
     )
 
+    browse: BoolProperty(
+        name="Browse",
+        description="Ask for the folder, though the Capture panel names one",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        """Tooltip of the menu, and of the panel."""
+        if properties.browse:
+            return (
+                "Bring the cameras, photos and SfM points of a folder into the scene: one with a "
+                "COLMAP model and its photos, or with a transforms.json"
+            )
+        return cls.__doc__ or ""
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for a folder where the panel names none."""
-        if self.directory or _panel_path(context):
+        if not self.browse and (self.directory or _panel_path(context)):
             return self.execute(context)
+        if not self.directory and (path := _panel_path(context)):
+            self.directory = bpy.path.abspath(path)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Import."""
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read it in a thread, then bring it in."""
+        scene = context.scene
         path = absolute(self.directory or _panel_path(context), "Capture")
         images = self.images
         if not self.properties.is_property_set("images"):
             images = getattr(_settings(context), "images", self.images)
-        manager = context.window_manager
-        manager.progress_begin(0, 1)
-        try:
-            made = captures.import_capture(
-                context.scene,
-                path,
-                images=images,
-                photos=self.photos,
-                points=self.points,
-                align=self.align,
-                progress=manager.progress_update,
-            )
-        finally:
-            manager.progress_end()
-        choose(context.scene, made, set_up_views=self.set_up_views)
+        wanted = {name: getattr(self, name) for name in ("photos", "points", "align")}
+        set_up_views = self.set_up_views
+        into = find_root(context, self.capture) if self.capture else None
+        made = yield from importing(scene, path, images=images, into=into, **wanted)
+        choose(made.scene, made, set_up_views=set_up_views)
         self.warn(made.warnings)
         count = f"{len(made.cameras)} cameras"
-        points = f", {len(made.points.data.vertices)} points" if made.points else ""
-        return f"{made.root.name}: {count}{points}"
+        points = f", {len(made.points.data.vertices):,} points" if made.points else ""
+        again = ", as its files have them now" if made.renewed else ""
+        return f"{made.root.name}: {count}{points}{again}"
 
 
 class UseCamera(OnScene, OnCapture, bpy.types.Operator):
@@ -246,7 +258,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         return ""
 
 
-class ExportCameras(OnCapture, bpy.types.Operator):
+class ExportCameras(Stepping, OnCapture, bpy.types.Operator):
     """Write cameras and SfM points as a COLMAP model or a transforms.json"""
 
     bl_idname = "gscore.export_cameras"
@@ -291,29 +303,25 @@ class ExportCameras(OnCapture, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Export."""
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read cameras and points, then write in a thread."""
         folder = absolute(self.directory, "Folder")
         needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
         root = find_root(context, self.capture) if needs_root else None
-        objects = _chosen(context, self.which, root)
-        done = self._write(context, folder, objects, root if self.world == "CAPTURE" else None)
+        objects, scene = _chosen(context, self.which, root), context.scene
+        shared: dict[str, Any] = {
+            "root": root if self.world == "CAPTURE" else None,
+            "depsgraph": context.evaluated_depsgraph_get,
+        }
+        if self.kind == "TRANSFORMS":
+            work = exporting_transforms(folder / "transforms.json", objects, scene, **shared)
+        else:
+            binary = self.kind == "COLMAP"
+            work = exporting_colmap(folder, objects, scene, binary=binary, **shared)
+        done = yield from work
         self.warn(done.warnings)
         moved = f", {done.moved} of them as they stand in Blender" if done.moved else ""
         return f"{done.path}: {done.views} cameras{moved}, {done.points} points"
-
-    def _write(
-        self,
-        context: bpy.types.Context,
-        folder: Path,
-        objects: list[bpy.types.Object],
-        root: bpy.types.Object | None,
-    ) -> Exported:
-        shared: dict[str, Any] = {"root": root, "depsgraph": context.evaluated_depsgraph_get()}
-        if self.kind == "TRANSFORMS":
-            return export_transforms(folder / "transforms.json", objects, context.scene, **shared)
-        binary = self.kind == "COLMAP"
-        return export_colmap(folder, objects, context.scene, binary=binary, **shared)
 
 
 CLASSES = (
@@ -324,6 +332,21 @@ CLASSES = (
     RelinkCapture,
     ExportCameras,
 )
+
+
+def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    text = "COLMAP or NeRF Cameras (capture folder)"
+    self.layout.operator(ImportCameras.bl_idname, text=text).browse = True
+
+
+def on_register() -> None:
+    """Add the entry of File > Import."""
+    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
+
+
+def on_unregister() -> None:
+    """Take it back."""
+    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
 
 
 def _settings(context: bpy.types.Context) -> Any:

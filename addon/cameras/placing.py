@@ -1,5 +1,7 @@
 """Where a capture stands: up, ground and size, all in the matrix of its empty."""
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 
@@ -95,20 +97,40 @@ def centers_of(viewmats: np.ndarray) -> np.ndarray:
     return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
 
 
-def size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
-    """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
-    if not cameras:
-        return
-    scale = root_scale(root)
-    centers = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras])
-    extent = alignment.camera_extent(centers) * scale or 1.0
+@dataclass(frozen=True)
+class Drawing:
+    """How large things are drawn, in Blender's units where the empty is not scaled."""
+
+    length: float
+    """Of a camera's drawing."""
+    extent: float
+    """Of all cameras."""
+
+
+def drawing_of(centers: np.ndarray) -> Drawing:
+    """Camera drawings that do not hide each other, of positions [C, 3], C > 0; needs no bpy."""
+    extent = alignment.camera_extent(centers) or 1.0
     few = centers[np.linspace(0, len(centers) - 1, min(200, len(centers))).astype(int)]
     distances = np.linalg.norm(few[:, None] - centers[None], axis=2)
     distances[distances == 0] = np.inf
     nearest = distances.min(axis=1)
     nearest = nearest[np.isfinite(nearest)]
-    length = DISPLAY * float(np.median(nearest)) * scale if len(nearest) else 0.1 * extent
-    for data in filter(writable.keeps, [ob.data for ob in cameras]):
-        data.display_size = length
-        data.clip_start, data.clip_end = CLIP_START * extent, CLIP_END * extent
-    root.empty_display_size = 0.1 * extent / scale
+    return Drawing(DISPLAY * float(np.median(nearest)) if len(nearest) else 0.1 * extent, extent)
+
+
+def size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
+    """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
+    if cameras:
+        drawing = drawing_of(np.array([co.local_matrix(ob)[:3, 3] for ob in cameras]))
+        scale = root_scale(root)
+        for data in filter(writable.keeps, [ob.data for ob in cameras]):
+            size_drawing(data, drawing, scale)
+        root.empty_display_size = 0.1 * drawing.extent
+
+
+def size_drawing(data: bpy.types.Camera, drawing: Drawing, scale: float) -> None:
+    """The same of one camera, below an empty of a scale."""
+    data.display_size = drawing.length * scale
+    data.clip_start, data.clip_end = (
+        end * drawing.extent * scale for end in (CLIP_START, CLIP_END)
+    )

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 
-from .. import compat
+from .. import attributes, compat
 
 COLOR = "gs_color"
 """Attribute of the colours, linear RGBA. Cycles draws point clouds black whose colours are called
@@ -19,48 +19,45 @@ ANGLE = 0.002
 """Radius of a point as the nearest camera sees it, radians: two or three pixels of a photo."""
 
 
-def create(
-    points: np.ndarray,
-    colors: np.ndarray,
-    name: str,
-    collection: bpy.types.Collection,
-    parent: bpy.types.Object | None = None,
-    indices: np.ndarray | None = None,
-    radius: float = 0.01,
-) -> bpy.types.Object:
-    """A mesh object of loose vertices in the capture's world, displayed by a node group.
+def columns(
+    points: np.ndarray, colors: np.ndarray, indices: np.ndarray
+) -> tuple[tuple[str, str, np.ndarray], ...]:
+    """What a mesh has of points, as `attributes.fill` wants it; needs no bpy.
+
+    Args:
+        points: [P, 3] float.
+        colors: [P, 3] uint8 sRGB.
+        indices: [P] int, places of the points in the capture.
+    """
+    rgba = np.ones((len(points), 4), np.float32)
+    rgba[:, :3] = _linear(colors)
+    return (
+        (attributes.POSITION, "FLOAT_VECTOR", np.ascontiguousarray(points, np.float32).ravel()),
+        (COLOR, "FLOAT_COLOR", rgba.ravel()),
+        (INDEX, "INT", indices.astype(np.int32)),
+    )
+
+
+def complete(mesh: bpy.types.Mesh) -> None:
+    """Have a mesh that is filled show its colors."""
+    mesh.color_attributes.active_color = mesh.color_attributes[COLOR]
+    mesh.materials.append(_material())
+    mesh.update()
+
+
+def display(ob: bpy.types.Object, radius: float) -> None:
+    """Have an object of points displayed by a node group.
 
     It stays out of renders (`hide_render`) until the user wants it there.
 
     Args:
-        points: [P, 3] float, in the parent's space.
-        colors: [P, 3] uint8 sRGB.
-        name: Of object and mesh.
-        collection: To link it to.
-        parent: Carries the alignment.
-        indices: [P] int, places of the points in the capture; None: 0 to P - 1.
+        ob: The object.
         radius: Of a displayed point, in the parent's units.
     """
-    mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(points))
-    flat = np.ascontiguousarray(points, np.float32).ravel()
-    mesh.attributes["position"].data.foreach_set("vector", flat)
-    rgba = np.ones((len(points), 4), np.float32)
-    rgba[:, :3] = _linear(colors)
-    mesh.attributes.new(COLOR, "FLOAT_COLOR", "POINT").data.foreach_set("color", rgba.ravel())
-    places = np.arange(len(points)) if indices is None else indices
-    mesh.attributes.new(INDEX, "INT", "POINT").data.foreach_set("value", places.astype(np.int32))
-    mesh.color_attributes.active_color = mesh.color_attributes[COLOR]
-    mesh.materials.append(_material())
-    mesh.update()
-    ob = bpy.data.objects.new(name, mesh)
-    ob.parent = parent
     ob.hide_render = True
-    collection.objects.link(ob)
     modifier = ob.modifiers.new(GROUP, "NODES")
     modifier.node_group = _node_group()
     compat.set_modifier_input(modifier, "Radius", radius)
-    return ob
 
 
 def point_radius(points: np.ndarray, centers: np.ndarray) -> float:
@@ -78,35 +75,61 @@ def positions_of(ob: bpy.types.Object) -> np.ndarray:
     return flat.reshape(-1, 3)
 
 
-def indices_of(ob: bpy.types.Object) -> np.ndarray:
-    """Place of each vertex in the capture, [P] int32; -1 where it has none, or another's."""
+def places_of(ob: bpy.types.Object) -> np.ndarray:
+    """[P] int32, the number that each vertex got when it was imported; -1 without one."""
     out = np.full(len(ob.data.vertices), -1, np.int32)
     attribute = ob.data.attributes.get(INDEX)
-    if attribute is None or attribute.data_type != "INT" or attribute.domain != "POINT":
-        return out
-    places = np.empty_like(out)
-    attribute.data.foreach_get("value", places)
-    first = np.unique(places, return_index=True)[1]  # copies of a point carry its number too
+    if attribute is not None and attribute.data_type == "INT" and attribute.domain == "POINT":
+        attribute.data.foreach_get("value", out)
+    return out
+
+
+def unique_places(places: np.ndarray) -> np.ndarray:
+    """Place of each vertex in the capture; -1 where it has none, or another's: copies of a point
+    carry its number too."""
+    out = np.full(len(places), -1, np.int32)
+    first = np.unique(places, return_index=True)[1]
     out[first] = places[first]
     return out
 
 
+def indices_of(ob: bpy.types.Object) -> np.ndarray:
+    """The same of an object, [P] int32."""
+    return unique_places(places_of(ob))
+
+
+def linear_of(ob: bpy.types.Object) -> np.ndarray | None:
+    """[P, 4] float32, scene-linear colours of an object of points; None: they are gone."""
+    attribute = ob.data.attributes.get(COLOR)
+    if attribute is None or attribute.data_type != "FLOAT_COLOR" or attribute.domain != "POINT":
+        return None
+    rgba = np.empty(4 * len(ob.data.vertices), np.float32)
+    attribute.data.foreach_get("color", rgba)
+    return rgba.reshape(-1, 4)
+
+
+def encoded(rgba: np.ndarray) -> np.ndarray:
+    """[P, 3] uint8 sRGB of `linear_of`."""
+    linear = rgba[:, :3].clip(0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.rint(255 * encoded).astype(np.uint8)
+
+
+def lost_colors(name: str) -> str:
+    """What to tell where `linear_of` an object finds none."""
+    return f"{name} has no colour attribute {COLOR!r} any more. Import the capture again."
+
+
 def colors_of(ob: bpy.types.Object) -> np.ndarray:
-    """The colours [P, 3] uint8 sRGB of an object made by `create`.
+    """The colours [P, 3] uint8 sRGB of an object of points.
 
     Raises:
         ValueError: the attribute is gone.
     """
-    attribute = ob.data.attributes.get(COLOR)
-    if attribute is None or attribute.data_type != "FLOAT_COLOR" or attribute.domain != "POINT":
-        raise ValueError(
-            f"{ob.name} has no colour attribute {COLOR!r} any more. Import the capture again."
-        )
-    rgba = np.empty(4 * len(ob.data.vertices), np.float32)
-    attribute.data.foreach_get("color", rgba)
-    linear = rgba.reshape(-1, 4)[:, :3].clip(0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * encoded).astype(np.uint8)
+    rgba = linear_of(ob)
+    if rgba is None:
+        raise ValueError(lost_colors(ob.name))
+    return encoded(rgba)
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:

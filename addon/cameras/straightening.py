@@ -4,17 +4,18 @@ are there."""
 import os
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
 
 from ..interface.views import redraw_views
 from ..process import beat
-from .backgrounds import file_of, known_images, lead_to, straight_background
+from .backgrounds import KnownImages, file_of, lead_to, straight_background
 from .lacking import Lack, Lacking
 from .objects import is_camera
 from .straight_queue import StraightQueue
@@ -46,14 +47,20 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
                 astray.append((ob, copy))
             if not copy.is_file():
                 tasks.append(task_of(found.own, copy))
-    known = known_images() if astray else {}
-    for ob, copy in astray:
-        lead_to(ob, copy, known)
+    if astray:
+        known = KnownImages()
+        for ob, copy in astray:
+            lead_to(ob, copy, known)
+    begin(tasks)
+    return len(tasks)
+
+
+def begin(tasks: Sequence[dict[str, Any]]) -> None:
+    """Have copies made (`straightener.task_of`), the first one first."""
     if tasks:
         QUEUE.ask(tasks)
         beat.ensure()
     LACKING.expire()
-    return len(tasks)
 
 
 def wait() -> None:

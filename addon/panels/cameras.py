@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import bpy
 
+from .. import stored_paths
 from ..cameras import straightening
 from ..cameras.objects import cameras_of, points_of
 from ..cameras.photos import changeable
@@ -25,15 +26,13 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
             if not context.scene.gscore.capture_path.strip():
                 layout.label(text="Choose a capture first", icon="INFO")
                 return
-            facts = found(context)
-            row = layout.row()
-            row.enabled = facts is not None and bool(facts.kind)
-            row.operator("gscore.import_cameras", icon="CAMERA_DATA")
+            draw_import(layout, context)
             sentence(layout, context, "Training needs no import; it places the splats upright.")
             return
         cameras, points = cameras_of(empty), points_of(empty)
         count = f"{len(points.data.vertices):,}" if points else "none"
         rows(layout, [("Cameras", str(len(cameras))), ("Points", count)])
+        draw_import(layout, context, empty)
         row = layout.row(align=True)
         back = row.operator("gscore.step_camera", text="", icon="TRIA_LEFT")
         camera = context.scene.camera
@@ -53,6 +52,23 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
+
+
+def draw_import(
+    layout: bpy.types.UILayout, context: bpy.types.Context, there: bpy.types.Object | None = None
+) -> None:
+    """The button that brings cameras in, or those that are there up to date."""
+    row = layout.row()
+    if there is None:
+        facts = found(context)
+        row.enabled = facts is not None and bool(facts.kind)
+        row.operator("gscore.import_cameras", icon="CAMERA_DATA")
+        return
+    again = row.operator("gscore.import_cameras", text="Import Cameras Anew", icon="FILE_REFRESH")
+    again.capture = there.name
+    if not context.scene.gscore.capture_path.strip():
+        again.directory = stored_paths.read(there, stored_paths.SOURCE)
+        again.images = str(there.get("gs_images", "images"))
 
 
 def draw_straightening(

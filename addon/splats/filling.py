@@ -11,11 +11,11 @@ from typing import Any, Generic
 import bpy
 
 from .. import attributes
+from ..interface.temporary import Temporary
 from ..process.pieces import Pieces
 from . import objects, succession, texts, weights
 from .carried import GROUP, TEXT
 from .ready import ReadyT
-from .temporary import Temporary
 
 BUDGET = 0.008
 """Seconds of a beat in which attributes are begun; the last one may take as long again."""

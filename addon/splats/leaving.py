@@ -8,10 +8,10 @@ import bpy
 import numpy as np
 
 from .. import attributes
+from ..interface.temporary import Temporary
 from ..process.pieces import Check, Pieces, aside
 from . import carried, objects, texts, weights
 from .carried import TEXT, Column
-from .temporary import Temporary
 
 BUDGET = 0.008
 """Seconds of a step in which attributes are begun; the last one may take as long again."""

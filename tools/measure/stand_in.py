@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -28,6 +29,7 @@ def stand_in(name: str, **settings: Any) -> Any:
             setattr(made, prop.identifier, prop.default_array[:] if several else prop.default)
     for key, value in settings.items():
         setattr(made, key, value)
+    made.properties = SimpleNamespace(is_property_set=settings.__contains__)
     made.said = []
     made.report = lambda kinds, text: made.said.append(text)
     return made

@@ -316,16 +316,16 @@ def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
     as nothing else is asked for; the cameras' own is another."""
     shutil.copytree(STUDIO / "sparse", tmp_path / "studio" / "sparse")
     model = read_colmap(tmp_path / "studio")
-    own = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
+    root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
+    own = matrix_to_numpy(root.matrix_basis)
+    bpy.data.batch_remove(list(bpy.data.objects))
     stated = np.array([1.0, 2.0, 2.0]) / 3
     write_colmap(replace(model, up=stated), tmp_path / "studio" / "sparse" / "0")
     root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
     turned = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
     assert turned[2] > np.cos(np.radians(12.1))  # by so much a ground may lean
     bpy.ops.gscore.align_capture(capture=root.name, up="CAMERAS")
-    np.testing.assert_allclose(
-        matrix_to_numpy(root.matrix_basis), matrix_to_numpy(own.matrix_basis), atol=1e-5
-    )
+    np.testing.assert_allclose(matrix_to_numpy(root.matrix_basis), own, atol=1e-5)
     bpy.ops.gscore.align_capture(capture=root.name, up="CAPTURE")
     again = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
     np.testing.assert_allclose(again, turned, atol=1e-5)

@@ -338,8 +338,8 @@ def test_many_cameras_are_asked_for_at_once(
     for ob in made.cameras:
         os.utime(stated(ob).photo, (1e9, 1e9))  # so that all copies have other names
     calls = []
-    known = backgrounds.known_images
-    monkeypatch.setattr(straightening, "known_images", lambda: calls.append(1) or known())
+    known = backgrounds.KnownImages
+    monkeypatch.setattr(straightening, "KnownImages", lambda: calls.append(1) or known())
     assert straightening.ask(made.cameras) == 3 and len(calls) == 1
     straightening.QUEUE.kill()
     assert [copy_needed(ob) for ob in made.cameras] == [

@@ -1,0 +1,353 @@
+"""A capture as Blender objects: cameras with their photos, SfM points, one empty that aligns them.
+
+Everything below the empty is in the capture's own world; axes, ground and scale are the empty's
+matrix alone.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .. import attributes, stored_paths
+from ..capture.folders import same_folder
+from ..interface import writable
+from ..interface.temporary import Temporary, release
+from ..process.pieces import Pieces, aside
+from . import objects as co
+from . import sfm_points, straightening
+from .backgrounds import KnownImages, set_photo, shows_photo
+from .lookup import roots_of
+from .objects import cameras_of, points_of
+from .placing import UP, root_scale, set_root_matrix, size_drawing
+from .reading import ReadCamera, ReadCapture, ReadPoints, read
+
+BUDGET = 0.008
+"""Seconds of a piece in which cameras are begun."""
+_SAMPLES = 20
+"""Cameras that are looked at to tell whether the files have the same world as before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedCapture:
+    """What came into the scene."""
+
+    scene: bpy.types.Scene
+    root: bpy.types.Object
+    """The empty that carries the alignment."""
+    collection: bpy.types.Collection
+    """Holds it."""
+    cameras: list[bpy.types.Object]
+    """By image name."""
+    points: bpy.types.Object | None
+    """The SfM points."""
+    renewed: bool
+    """Whether it was there before."""
+    warnings: tuple[str, ...] = ()
+    """Sentences for the user."""
+
+
+def importing(
+    scene: bpy.types.Scene,
+    path: str | Path,
+    *,
+    images: str = "images",
+    photos: bool = True,
+    points: bool = True,
+    align: bool = True,
+    into: bpy.types.Object | None = None,
+) -> Pieces[ImportedCapture]:
+    """Bring a capture into the scene; nothing is there before everything is.
+
+    Where the scene has it already, its cameras and points become what the files say now: those of
+    photos that are gone go too. The empty, and all else that hangs from it, stay as they are.
+
+    Args:
+        scene: Gets everything.
+        path: A capture's folder, or a folder or file inside it.
+        images: Folder of the photos in a COLMAP capture.
+        photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn. Those
+            of lenses that bend lines are straightened in the background, in a window.
+        points: Make an object of the SfM points.
+        align: Put z up and the ground at z = 0; else the empty keeps COLMAP's axes.
+        into: The empty of the capture, which has it already; None: one of the same folder.
+
+    Raises:
+        GsError: the capture cannot be read.
+        ValueError: no view of it can be a Blender camera, or the scene is gone.
+    """
+    uid, place = scene.session_uid, Path(bpy.path.abspath(str(path)))
+    there = 0 if into is None else into.session_uid
+    wanted = {"images": images, "photos": photos, "points": points, "align": align}
+    found = yield from aside(partial(read, place, **wanted), f"Reading {place}")
+    known = KnownImages()
+    while True:
+        coming = _Coming(found, known, there)
+        try:
+            yield from coming.fill(_root_there(_scene(uid), found.source, there))
+            made = coming.arrive(_scene(uid))
+        finally:
+            coming.drop()
+            known.drop()
+        if made is not None:
+            if not bpy.app.background:
+                straightening.begin(found.copies)
+            return made
+
+
+class _Coming:
+    """Cameras and points on their way, in a collection that no scene has."""
+
+    def __init__(self, found: ReadCapture, known: KnownImages, into: int) -> None:
+        """Make the collection, with the capture's empty."""
+        self._found, self._known, self._into = found, known, into
+        self._same: set[str] = set()
+        """Images whose cameras are as the files say."""
+        self._same_photos: set[str] = set()
+        outer = bpy.data.collections.new(found.name)
+        self._temporary = Temporary(outer)
+        inner = bpy.data.collections.new(f"{found.name} cameras")
+        outer.children.link(inner)
+        root = bpy.data.objects.new(found.name, None)
+        root[co.KIND] = "capture"
+        root.empty_display_size = 0.1 * found.drawing.extent
+        set_root_matrix(root, found.matrix)
+        outer.objects.link(root)
+        for one in (inner, root):
+            self._temporary.hold(one)
+
+    def fill(self, there: bpy.types.Object | None) -> Pieces[None]:
+        """Make what is not `there`, the empty of the capture in the scene."""
+        have = {} if there is None else _by_image(cameras_of(there))
+        uids = {image: ob.session_uid for image, ob in have.items()}
+        obs = {ob.session_uid: ob for ob in have.values()}
+        until = time.perf_counter() + BUDGET
+        for done, one in enumerate(self._found.cameras):
+            if time.perf_counter() > until:
+                yield f"Importing cameras: {done} of {len(self._found.cameras)}"
+                obs = {ob.session_uid: ob for ob in bpy.data.objects} if have else {}
+                until = time.perf_counter() + BUDGET
+            if (outer := self._temporary.found()) is None:
+                return
+            uid = uids.get(one.setup.own.image)
+            if uid is None:
+                self._make(one, outer)
+            elif uid in obs:
+                self._compare(one, obs[uid])
+        if self._found.points is not None:
+            yield from self._fill_points(self._found.points)
+
+    def arrive(self, scene: bpy.types.Scene) -> ImportedCapture | None:
+        """Bring all into the scene, in one moment; None: undo, or a user, has taken it meanwhile.
+
+        Raises:
+            ValueError: the capture's points are being edited.
+        """
+        outer, found = self._temporary.found(), self._found
+        if outer is None:
+            return None
+        root = _root_there(scene, found.source, self._into)
+        renewed, warnings = root is not None, found.warnings
+        if root is None:
+            root = self._bring(outer, scene)
+        else:
+            warnings += self._renew(root, outer)
+        root["gs_images"] = found.images
+        root.pop(UP, None)
+        if found.up is not None:
+            root[UP] = found.up.tolist()
+        stored_paths.write(root, stored_paths.SOURCE, found.source)
+        return ImportedCapture(
+            scene=scene,
+            root=root,
+            collection=root.users_collection[0],
+            cameras=cameras_of(root),
+            points=points_of(root),
+            renewed=renewed,
+            warnings=warnings,
+        )
+
+    def drop(self) -> None:
+        """Remove what did not come into the scene."""
+        self._temporary.drop()
+
+    def _make(self, one: ReadCamera, outer: bpy.types.Collection) -> bpy.types.Object:
+        ob = co.make(one.setup, one.name, outer.children[0])
+        self._temporary.hold(ob)
+        size_drawing(ob.data, self._found.drawing, 1.0)
+        self._hand_photo(ob, one)
+        return ob
+
+    def _hand_photo(self, ob: bpy.types.Object, one: ReadCamera) -> None:
+        if one.photo is not None:
+            set_photo(ob, one.photo, self._known)
+        else:
+            stored_paths.write(ob, stored_paths.PHOTO, one.setup.own.photo)
+
+    def _compare(self, one: ReadCamera, ob: bpy.types.Object) -> None:
+        """Note what need not be done when all arrives, which is one piece."""
+        image = one.setup.own.image
+        if co.is_as_stated(ob, one.setup):
+            self._same.add(image)
+        if one.photo is not None and shows_photo(ob, one.photo):
+            self._same_photos.add(image)
+
+    def _fill_points(self, found: ReadPoints) -> Pieces[None]:
+        name = f"{self._found.name} points"
+        if (outer := self._temporary.found()) is None:
+            return
+        ob = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        ob[co.KIND] = "points"
+        outer.objects.link(ob)
+        self._temporary.hold(ob)
+        attributes.add_points(ob.data, found.count)
+        for step in _steps(found):
+            yield f"Importing {found.count:,} points"
+            if (outer := self._temporary.found()) is None:
+                return
+            step(_points_in(outer))
+
+    def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> bpy.types.Object:
+        """Have the scene show the collection; the empty."""
+        root = next(ob for ob in outer.objects if co.is_kind(ob, "capture"))
+        for ob in outer.all_objects:
+            if ob != root:
+                ob.parent = root
+        self._temporary.take()
+        scene.collection.children.link(outer)
+        return root
+
+    def _restate(self, one: ReadCamera, ob: bpy.types.Object, root: bpy.types.Object) -> None:
+        image = one.setup.own.image
+        if image not in self._same:
+            co.state(ob, one.setup)
+            _hang(ob, root)
+        if image not in self._same_photos:
+            self._hand_photo(ob, one)
+
+    def _renew(self, root: bpy.types.Object, outer: bpy.types.Collection) -> tuple[str, ...]:
+        """Have the capture of an empty be what was read; what to tell the user."""
+        old, new = points_of(root), _points_in(outer)
+        if new is not None and old is not None and old.mode == "EDIT":
+            raise ValueError(
+                f"{old.name} is in Edit Mode: leave it before its capture is imported."
+            )
+        cameras = cameras_of(root)
+        there = _by_image(cameras)
+        place = writable.taking(cameras[0].users_collection if cameras else root.users_collection)
+        made = _by_image(outer.children[0].objects)
+        others = _in_another_world(self._found.cameras, there)
+        scale = root_scale(root)
+        for one in self._found.cameras:
+            image = one.setup.own.image
+            ob = there.get(image)
+            if ob is None:
+                ob = made.get(image) or self._make(one, outer)
+                _move(ob, outer.children[0], place[0])
+                _hang(ob, root)
+            else:
+                self._restate(one, ob, root)
+            size_drawing(ob.data, self._found.drawing, scale)
+        wanted = {one.setup.own.image for one in self._found.cameras}
+        _remove([ob for ob in cameras if ob.get("gs_image") not in wanted])
+        if new is not None and old is not None:
+            _exchange(old, new)
+        elif new is not None:
+            _move(new, outer, writable.taking(root.users_collection)[0])
+            _hang(new, root)
+        return others
+
+
+def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
+    """Of copies that a user made the first, by name, counts."""
+    return {str(ob.get("gs_image")): ob for ob in reversed(list(cameras))}
+
+
+def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
+    """What makes an object of points complete, a short piece each."""
+    for name, kind, values in found.columns:
+        yield lambda ob, name=name, kind=kind: attributes.declare(ob.data, name, kind)
+        yield lambda ob, given=(name, kind, values): attributes.fill(ob.data, *given)
+    yield lambda ob: sfm_points.complete(ob.data)
+    yield lambda ob: sfm_points.display(ob, found.radius)
+
+
+def _points_in(outer: bpy.types.Collection) -> bpy.types.Object | None:
+    return next((ob for ob in outer.objects if co.is_kind(ob, "points")), None)
+
+
+def _move(ob: bpy.types.Object, before: bpy.types.Collection, after: bpy.types.Collection) -> None:
+    """From a temporary collection to one of the scene."""
+    release(ob)
+    after.objects.link(ob)
+    before.objects.unlink(ob)
+
+
+def _hang(ob: bpy.types.Object, root: bpy.types.Object) -> None:
+    """Put an object directly below the capture's empty."""
+    ob.parent, ob.parent_type = root, "OBJECT"
+    ob.matrix_parent_inverse.identity()
+
+
+def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
+    """Give an object of points the points of another one; how it is shown stays."""
+    mesh = old.data
+    name = mesh.name
+    old.data = new.data
+    if not mesh.users:
+        bpy.data.meshes.remove(mesh)
+    old.data.name = name
+
+
+def _remove(cameras: list[bpy.types.Object]) -> None:
+    if cameras:
+        data = {ob.data for ob in cameras if ob.data.users == 1}
+        bpy.data.batch_remove([*cameras, *data])
+
+
+def _in_another_world(
+    cameras: Sequence[ReadCamera], there: dict[str, bpy.types.Object]
+) -> tuple[str, ...]:
+    """A sentence where most photos were taken from elsewhere than it was stated before."""
+    known = [one.setup.own for one in cameras if one.setup.own.image in there]
+    some = known[:: max(1, len(known) // _SAMPLES)]
+    moved = 0
+    for own in some:
+        before = np.array(there[own.image].get("gs_viewmat", ()), np.float64)
+        moved += before.shape != (16,) or not np.allclose(before, own.viewmat.ravel(), atol=1e-4)
+    if 2 * moved <= len(some):
+        return ()
+    return (
+        "The files have the photos elsewhere than before. Align to Ground turns the capture anew; "
+        "splats that were trained before may no longer fit.",
+    )
+
+
+def _root_there(scene: bpy.types.Scene, source: Path, into: int) -> bpy.types.Object | None:
+    """The empty of a capture that the scene has, and that may be changed."""
+    roots = [root for root in roots_of(scene) if _may_change(root)]
+    asked = (root for root in roots if root.session_uid == into)
+    return next(asked, None) or next((root for root in roots if _is_of(root, source)), None)
+
+
+def _is_of(root: bpy.types.Object, source: Path) -> bool:
+    own = stored_paths.read(root, stored_paths.SOURCE)
+    return bool(own) and same_folder(Path(own), source)
+
+
+def _may_change(root: bpy.types.Object) -> bool:
+    """Whether a capture is all of this file, and no override."""
+    obs = [root, *cameras_of(root), *filter(None, [points_of(root)])]
+    blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
+    return all(block.library is None and block.override_library is None for block in blocks)
+
+
+def _scene(uid: int) -> bpy.types.Scene:
+    found = next((scene for scene in bpy.data.scenes if scene.session_uid == uid), None)
+    if found is None:
+        raise ValueError("The scene that cameras were imported into is gone; import them again.")
+    return found

@@ -1,0 +1,200 @@
+"""What an import needs of a capture, read and worked out in any thread; asks bpy for no data."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core import (
+    NO_PINHOLE,
+    ColmapCamera,
+    DataConfig,
+    GsError,
+    Undistortion,
+    View,
+    find_capture,
+    plan_undistortion,
+    read_capture,
+)
+from ..interface.flags import error_words, panel_words
+from ..process.pieces import Check
+from . import alignment, sfm_points
+from . import objects as co
+from .backgrounds import Photo, photo_on_disk
+from .placing import Drawing, centers_of, drawing_of
+from .straightener import task_of
+
+FAR = 1e4
+"""Distance of a capture from its origin, in extents, at which single precision shows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadCamera:
+    """A camera that is to be made."""
+
+    name: str
+    """Of the object."""
+    setup: co.Setup
+    photo: Photo | None
+    """None: it is not wanted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadPoints:
+    """The SfM points."""
+
+    count: int
+    columns: tuple[tuple[str, str, np.ndarray], ...]
+    """As `sfm_points.columns`."""
+    radius: float
+    """As `sfm_points.display`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadCapture:
+    """A capture that was read."""
+
+    source: Path
+    """Its folder or file, absolute."""
+    images: str
+    """Folder of the photos."""
+    up: np.ndarray | None
+    """[3] where its files state it."""
+    matrix: np.ndarray
+    """[4, 4] that aligns it."""
+    cameras: tuple[ReadCamera, ...]
+    """By image name."""
+    points: ReadPoints | None
+    """None: there are none, or they are not wanted."""
+    drawing: Drawing
+    copies: tuple[dict[str, Any], ...]
+    """Tasks of straightened copies that are lacking."""
+    warnings: tuple[str, ...]
+    """Sentences for the user."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in Blender."""
+        source = self.source.parent if self.source.is_file() else self.source
+        return source.name or "Capture"
+
+
+def read(
+    path: Path, check: Check, *, images: str, photos: bool, points: bool, align: bool
+) -> ReadCapture:
+    """Read a capture.
+
+    Args:
+        path: Its folder, or a folder or file inside it.
+        check: Raises where it is no longer wanted.
+        images: As `captures.import_capture`; so are the others.
+
+    Raises:
+        GsError: it cannot be read.
+        ValueError: no view of it can be a Blender camera.
+    """
+    source = find_capture(path).absolute()
+    capture = read_capture(DataConfig(source=source, images=images), photos_required=False)
+    check()
+    views = sorted(capture.views, key=lambda view: view.name)
+    usable = [view for view in views if view.camera.model not in NO_PINHOLE]
+    if not usable:
+        raise ValueError(f"{source} has only panoramas. Cut them into pinhole views with COLMAP.")
+    viewmats = np.stack([view.viewmat for view in usable])
+    finite = np.isfinite(capture.points.points).all(axis=1)
+    cloud = capture.points.points[finite]
+    matrix = alignment.align(viewmats, cloud, capture.up).matrix if align else np.eye(4)
+    check()
+    lenses, cameras, copies = _Lenses(), [], []
+    for view in usable:
+        check()
+        own = _stated(view, lenses.undistortion(view.camera))
+        photo = photo_on_disk(own, Path(view.image)) if photos else None
+        copy = None if photo is None or photo.shown == photo.file else photo.shown
+        if copy is not None and not copy.is_file():
+            copies.append(task_of(own, copy))
+        cameras.append(ReadCamera(name=Path(view.name).stem, setup=co.setup_of(own), photo=photo))
+    centers = centers_of(viewmats)
+    found = None
+    if points and len(cloud):
+        columns = sfm_points.columns(cloud, capture.points.colors[finite], np.flatnonzero(finite))
+        radius = sfm_points.point_radius(cloud, centers)
+        found = ReadPoints(count=len(cloud), columns=columns, radius=radius)
+    said = map(panel_words, capture.warnings)
+    return ReadCapture(
+        source=source,
+        images=images,
+        up=capture.up,
+        matrix=matrix,
+        cameras=tuple(cameras),
+        points=found,
+        drawing=drawing_of(centers),
+        copies=tuple(copies),
+        warnings=(*said, *lenses.problems, *_warnings(views, centers)),
+    )
+
+
+class _Lenses:
+    """The lenses of a capture, each looked at once."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        """Of lenses that cannot be straightened, sentences."""
+        self._known: dict[tuple, Undistortion | None] = {}
+
+    def undistortion(self, camera: ColmapCamera) -> Undistortion | None:
+        """How to straighten a camera's photos; None: they are straight, or cannot be."""
+        key = (camera.model, camera.width, camera.height, *camera.params.tolist())
+        if key not in self._known:
+            try:
+                self._known[key] = plan_undistortion(camera)
+            except GsError as error:
+                self._known[key] = None
+                self.problems.append(
+                    f"{error_words(error)} Until then its photos do not fit their cameras."
+                )
+        return self._known[key]
+
+
+def _stated(view: View, plan: Undistortion | None) -> co.PhotoCamera:
+    camera = view.camera
+    seen = camera if plan is None else plan
+    return co.PhotoCamera(
+        image=view.name,
+        photo=str(view.image),
+        viewmat=view.viewmat,
+        K=seen.K,
+        width=seen.width,
+        height=seen.height,
+        model=camera.model,
+        params=tuple(camera.params.tolist()),
+        photo_size=None if plan is None else (camera.width, camera.height),
+    )
+
+
+def _warnings(views: list[View], centers: np.ndarray) -> list[str]:
+    out = []
+    usable = [view for view in views if view.camera.model not in NO_PINHOLE]
+    if len(usable) < len(views):
+        out.append(
+            f"{len(views) - len(usable)} panoramas were left out: Blender has no K for them."
+        )
+    Ks = np.stack([view.camera.K for view in usable])
+    if np.abs(Ks[:, 1, 1] / Ks[:, 0, 0] - 1).max() > 1e-3:
+        out.append(
+            "fx and fy differ. Blender keeps pixel aspect per scene: choose cameras with Use "
+            "Camera, which sets it."
+        )
+    if len({(view.camera.width, view.camera.height) for view in usable}) > 1:
+        out.append(
+            "The photos differ in size. Blender keeps resolution per scene: choose cameras with "
+            "Use Camera, which sets it."
+        )
+    extent = alignment.camera_extent(centers)
+    if extent > 0 and np.linalg.norm(centers, axis=1).max() > FAR * extent:
+        out.append(
+            "The capture lies far from its origin, where Blender's single precision moves cameras "
+            "visibly. Recentre the model with COLMAP's model_transformer."
+        )
+    return out

@@ -1,0 +1,283 @@
+"""Cameras that come bit by bit, and anew. Oracle: the files, and the same import at once."""
+
+import shutil
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.cameras import captures, importing, placing, sfm_points
+from addon.cameras import objects as co
+from addon.cameras.backgrounds import file_of, photo_of
+from addon.cameras.objects import cameras_of, points_of
+from addon.compat import matrix_to_numpy
+from addon.core import read_colmap, write_colmap
+from addon.panels.cameras import CamerasPanel
+from addon.process.pieces import Going
+from tests.addon.captures import STUDIO
+from tests.addon.drawn import drawn
+from tools.measure.stand_in import stand_in
+
+KINDS = ("objects", "cameras", "meshes", "collections", "images", "scenes")
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One camera a piece."""
+    monkeypatch.setattr(importing, "BUDGET", 0.0)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A capture that may be changed."""
+    shutil.copytree(STUDIO, tmp_path / "studio")
+    return tmp_path / "studio"
+
+
+def counts() -> dict[str, int]:
+    """How many datablocks there are."""
+    return {kind: len(getattr(bpy.data, kind)) for kind in KINDS}
+
+
+def state() -> dict[str, Any]:
+    """All that an import makes, and what else stands in the scene."""
+    found: dict[str, Any] = {}
+    for ob in bpy.context.scene.objects:
+        props = {k: v.to_list() if hasattr(v, "to_list") else v for k, v in ob.items()}
+        stands = [tuple(row) for row in ob.matrix_basis], ob.parent and ob.parent.name
+        found[ob.name] = props, stands, [c.name for c in ob.users_collection]
+        if ob.type == "CAMERA":
+            image = photo_of(ob)
+            found[f"{ob.name} lens"] = co.lens_of(ob.data), image and file_of(image)
+            found[f"{ob.name} drawn"] = ob.data.display_size, ob.data.clip_start, ob.data.name
+        if ob.type == "MESH":
+            found[f"{ob.name} points"] = [
+                read(ob).tobytes() for read in (sfm_points.positions_of, sfm_points.colors_of)
+            ]
+            found[f"{ob.name} shown"] = [m.node_group.name for m in ob.modifiers], ob.hide_render
+    return found
+
+
+def going(**settings: Any) -> Going:
+    """The operator in a window, nothing done."""
+    return Going(stand_in("import_cameras", **settings).pieces(bpy.context))
+
+
+def until(work: Going, ends: Callable[[], bool]) -> bool:
+    """Go on until something holds, or all is done; whether that is so."""
+    for _ in range(10_000):
+        if ends():
+            return False
+        if work.step():
+            return True
+        threading.Event().wait(0.0005)
+    raise AssertionError("it never ends")
+
+
+def half() -> bool:
+    """Whether some of the cameras are made."""
+    return len(bpy.data.cameras) > 30
+
+
+def test_bit_by_bit_as_at_once(scene, folder: Path) -> None:
+    """To the bit; the scene shows nothing of it meanwhile, and pieces tell how far it is."""
+    captures.import_capture(scene, folder)
+    at_once = state()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    work = going(directory=str(folder))
+    assert not until(work, half)
+    assert not bpy.context.scene.objects and "of 60" in work.sentence
+    assert until(work, lambda: False)
+    assert work.result == "studio: 60 cameras, 6,725 points"
+    assert state() == at_once and bpy.context.object.name == "studio"
+    assert not any("gs_temporary" in one for one in bpy.data.collections)
+
+
+@pytest.mark.parametrize("name", ["reading", "cameras", "points"])
+def test_given_up(scene, folder: Path, name: str) -> None:
+    """Oracle: the counts of all data before."""
+    before = counts()
+    work = going(directory=str(folder))
+    until(work, {"reading": lambda: True, "cameras": half, "points": _points_come}[name])
+    work.cancel()
+    assert counts() == before
+    scene.gscore.capture_path = str(folder)
+    captures.import_capture(scene, folder)
+    there, seen = counts(), state()
+    shutil.rmtree(folder / "images")
+    work = going(directory=str(folder))
+    until(work, {"reading": lambda: True, "cameras": _begun, "points": _points_come}[name])
+    work.cancel()
+    assert counts() == there and state() == seen
+
+
+def _begun() -> bool:
+    return any("gs_temporary" in one for one in bpy.data.collections)
+
+
+def _points_come() -> bool:
+    own = [one for one in bpy.data.collections if "gs_temporary" in one]
+    return any(co.is_kind(ob, "points") for one in own for ob in one.objects)
+
+
+def test_what_undo_takes_comes_again(scene, folder: Path) -> None:
+    """Oracle: the import at once."""
+    captures.import_capture(scene, folder)
+    at_once = state()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.ed.undo_push(message="start")
+    bpy.context.scene.frame_end = 77
+    bpy.ops.ed.undo_push(message="a frame")
+    work = going(directory=str(folder))
+    until(work, half)
+    bpy.ops.ed.undo_push(message="meanwhile")
+    bpy.ops.ed.undo()
+    bpy.ops.ed.undo()
+    assert not _begun() and bpy.context.scene.frame_end != 77
+    until(work, lambda: False)
+    assert state() == at_once
+    bpy.ops.ed.undo_push(message="imported")
+    bpy.ops.ed.undo()
+    assert not bpy.context.scene.objects and not _begun()
+
+
+def test_redo_of_what_was_there_meanwhile(scene, folder: Path) -> None:
+    """Oracle: nothing of ours, where a step that was made meanwhile comes back."""
+    bpy.ops.ed.undo_push(message="start")
+    work = going(directory=str(folder))
+    until(work, half)
+    bpy.ops.ed.undo_push(message="meanwhile")
+    until(work, lambda: False)
+    bpy.ops.ed.undo_push(message="imported")
+    bpy.ops.ed.undo()
+    assert not bpy.data.cameras and not _begun()
+
+
+def test_a_file_that_is_saved_meanwhile(scene, folder: Path, tmp_path: Path) -> None:
+    """Oracle: the file that was opened again."""
+    work = going(directory=str(folder))
+    until(work, half)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    work.cancel()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert not bpy.data.objects and not bpy.data.cameras and not _begun()
+
+
+def test_a_scene_that_is_gone(scene, folder: Path) -> None:
+    """Oracle: a sentence; nothing is left."""
+    bpy.ops.scene.new()
+    work = going(directory=str(folder))
+    until(work, half)
+    bpy.data.scenes.remove(bpy.context.scene)
+    with pytest.raises(ValueError, match="scene that cameras were imported into is gone"):
+        until(work, lambda: False)
+    assert not bpy.data.objects and not bpy.data.cameras and not _begun()
+
+
+def test_anew(scene, folder: Path) -> None:
+    """Oracle: what the files say now. What is the user's stays: the empty with its alignment, what
+    hangs from it, names, collections, and what looks at a camera."""
+    made = captures.import_capture(scene, folder, align=False)
+    placing.set_extent(made.root, 12.5)
+    model, listed = read_colmap(folder), made.cameras
+    matrix = matrix_to_numpy(made.root.matrix_basis)
+    splats = bpy.data.objects.new("splats", None)
+    scene.collection.objects.link(splats)
+    splats.parent, scene.camera = made.root, listed[5]
+    own = bpy.data.collections.new("own")
+    scene.collection.children.link(own)
+    own.objects.link(listed[6])
+    listed[5].name, listed[5].location.x, listed[6].data.lens = "hero", 99.0, 12.0
+    listed[7].data.dof.use_dof = True
+    del listed[8]["gs_K"]
+    bpy.data.cameras.remove(listed[9].data)  # and the object
+    gone = listed[10].name
+    made.points.hide_viewport, made.points.name = True, "cloud"
+    made.points.data.vertices.add(3)
+    images = [replace(one, tvec=one.tvec + 0.5) for one in model.images[:30]]
+    kept = [*images, *(one for one in model.images[30:])]
+    write_colmap(
+        replace(model, images=[one for one in kept if one.name != "view_010.jpg"]),
+        folder / "sparse" / "0",
+    )
+    again = captures.import_capture(scene, folder)
+    assert again.renewed and again.root == made.root and len(again.cameras) == 59
+    np.testing.assert_array_equal(matrix_to_numpy(again.root.matrix_basis), matrix)
+    assert splats.parent == again.root and gone not in bpy.data.objects
+    assert scene.camera.name == "hero" and own in again.cameras[6].users_collection
+    assert again.cameras[7].data.dof.use_dof and "view_009" in bpy.data.objects
+    by_name = {image.name: image for image in read_colmap(folder).images}
+    for ob in again.cameras:
+        stated = co.stated(ob)
+        np.testing.assert_array_equal(stated.viewmat, by_name[stated.image].viewmat)
+        assert not co.is_moved(ob, stated) and not co.is_lens_changed(ob.data, stated)
+        assert ob.data.clip_end == pytest.approx(again.cameras[0].data.clip_end)
+        assert photo_of(ob) is not None
+    assert again.points.name == "cloud" and again.points.hide_viewport
+    assert len(again.points.data.vertices) == len(model.points)
+    assert "elsewhere than before" in again.warnings[-1]
+    assert [one.name for one in bpy.data.collections if "studio" in one.name] == [
+        "studio",
+        "studio cameras",
+    ]
+    assert len(bpy.data.meshes) == 1 and len(bpy.data.cameras) == 59
+    before = state()
+    third = captures.import_capture(scene, folder)
+    assert state() == before and len(third.warnings) == len(again.warnings) - 1
+
+
+def test_points_that_are_edited(scene, folder: Path) -> None:
+    """Oracle: a sentence; nothing is changed."""
+    made = captures.import_capture(scene, folder)
+    bpy.context.view_layer.objects.active = made.points
+    bpy.ops.object.mode_set(mode="EDIT")
+    before = counts()
+    with pytest.raises(RuntimeError, match="studio points is in Edit Mode"):
+        bpy.ops.gscore.import_cameras(directory=str(folder))
+    assert counts() == before
+
+
+def test_anew_is_one_undo_step(scene, folder: Path) -> None:
+    """Oracle: the camera as it was moved by hand."""
+    bpy.ops.gscore.import_cameras(directory=str(folder))
+    cameras_of(bpy.context.object)[0].location.x = 99
+    bpy.ops.ed.undo_push(message="moved")
+    bpy.ops.gscore.import_cameras(directory=str(folder))
+    root = bpy.context.object
+    assert cameras_of(root)[0].location.x != 99 and len(cameras_of(root)) == 60
+    bpy.ops.ed.undo_push(message="anew")
+    bpy.ops.ed.undo()
+    root = bpy.data.objects["studio"]
+    assert cameras_of(root)[0].location.x == 99 and len(bpy.data.cameras) == 60
+
+
+def test_the_button_stays(scene, folder: Path, tmp_path: Path) -> None:
+    """Oracle: what the panel draws; one set of cameras, also where the capture has moved."""
+    scene.gscore.capture_path = str(folder)
+    bpy.ops.gscore.import_cameras()
+    assert "(Import Cameras Anew)" in drawn(CamerasPanel)
+    moved = folder.rename(tmp_path / "elsewhere")
+    scene.gscore.capture_path = str(moved)
+    bpy.ops.gscore.import_cameras(capture="studio")
+    assert len(bpy.data.cameras) == 60
+    root = bpy.data.objects["studio"]
+    assert Path(root["gs_source"]) == moved and points_of(root) is not None
+    assert Path(co.stated(cameras_of(root)[0]).photo).is_file()
+
+
+def test_file_import_has_it(scene) -> None:
+    """Oracle: the entry of Blender's menu asks for a folder."""
+    from types import SimpleNamespace
+
+    from addon.cameras import operators
+    from tests.addon.drawn import Layout
+
+    layout = Layout()
+    operators._draw_import(SimpleNamespace(layout=layout), bpy.context)
+    assert layout.notes == ["(COLMAP or NeRF Cameras (capture folder))"]
+    assert operators._draw_import in bpy.types.TOPBAR_MT_file_import.draw._draw_funcs
