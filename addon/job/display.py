@@ -10,6 +10,7 @@ from ..cameras.objects import note_moves
 from ..capture.folders import same_folder
 from ..interface import undo, writable
 from ..interface.flags import error_words
+from ..nodes import display as display_nodes
 from ..paths import absolute, output_folder
 from ..splats.error_maps import drop_maps
 from ..splats.filling import Filling, replace
@@ -134,6 +135,9 @@ def _update_splats(job: Job, place: Place) -> bool:
             _give_up(job, loaded, loaded.problem)
             return True
         job.filling = Filling(loaded)
+        if ob is None:
+            job.chores = display_nodes.builders()  # another file may be open than at the start
+            return True
     filling = job.filling
     if not filling.loaded.final and (job.result_requested or not place.scene.gscore.live_splats):
         filling.drop()  # late

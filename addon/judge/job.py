@@ -1,7 +1,8 @@
 """The measuring of a run beside Blender: how far it is and what came out; no bpy."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..capture.figures import MEASURED, Figures
 from ..core import EvalDone, EvalProgress, Event
@@ -24,6 +25,8 @@ class ErrorsJob(VerbJob):
         self.loader = Loader()
         self.filling = None
         """The map on its way into the open file."""
+        self.chores: list[Callable[[], Any]] = []
+        """What is to be made ready in it before, one at a beat."""
         super().__init__(python, arguments, source=source)
 
     @property

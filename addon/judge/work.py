@@ -12,6 +12,7 @@ from ..capture.figures import MEASURED
 from ..interface import undo
 from ..interface.flags import error_words
 from ..job.launch import follow, launch
+from ..nodes import display as display_nodes
 from ..process import beat
 from ..splats import objects
 from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
@@ -88,7 +89,10 @@ def bring_in(job: ErrorsJob) -> bool:
             job.wanted = False
             job.warnings.append(loaded.problem)
             return True
-        job.filling = Filling(loaded)
+        job.filling, job.chores = Filling(loaded), display_nodes.builders()
+    if job.chores:
+        job.chores.pop(0)()
+        return True
     mesh = job.filling.step()
     if mesh is None:
         return True

@@ -8,7 +8,7 @@ import numpy as np
 from .. import attributes
 from ..interface import writable
 from ..process.pieces import Check, Pieces, aside
-from . import objects
+from . import objects, settings
 from .filling import Filling, filled
 from .leaving import leaving
 from .ready import Points
@@ -24,6 +24,7 @@ def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
     name, uid = cloud.name, cloud.session_uid
     found = yield from leaving(cloud)
     size = yield from aside(partial(_size, found), f"Looking at {name}")
+    yield from settings.building()
     [mesh] = yield from filled([Filling(_points(found))], partial(_cloud, uid, name))
     return _stand(mesh, size, _cloud(uid, name))
 

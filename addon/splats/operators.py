@@ -275,15 +275,21 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
         return f"One scale for all axes: {', '.join(changed)}." if changed else "It is even."
 
 
-class ResetDisplay(OnSplats, bpy.types.Operator):
+class ResetDisplay(Stepping, OnSplats, bpy.types.Operator):
     """Add the display modifier again after it was removed, or bring it up to date"""
 
     bl_idname = "gscore.reset_display"
     bl_label = "Restore Display"
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Attach."""
-        settings.attach(meant(context))
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Build it where the file has none, then attach it."""
+        ob = meant(context)
+        name, uid = ob.name, ob.session_uid
+        yield from settings.building()
+        found = next((ob for ob in bpy.data.objects if ob.session_uid == uid), None)
+        if found is None:
+            raise ValueError(f"{name} is gone; its display was not restored.")
+        settings.attach(found)
         return ""
 
 

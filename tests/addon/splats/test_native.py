@@ -12,12 +12,14 @@ from addon.compat import splat_cloud_type
 from addon.core import Splats, read_splats, transform_splats, write_splat_file
 from addon.nodes import display
 from addon.panels import result
+from addon.process.pieces import Going
 from addon.render import ignored
-from addon.splats import objects
+from addon.splats import objects, settings
 from addon.splats.filters import visible_mask
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.splats.test_operators import close
+from tools.measure.stand_in import stand_in
 
 Make = Callable[..., Splats]
 COUNT = 300
@@ -173,3 +175,20 @@ def test_the_engine_renders_blenders_splats(scene: bpy.types.Scene, tmp_path: Pa
     wanted = lab.render_exr(tmp_path, "ours")
     assert wanted.max() > 0.1
     np.testing.assert_array_equal(found, wanted)
+
+
+@needs_resize
+def test_the_display_is_built_in_parts(
+    scene: bpy.types.Scene, make_splats: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: how many node groups and materials there are after each piece."""
+    theirs(scene, make_splats(COUNT))
+    for block in [*bpy.data.node_groups, *bpy.data.materials]:
+        bpy.data.batch_remove([block])
+    monkeypatch.setattr(settings, "_BUDGET", 0.0)
+    going = Going(stand_in("take_native_splats").pieces(bpy.context))
+    counts = [0]
+    while not going.step():
+        counts.append(len(bpy.data.node_groups) + len(bpy.data.materials))
+    assert counts[-1] > 8 and np.diff(counts).max() <= 2
+    assert display.modifier_of(bpy.context.object).node_group == display.group()
