@@ -30,7 +30,14 @@ from .export_sources import (
     reading_points,
     source_of,
 )
-from .export_views import Exported, ExportView, Graph, collecting, kept_lenses
+from .export_views import (
+    Exported,
+    ExportView,
+    Graph,
+    all_or_none,
+    collecting,
+    kept_lenses,
+)
 
 
 def export_colmap(
@@ -109,8 +116,8 @@ def _write(
             f"they were imported, without observations."
         )
     written = ColmapModel(cameras=table, images=images, points=cloud)
-    check()
-    write_colmap(written, folder, binary=binary)
+    with all_or_none(check):
+        write_colmap(written, folder, binary=binary)
     return Exported(
         path=folder,
         views=len(views),

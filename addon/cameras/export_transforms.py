@@ -19,7 +19,14 @@ from .export_sources import (
     reading_points,
     source_of,
 )
-from .export_views import Exported, ExportView, Graph, collecting, kept_lenses
+from .export_views import (
+    Exported,
+    ExportView,
+    Graph,
+    all_or_none,
+    collecting,
+    kept_lenses,
+)
 
 POINTS = "sparse_pc.ply"
 """The name nerfstudio gives the points."""
@@ -95,10 +102,11 @@ def _write(
         )
     further = {"ply_file_path": POINTS} if len(points) else {}
     text = transforms_text(views, path.parent, further)
-    check()
-    if len(points):
-        atomic_write(path.with_name(POINTS), _ply(points))
-    atomic_write(path, text.encode())
+    ply = _ply(points) if len(points) else b""
+    with all_or_none(check):
+        if ply:
+            atomic_write(path.with_name(POINTS), ply)
+        atomic_write(path, text.encode())
     return Exported(
         path=path,
         views=len(views),

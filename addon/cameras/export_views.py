@@ -5,15 +5,16 @@ single precision.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import bpy
 import numpy as np
 
-from ..core import ColmapCamera
-from ..process.pieces import Pieces, at_once
+from ..core import ColmapCamera, given_up_by
+from ..process.pieces import Check, Pieces, at_once
 from . import formulas as cm
 from . import objects as co
 from .straight import lens_of
@@ -148,6 +149,14 @@ class _Watched:
             raise ValueError(
                 "The frame was changed while cameras were exported: export them again."
             )
+
+
+@contextmanager
+def all_or_none(check: Check) -> Iterator[None]:
+    """Within it several files are written: none where the export was given up before the first."""
+    first = iter([check])
+    with given_up_by(lambda: next(first, lambda: None)()):
+        yield
 
 
 def kept_lenses(views: Sequence[ExportView]) -> list[str]:

@@ -47,12 +47,13 @@ def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str
     return _shown
 
 
-class ImportCameras(Stepping, OnScene, OnCapture, bpy.types.Operator):
+class ImportCameras(Stepping, OnScene, bpy.types.Operator):
     """Bring a capture's cameras, photos and SfM points into the scene. Where they are there, they
     become what the capture's files say now; alignment and splats stay"""
 
     bl_idname = "gscore.import_cameras"
     bl_label = "Import Cameras"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
         name="Capture",
@@ -87,6 +88,12 @@ class ImportCameras(Stepping, OnScene, OnCapture, bpy.types.Operator):
         "the lines from each camera to its capture",
     )
 
+    capture: StringProperty(
+        name="Anew",
+        description="Name of the empty of a capture whose cameras are imported anew; empty: one of "
+        "the same folder",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
     browse: BoolProperty(
         name="Browse",
         description="Ask for the folder, though the Capture panel names one",

@@ -61,6 +61,7 @@ def following_verb(
     *,
     bring_in: Callable[[VerbJobT], bool] | None = None,
     wanted: Callable[[VerbJobT], bool] | None = None,
+    hurries: Callable[[VerbJobT], bool] | None = None,
 ) -> "Following":
     """What follows the jobs of a verb.
 
@@ -69,6 +70,7 @@ def following_verb(
         ended: Is called when one has ended: what was looked up before may differ.
         bring_in: What else a beat does for a job that told nothing; whether panels changed.
         wanted: Whether a job that ended is still to be brought in; None: never.
+        hurries: Whether it is on its way in, so that the next beat should come soon; None: never.
     """
 
     def collect() -> bool:
@@ -85,7 +87,10 @@ def following_verb(
     def waits() -> bool:
         return jobs.waits() or (wanted is not None and any(map(wanted, jobs.jobs())))
 
-    return Following([beat.Follower(collect, waits)], jobs.leave_all)
+    def soon() -> bool:
+        return hurries is not None and any(map(hurries, jobs.jobs()))
+
+    return Following([beat.Follower(collect, waits, soon)], jobs.leave_all)
 
 
 class Following:

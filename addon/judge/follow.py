@@ -11,5 +11,11 @@ def _wanted(job: ErrorsJob) -> bool:
     return job.wanted
 
 
-_FOLLOWING = following_verb(JOBS, lookups.figures.expire, bring_in=work.bring_in, wanted=_wanted)
+def _hurries(job: ErrorsJob) -> bool:
+    return job.filling is not None
+
+
+_FOLLOWING = following_verb(
+    JOBS, lookups.figures.expire, bring_in=work.bring_in, wanted=_wanted, hurries=_hurries
+)
 on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..core import Event, FramesDone, FramesProgress, SfmDone, SfmEstimated, SfmProgress
 from ..job.verb_job import VerbJob
+from ..process.pieces import Going
 
 
 class SearchJob(VerbJob):
@@ -44,6 +45,8 @@ class SearchJob(VerbJob):
         self.done: SfmDone | None = None
         self.wanted = False
         """Whether the cameras have to be brought into the scene."""
+        self.coming: Going | None = None
+        """They, on their way into it."""
         self._began = time.monotonic()
         super().__init__(python, arguments, source=source)
 

@@ -9,9 +9,11 @@ from bpy.props import BoolProperty, StringProperty
 from ..core import VIDEO_ENDINGS
 from ..interface.operators import OnScene
 from ..interface.sidebar import choose_tab, in_turn, open_sidebar
+from ..interface.stepping import Stepping
 from ..job.verb_job import FAILED
 from ..job.verb_operators import Cancelling
 from ..paths import relative
+from ..process.pieces import Pieces
 from . import work
 from .job import SearchJob
 
@@ -54,7 +56,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         return ""
 
 
-class FindCameras(OnScene, bpy.types.Operator):
+class FindCameras(Stepping, OnScene, bpy.types.Operator):
     """Find out where each photo was taken, in the background; Blender stays free.
     Of a video, sharp frames are taken first"""
 
@@ -68,14 +70,18 @@ class FindCameras(OnScene, bpy.types.Operator):
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Start."""
-        job = work.find(context.scene, wait=self.wait, warn=self.warn)
-        if job is None:
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Start; or bring in what was found before."""
+        scene = context.scene
+        if (capture := work.found_before(scene)) is not None:
+            self.warn((yield from work.arriving(scene, capture)))
             return "These cameras were found before; they are brought in."
+        job = work.find(scene, wait=self.wait)
+        if job is None or not job.ended:
+            return ""
         if job.status == FAILED:
             raise ValueError(job.sentence)
-        return job.sentence if job.ended else ""
+        return job.sentence
 
 
 class CancelSearch(Cancelling, bpy.types.Operator):

@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 
 from .. import preferences
-from ..cameras.captures import import_capture
 from ..cameras.choosing import choose
+from ..cameras.importing import importing
 from ..cameras.lookup import chosen_root
 from ..capture.folders import same_folder
 from ..core import GsError, capture_beside
@@ -17,6 +17,7 @@ from ..job import facts, lookups, options
 from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
 from ..process import beat
+from ..process.pieces import Going, Pieces, at_once
 from .job import SearchJob
 from .registry import JOBS
 
@@ -44,6 +45,33 @@ def find(
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
     """
+    source, capture, is_there = _places(scene)
+    if is_there:
+        warn(at_once(arriving(scene, capture)))
+        return None
+    arguments = options.search(
+        scene.gscore, source=source, capture=capture, threads=preferences.get().threads
+    )
+    places = {"source": source, "capture": capture, "scene_uid": scene.session_uid}
+    job = launch(lambda program: SearchJob(program, arguments, **places), python)
+    JOBS.add(job)
+    beat.ensure()
+    follow(lambda: wait and (not job.ended or job.wanted))
+    return job
+
+
+def found_before(scene: bpy.types.Scene) -> Path | None:
+    """The capture that was made of the scene's photos or video before; None: there is none.
+
+    Raises:
+        ValueError: as `find`.
+    """
+    _, capture, is_there = _places(scene)
+    return capture if is_there else None
+
+
+def _places(scene: bpy.types.Scene) -> tuple[Path, Path, bool]:
+    """The photos or video, the capture that is made of them, and whether that is there."""
     source = capture_folder(scene)
     found, problem = facts.look_again(scene)
     if found is None or not found.bare:
@@ -53,18 +81,7 @@ def find(
     if (other := JOBS.of_source(source)) is not None and not other.ended:
         raise ValueError(f"The cameras of {source} are being looked for already.")
     beside = capture_beside(source)
-    if beside.is_there:
-        warn(_arrive(scene, beside.capture))
-        return None
-    arguments = options.search(
-        scene.gscore, source=source, capture=beside.capture, threads=preferences.get().threads
-    )
-    places = {"source": source, "capture": beside.capture, "scene_uid": scene.session_uid}
-    job = launch(lambda program: SearchJob(program, arguments, **places), python)
-    JOBS.add(job)
-    beat.ensure()
-    follow(lambda: wait and (not job.ended or job.wanted))
-    return job
+    return source, beside.capture, beside.is_there
 
 
 def job_of(scene: bpy.types.Scene) -> SearchJob | None:
@@ -79,26 +96,33 @@ def job_of(scene: bpy.types.Scene) -> SearchJob | None:
 
 
 def bring_in(job: SearchJob) -> bool:
-    """Bring in what a search has found, when nothing is in the way; whether it did.
+    """Do the next step on the way of what a search has found into the scene, when nothing is in the
+    way; whether panels changed.
 
     Nothing is touched while Blender renders or a mesh is edited. Where another capture has been
     chosen meanwhile, or another file opened, the cameras stay on the disk.
     """
     if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
-    job.wanted = False
-    scenes = [scene for scene in bpy.data.scenes if scene.session_uid == job.scene_uid]
-    for scene in scenes:
-        if job_of(scene) is job:
-            lookups.captures.expire()
-            try:
-                job.warnings += _arrive(scene, job.capture)
-            except (GsError, ValueError, OSError) as error:
-                job.warnings.append(error_words(error))
+    if job.coming is None:
+        scenes = (scene for scene in bpy.data.scenes if scene.session_uid == job.scene_uid)
+        scene = next((scene for scene in scenes if job_of(scene) is job), None)
+        if scene is None:
+            job.wanted = False
+            return True
+        lookups.captures.expire()
+        job.coming = Going(arriving(scene, job.capture))
+    try:
+        if not job.coming.step():
+            return False
+        job.warnings += job.coming.result
+    except (GsError, ValueError, OSError) as error:
+        job.warnings.append(error_words(error))
+    job.coming, job.wanted = None, False
     return True
 
 
-def _arrive(scene: bpy.types.Scene, capture: Path) -> tuple[str, ...]:
+def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
     """Choose the capture, and import its cameras, points and photos unless they are there; what
     the user should know besides.
 
@@ -112,8 +136,8 @@ def _arrive(scene: bpy.types.Scene, capture: Path) -> tuple[str, ...]:
     if chosen_root(scene) is None:
         writable.check(scene)
         # No operator, which would act on the scene of a window.
-        made = import_capture(scene, absolute(scene.gscore.capture_path, "Capture"))
-        choose(scene, made)
+        made = yield from importing(scene, absolute(scene.gscore.capture_path, "Capture"))
+        choose(made.scene, made)
         warnings = made.warnings
     undo.push("Cameras Found")
     return warnings

@@ -7,7 +7,6 @@ picture of the screen.
 """
 
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from addon.core import join_splats  # noqa: E402
 from addon.render import decimate, picture  # noqa: E402
 from addon.splats import choose, objects  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
+from tests.window.held import Held  # noqa: E402
 from tools.window.desk import Teller, area, clear, leaving, shoot  # noqa: E402
 
 seen: dict = {"log": []}
@@ -71,25 +71,6 @@ def push() -> None:
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area()):
         bpy.ops.ed.undo_push(message="before")
-
-
-class Held:
-    """A function that waits in its thread until it is let go."""
-
-    def __init__(self, module: Any, name: str) -> None:
-        self.began, self._go_on = threading.Event(), threading.Event()
-        self._module, self._name, self._function = module, name, getattr(module, name)
-        setattr(module, name, self._call)
-
-    def _call(self, *args: Any, **options: Any) -> Any:
-        self.began.set()
-        assert self._go_on.wait(60)
-        return self._function(*args, **options)
-
-    def let_go(self) -> None:
-        """Go on, and be as before."""
-        self._go_on.set()
-        setattr(self._module, self._name, self._function)
 
 
 def ob() -> bpy.types.Object:

@@ -171,18 +171,20 @@ def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) ->
     ]
     tracks, lengths = _tracks(images, model.points)
     if binary:
-        atomic_write(path / "cameras.bin", colmap_binary.cameras_to_bytes(model.cameras))
-        atomic_write(path / "images.bin", colmap_binary.images_to_bytes(images))
-        points = colmap_binary.points_to_bytes(model.points, tracks, lengths)
-        atomic_write(path / "points3D.bin", points)
+        files = {
+            "cameras.bin": colmap_binary.cameras_to_bytes(model.cameras),
+            "images.bin": colmap_binary.images_to_bytes(images),
+            "points3D.bin": colmap_binary.points_to_bytes(model.points, tracks, lengths),
+        }
     else:
         texts = {
             "cameras.txt": colmap_text.cameras_to_text(model.cameras),
             "images.txt": colmap_text.images_to_text(images),
             "points3D.txt": colmap_text.points_to_text(model.points, tracks, lengths),
         }
-        for name, text in texts.items():
-            atomic_write(path / name, text.encode("utf-8"))
+        files = {name: text.encode("utf-8") for name, text in texts.items()}
+    for name, content in files.items():  # one right after the other: they belong together
+        atomic_write(path / name, content)
     write_up(path, model.up)
 
 

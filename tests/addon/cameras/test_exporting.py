@@ -1,0 +1,130 @@
+"""Cameras that are exported bit by bit. Oracle: the same export at once, and the folder."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from addon.cameras import captures, export_views
+from addon.cameras.importing import ImportedCapture
+from addon.core import atomic_write
+from addon.process.background import Cancelled
+from addon.process.pieces import Going
+from tests.addon.cameras.test_importing import until
+from tests.addon.captures import STUDIO
+from tools.measure.stand_in import stand_in
+
+
+@pytest.fixture
+def made(scene: bpy.types.Scene) -> ImportedCapture:
+    """A capture in the scene, one of its cameras moved."""
+    found = captures.import_capture(scene, STUDIO, photos=False)
+    found.cameras[3].location.x += 1
+    bpy.context.view_layer.update()
+    return found
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One camera a piece."""
+    monkeypatch.setattr(export_views, "BUDGET", 0.0)
+
+
+def going(folder: Path, **settings: Any) -> Going:
+    """The operator in a window, nothing done."""
+    work = stand_in("export_cameras", directory=str(folder), **settings)
+    return Going(work.pieces(bpy.context))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """All files below a folder."""
+    found = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+@pytest.mark.parametrize("kind", ["COLMAP", "COLMAP_TEXT", "TRANSFORMS"])
+@pytest.mark.parametrize("world", ["CAPTURE", "BLENDER"])
+def test_bit_by_bit_as_at_once(
+    made: ImportedCapture, tmp_path: Path, kind: str, world: str
+) -> None:
+    """To the byte; and pieces tell how far it is."""
+    bpy.ops.gscore.export_cameras(directory=str(tmp_path / "a"), kind=kind, world=world)
+    work = going(tmp_path / "b", kind=kind, world=world)
+    assert not until(work, lambda: work.sentence == "Reading cameras: 30 of 60")
+    assert not (tmp_path / "b").exists()
+    assert until(work, lambda: False)
+    assert "60 cameras" in work.result
+    wanted = files(tmp_path / "a")
+    assert len(wanted) >= (3 if kind != "TRANSFORMS" else 1 + (world == "CAPTURE"))
+    assert files(tmp_path / "b") == wanted
+
+
+def _set_frame(made: ImportedCapture) -> None:
+    bpy.context.scene.frame_set(9)
+
+
+def _remove(made: ImportedCapture) -> None:
+    bpy.data.objects.remove(made.cameras[-1])
+
+
+def _add_points(made: ImportedCapture) -> None:
+    made.points.data.vertices.add(5)
+
+
+@pytest.mark.parametrize(
+    ("act", "when", "says"),
+    [
+        (_set_frame, "Reading cameras: 30 of 60", "The frame was changed"),
+        (_remove, "Reading cameras: 30 of 60", "Cameras were removed"),
+        (_add_points, "positions", "studio points was changed"),
+    ],
+)
+def test_what_changes_meanwhile_is_refused(
+    made: ImportedCapture, tmp_path: Path, act: Callable, when: str, says: str
+) -> None:
+    """Oracle: a sentence; nothing is written."""
+    work, told = going(tmp_path / "b"), []
+
+    def comes() -> bool:
+        told.append(work.sentence)
+        return told.count("Reading studio points") == 2 if when == "positions" else told[-1] == when
+
+    assert not until(work, comes)
+    act(made)
+    with pytest.raises(ValueError, match=says):
+        until(work, lambda: False)
+    assert not files(tmp_path)
+
+
+def test_undo_meanwhile(made: ImportedCapture, tmp_path: Path) -> None:
+    """Oracle: the export at once; undo replaces objects."""
+    bpy.ops.ed.undo_push(message="start")
+    bpy.context.scene.frame_end = 77
+    bpy.ops.ed.undo_push(message="a frame")
+    bpy.ops.gscore.export_cameras(directory=str(tmp_path / "a"))
+    work = going(tmp_path / "b")
+    assert not until(work, lambda: work.sentence == "Reading cameras: 30 of 60")
+    bpy.ops.ed.undo()
+    assert until(work, lambda: False)
+    assert files(tmp_path / "b") == files(tmp_path / "a")
+
+
+def test_files_belong_together(tmp_path: Path) -> None:
+    """Oracle: none of two files where it was given up before the first, else both."""
+    given_up = np.array([False])
+
+    def check() -> None:
+        if given_up[0]:
+            raise Cancelled
+
+    with export_views.all_or_none(check):
+        atomic_write(tmp_path / "a", b"a")
+        given_up[0] = True
+        atomic_write(tmp_path / "b", b"b")
+    assert files(tmp_path) == {"a": b"a", "b": b"b"}
+    with pytest.raises(Cancelled), export_views.all_or_none(check):
+        atomic_write(tmp_path / "a", b"other")
+    assert files(tmp_path) == {"a": b"a", "b": b"b"}

@@ -1,0 +1,200 @@
+"""Runs inside a Blender with a window: imports and exports cameras as a user does, to the end and
+to Esc, and does other things meanwhile.
+
+`blender --factory-startup --enable-event-simulate -P tests/window/import_scene.py -- FOLDER
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER has a copy of the studio
+capture. Leaves FOLDER/seen.json and pictures of the screen.
+"""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon.cameras import export_colmap, importing  # noqa: E402
+from addon.cameras.objects import cameras_of, points_of  # noqa: E402
+from addon.interface import waiting  # noqa: E402
+from tests.window.held import Held  # noqa: E402
+from tools.window.desk import Teller, area, clear, leaving, send, shoot, space  # noqa: E402
+
+STUDIO = FOLDER / "studio"
+KINDS = ("objects", "cameras", "meshes", "collections", "images")
+seen: dict = {"log": []}
+said: list[str] = []
+
+
+def window() -> bpy.types.Window:
+    """The main one."""
+    return bpy.context.window_manager.windows[0]
+
+
+def invoke(name: str, **settings: Any) -> list[str]:
+    """Press a button."""
+    with bpy.context.temp_override(window=window(), area=area()):
+        return list(getattr(bpy.ops.gscore, name)("INVOKE_DEFAULT", **settings))
+
+
+def rests() -> bool:
+    """Whether nothing of the add-on goes on."""
+    return not any(one.bl_idname.startswith("GSCORE") for one in window().modal_operators)
+
+
+def press(key: str) -> None:
+    """A key, over the 3D view."""
+    for value in ("PRESS", "RELEASE"):
+        send(key, value)
+
+
+def step(way: str) -> None:
+    """Undo or redo."""
+    with bpy.context.temp_override(window=window(), area=area()):
+        getattr(bpy.ops.ed, way)()
+
+
+def counts() -> dict[str, int]:
+    """How many datablocks there are."""
+    return {kind: len(getattr(bpy.data, kind)) for kind in KINDS}
+
+
+def coming() -> bool:
+    """Whether cameras are on their way."""
+    return any("gs_temporary" in one for one in bpy.data.collections)
+
+
+def half() -> bool:
+    """Whether some of them are there."""
+    return coming() and len(bpy.data.cameras) > 10
+
+
+def given_up() -> Iterator[object]:
+    """Esc while the capture is read, and while cameras come; the sidebar is opened meanwhile."""
+    before = counts()
+    held = Held(importing, "read")
+    seen["begun"] = invoke("import_cameras", directory=str(STUDIO))
+    yield held.began.is_set
+    yield 0.6
+    shoot(FOLDER / "reading.png")
+    shown = space().show_region_ui
+    press("N")
+    yield 0.5
+    seen["alive"] = space().show_region_ui != shown and not rests()
+    press("ESC")
+    yield rests
+    held.let_go()
+    yield 0.5
+    seen["after reading"] = counts() == before
+    invoke("import_cameras", directory=str(STUDIO))
+    yield half
+    seen["scene meanwhile"] = len(bpy.context.scene.objects)
+    press("ESC")
+    yield rests
+    seen["after cameras"] = counts() == before
+    seen["said"] = list(said)
+
+
+def to_the_end() -> Iterator[object]:
+    """All of it, one undo step."""
+    invoke("import_cameras", directory=str(STUDIO))
+    yield rests
+    root = bpy.context.object
+    seen["made"] = root.name, len(cameras_of(root)), len(points_of(root).data.vertices)
+    seen["images"] = len(bpy.data.images)
+    yield 1.0
+    shoot(FOLDER / "imported.png")
+    step("undo")
+    seen["undone"] = len(bpy.data.cameras), len(bpy.context.scene.objects)
+    step("redo")
+    seen["redone"] = len(cameras_of(bpy.data.objects["studio"]))
+
+
+def anew() -> Iterator[object]:
+    """A camera is moved and one removed; Esc leaves that, the end does not."""
+    root = bpy.data.objects["studio"]
+    first, second = (ob.name for ob in cameras_of(root)[:2])
+    bpy.data.objects[first].location.x = 50
+    bpy.data.cameras.remove(bpy.data.objects[second].data)
+    with bpy.context.temp_override(window=window(), area=area()):
+        bpy.ops.ed.undo_push(message="by hand")
+    held = Held(importing, "read")
+    invoke("import_cameras", capture="studio")
+    yield held.began.is_set
+    held.let_go()
+    yield coming
+    press("ESC")
+    yield rests
+    seen["moved after Esc"] = bpy.data.objects[first].location.x
+    seen["count after Esc"] = len(cameras_of(bpy.data.objects["studio"]))
+    invoke("import_cameras", capture="studio")
+    yield rests
+    seen["moved anew"] = bpy.data.objects[first].location.x
+    seen["count anew"] = len(cameras_of(bpy.data.objects["studio"]))
+    step("undo")
+    seen["moved undone"] = bpy.data.objects[first].location.x
+
+
+def exported() -> Iterator[object]:
+    """Esc before anything is written; then to the end."""
+    held = Held(export_colmap, "_write")
+    seen["export"] = invoke_export("given up")
+    yield held.began.is_set
+    press("ESC")
+    yield rests
+    held.let_go()
+    yield 1.0
+    seen["given up"] = [p.name for p in (FOLDER / "given up").rglob("*") if p.is_file()]
+    invoke_export("written")
+    yield rests
+    seen["written"] = sorted(p.name for p in (FOLDER / "written").rglob("*") if p.is_file())
+
+
+def invoke_export(name: str) -> list[str]:
+    """As after a folder was chosen."""
+    from addon.cameras.operators import ExportCameras
+
+    ExportCameras.invoke = lambda self, context, event: self.execute(context)  # no file browser
+    return invoke("export_cameras", directory=str(FOLDER / name))
+
+
+def by_menu() -> Iterator[object]:
+    """File > Import asks for a folder, though the panel names one."""
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+    seen["menu"] = invoke("import_cameras", browse=True)
+    yield lambda: any(a.type == "FILE_BROWSER" for a in window().screen.areas)
+    yield 1.0
+    shoot(FOLDER / "browser.png")
+    browser = next(a for a in window().screen.areas if a.type == "FILE_BROWSER")
+    seen["folder"] = browser.spaces.active.params.directory.decode().rstrip("/")
+    with bpy.context.temp_override(window=window(), area=browser):
+        bpy.ops.file.execute()
+    yield 1.0
+    yield rests
+    seen["by menu"] = len(bpy.data.cameras)
+
+
+def story() -> Iterator[object]:
+    """All of it, one after the other."""
+    importing.BUDGET = 0.0  # a camera a piece, so that there is time to press a key
+    clear()
+    bpy.data.batch_remove([*bpy.data.cameras, *bpy.data.meshes, *bpy.data.lights])
+    say = waiting.StatusBar.say
+    waiting.StatusBar.say = lambda self, text: (said.append(text or ""), say(self, text))[1]
+    with bpy.context.temp_override(window=window(), area=area()):
+        bpy.ops.ed.undo_push(message="start")
+    yield 0.5
+    yield from given_up()
+    yield from to_the_end()
+    yield from anew()
+    yield from exported()
+    yield from by_menu()
+
+
+Teller(story(), leaving(FOLDER, seen))

@@ -1,0 +1,72 @@
+"""Cameras that come and go bit by bit, in a Blender with a window; what is needed: `test_live.py`.
+
+Oracle: Blender's counts of data, its list of operators under way, files, and its undo.
+"""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.addon.captures import STUDIO
+from tests.window.scenes import told
+
+pytestmark = pytest.mark.window
+
+LONGEST = 200
+MODEL = ["cameras.bin", "images.bin", "points3D.bin"]
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    """What `import_scene.py` saw, and its folder."""
+
+    def prepare(folder: Path) -> None:
+        shutil.copytree(STUDIO, folder / "studio")
+
+    found, folder, output = told(
+        "import",
+        tmp_path_factory,
+        "--enable-event-simulate",
+        longest=LONGEST,
+        prepare=prepare,
+    )
+    assert "Traceback" not in output, output
+    return found, folder
+
+
+def test_esc_leaves_nothing(seen):
+    """Whether the capture is read or cameras come; the window answers meanwhile, and says what is
+    under way."""
+    found, folder = seen
+    assert found["begun"] == ["RUNNING_MODAL"] and found["alive"]
+    assert found["after reading"] and found["after cameras"] and found["scene meanwhile"] == 0
+    assert f"Reading {folder / 'studio'}   |   Esc cancels" in found["said"]
+    assert found["said"][-1] == ""
+
+
+def test_an_import_is_one_undo_step(seen):
+    found, _ = seen
+    assert found["made"] == ["studio", 60, 6725] and found["images"] >= 60
+    assert found["undone"] == [0, 0] and found["redone"] == 60
+
+
+def test_an_import_anew(seen):
+    """Esc leaves what was done by hand; the end does not, and undo brings it back."""
+    found, _ = seen
+    assert (found["moved after Esc"], found["count after Esc"]) == (50, 59)
+    assert found["moved anew"] != 50 and found["count anew"] == 60
+    assert found["moved undone"] == 50
+
+
+def test_an_export_is_written_or_not(seen):
+    found, _ = seen
+    assert found["export"] == ["RUNNING_MODAL"] and not found["given up"]
+    assert found["written"] == MODEL
+
+
+def test_the_menu_asks_for_a_folder(seen):
+    """The one of the panel to begin with; chosen again, it is no second set of cameras."""
+    found, folder = seen
+    assert found["menu"] == ["RUNNING_MODAL"]
+    assert Path(found["folder"]) == folder / "studio" and found["by menu"] == 60
