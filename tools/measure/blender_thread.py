@@ -2,9 +2,9 @@
 
     python tools/measure/blender_thread.py CAPTURE --python PYTHON_THAT_TRAINS   (a Python with bpy)
 
-Calls the beat that Blender's timer calls, as often as the timer does, during a real training with
-live splats and pictures, and prints milliseconds by what the beat did. Then the same for the
-arrival of `--splats` splats of SH degree 3.
+Presses Train, then calls the beat that Blender's timer calls, as often as the timer does, during a
+real training with live splats and pictures, and prints milliseconds by what the beat did. Then the
+same for the arrival of `--splats` splats of SH degree 3.
 """
 
 import argparse
@@ -30,12 +30,25 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def show(name: str, milliseconds: list[float]) -> None:
-    """A row: how many, median, 99th percentile, longest."""
-    x = np.array(milliseconds or [0.0])
+class Watch:
+    """Times what is done in a block: milliseconds, and those of the processor, which other programs
+    do not change."""
+
+    def __enter__(self) -> "Watch":
+        self._began = time.perf_counter(), time.thread_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        ends = time.perf_counter(), time.thread_time()
+        self.took = tuple((b - a) * 1000 for a, b in zip(self._began, ends, strict=True))
+
+
+def show(name: str, took: list[tuple[float, ...]]) -> None:
+    """A row: how many, median, 99th percentile, longest, and longest of the processor."""
+    x, own = np.array(took or [(0.0, 0.0)]).T
     print(
-        f"{name:34} {len(milliseconds):6} {np.median(x):8.2f} {np.percentile(x, 99):8.2f} "
-        f"{x.max():8.2f}"
+        f"{name:34} {len(took):6} {np.median(x):8.2f} {np.percentile(x, 99):8.2f} {x.max():8.2f} "
+        f"{own.max():8.2f}"
     )
 
 
@@ -60,15 +73,22 @@ def training(options: argparse.Namespace) -> None:
     scene.gscore.preset = options.preset
     bpy.ops.gscore.import_cameras()
     began = time.monotonic()
-    job = training.train(scene)
-    beats: dict[str, list[float]] = {"reading lines": [], "a picture": [], "splats": []}
+    with Watch() as click:
+        job = training.train(scene)
+    show("the click on Train", [click.took])
+    kinds = ("reading lines", "building the display", "a picture", "splats")
+    beats: dict[str, list[tuple[float, ...]]] = {kind: [] for kind in kinds}
     while display.waits(job):
         picture, mesh, splats = job.preview_shown, mesh_of(scene), job.filling
-        start = time.perf_counter()
-        beat.tick()
-        took = (time.perf_counter() - start) * 1000
+        chores = len(job.chores)
+        with Watch() as watch:
+            beat.tick()
         kind = "splats" if splats or job.filling or mesh != mesh_of(scene) else "reading lines"
-        beats["a picture" if job.preview_shown != picture else kind].append(took)
+        if job.preview_shown != picture:
+            kind = "a picture"
+        elif len(job.chores) != chores:
+            kind = "building the display"
+        beats[kind].append(watch.took)
         late = time.monotonic() - began > options.seconds
         if late and job.state.status == session.RUNNING:
             job.stop()
@@ -111,11 +131,11 @@ def arrival(count: int) -> None:
     ob = objects.create(NO_SPLATS, "many")
     steps, mesh, hand = [], None, filling.Filling(loaded)
     while mesh is None:
-        start = time.perf_counter()
-        mesh = hand.step()
-        if mesh is not None:
-            filling.replace(ob, mesh)
-        steps.append((time.perf_counter() - start) * 1000)
+        with Watch() as watch:
+            mesh = hand.step()
+            if mesh is not None:
+                filling.replace(ob, mesh)
+        steps.append(watch.took)
     show(f"{count:,} splats arrive", steps)
 
 
@@ -129,7 +149,7 @@ def main() -> None:
     addon.register()
     try:
         print(f"Blender {bpy.app.version_string}, milliseconds of the main thread")
-        print(f"{'':34} {'n':>6} {'median':>8} {'p99':>8} {'max':>8}")
+        print(f"{'':34} {'n':>6} {'median':>8} {'p99':>8} {'max':>8} {'CPU max':>8}")
         training(options)
         arrival(options.splats)
     finally:

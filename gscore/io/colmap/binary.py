@@ -27,6 +27,9 @@ _POINT = np.dtype(
 _TRACK = np.dtype([("image", "<u4"), ("index", "<u4")])
 _WINDOW, _WINDOW_OF_POINTS = 1 << 16, 1 << 22
 """Bytes of a file that are in memory at a time."""
+_AT_ONCE = 1 << 16
+"""Points that are put together at a time: memory of half a gigabyte is not made, and nothing keeps
+Python's lock for long."""
 _LONGEST_TEXT = LONGEST_PATH + 1
 """Bytes of a name and its end."""
 
@@ -257,12 +260,23 @@ def points_to_bytes(points: ColmapPoints, tracks: np.ndarray, lengths: np.ndarra
     records = np.zeros(len(points), _POINT)
     records["id"], records["xyz"], records["rgb"] = points.ids, points.xyz, points.rgb
     records["error"], records["track"] = points.error, lengths
+    ends = np.concatenate([[0], np.cumsum(lengths)])
+    parts = [_COUNT.pack(len(points))]
+    for begin in range(0, len(points), _AT_ONCE):
+        end = min(begin + _AT_ONCE, len(points))
+        own = tracks[ends[begin] : ends[end]]
+        parts.append(_points_to_bytes(records[begin:end], own, lengths[begin:end]))
+    return b"".join(parts)
+
+
+def _points_to_bytes(records: np.ndarray, tracks: np.ndarray, lengths: np.ndarray) -> bytes:
+    """Some points, each followed by its track."""
     ends = np.cumsum(_POINT.itemsize + _TRACK.itemsize * lengths)
-    out = np.zeros(int(ends[-1]) if len(ends) else 0, np.uint8)
+    out = np.zeros(int(ends[-1]), np.uint8)
     is_track = np.ones(len(out), bool)
     starts = ends - _TRACK.itemsize * lengths - _POINT.itemsize
     places = starts[:, None] + np.arange(_POINT.itemsize)
-    out[places] = records.view(np.uint8).reshape(len(points), _POINT.itemsize)
+    out[places] = records.view(np.uint8).reshape(len(records), _POINT.itemsize)
     is_track[places] = False
     out[is_track] = np.frombuffer(np.ascontiguousarray(tracks).astype("<u4").tobytes(), np.uint8)
-    return _COUNT.pack(len(points)) + out.tobytes()
+    return out.tobytes()
