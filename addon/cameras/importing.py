@@ -249,9 +249,11 @@ class _Coming:
                 ob = made.get(image) or self._make(one, outer)
                 _move(ob, outer.children[0], place[0])
                 _hang(ob, root)
+                size_drawing(ob.data, self._found.drawing, scale)
             else:
                 self._restate(one, ob, root)
-            size_drawing(ob.data, self._found.drawing, scale)
+                if others:  # else the user may have sized it
+                    size_drawing(ob.data, self._found.drawing, scale)
         wanted = {one.setup.own.image for one in self._found.cameras}
         _remove([ob for ob in cameras if ob.get("gs_image") not in wanted])
         if new is not None and old is not None:
