@@ -164,8 +164,8 @@ def blends_float32() -> bool:
 
 def draws_into_views() -> bool:
     """Whether what is bound before a 3D view is drawn can be drawn to after it: the target of its
-    picture. Known of OpenGL alone. Asked while drawing."""
-    return gpu.platform.backend_type_get() == "OPENGL"
+    picture. Seen of these two; Metal was never run. Asked while drawing."""
+    return gpu.platform.backend_type_get() in {"OPENGL", "VULKAN"}
 
 
 def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
