@@ -50,6 +50,7 @@ from gscore.frontend import (
     EvalProgress,
     Failed,
     Folder,
+    FolderLock,
     FramesDone,
     FramesProgress,
     FrameStarted,

@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from .io.colmap.folder import write_model as write_colmap
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
     from .io.files import atomic_write, given_up_by
+    from .io.lock import FolderLock
     from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.mesh.ply import write_mesh
     from .io.pictures.image_header import ImageInfo, read_header
@@ -112,6 +113,7 @@ _HOME = {
     "EvalProgress": "events",
     "Failed": "events",
     "Folder": "datasets",
+    "FolderLock": "io.lock",
     "FrameStarted": "events",
     "FramesDone": "events",
     "FramesProgress": "events",
@@ -240,6 +242,7 @@ __all__ = [
     "EvalProgress",
     "Failed",
     "Folder",
+    "FolderLock",
     "FrameStarted",
     "FramesDone",
     "FramesProgress",

@@ -208,6 +208,7 @@ WITHOUT_BPY = (
     "process.program",
     "python.environment",
     "python.installer",
+    "python.turn",
     "search.job",
     "search.registry",
     "sequence.arguments",

@@ -1,13 +1,13 @@
 """Makes the add-on's own environment for training; no bpy.
 
 Only ever called because the user pressed a button. The environment is built under a temporary name
-and takes its place when it is complete, so that a failure leaves an earlier one as it was.
+and takes its place when it is complete, so that a failure leaves an earlier one as it was. Two
+Blenders take turns (`turn.py`).
 """
 
 import os
 import platform
 import re
-import secrets
 import shutil
 import sys
 import time
@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
+from ..core import GsError
 from ..process.background import Task
 from ..process.program import Process
-from . import pins
+from . import pins, turn
 from .environment import check, python_in
 
 NEEDED_BYTES = 3_000_000_000
@@ -28,7 +29,6 @@ OFFLINE = (
     "Online Access, then press Make Environment again."
 )
 _OLDEST = (3, 11)
-_RENAME_TRIES = 5
 _NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
@@ -62,13 +62,24 @@ def make(
         The environment's Python.
 
     Raises:
-        SetupError: no network, no space, no venv, a package that does not install.
+        SetupError: no network, no space, no venv, a package that does not install; or another
+            Blender makes it.
         Cancelled: as the task was asked to.
     """
     if not online:
         raise SetupError(OFFLINE)
+    try:
+        with turn.turn(target):
+            _make(target, wheel, task, base=base, cpu=cpu)
+    except GsError as error:
+        raise SetupError(str(error)) from error
+    task.tell("Done")
+    return python_in(target)
+
+
+def _make(target: Path, wheel: Path, task: Task, *, base: Path | None, cpu: bool) -> None:
     _check_space(target)
-    partial = target.with_name(f"{target.name}.{secrets.token_hex(4)}.new")
+    partial = turn.partial(target)
     try:
         _make_venv(partial, base or usable_base(), task)
         python = python_in(partial)
@@ -83,8 +94,6 @@ def make(
         _put_in_place(partial, target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    task.tell("Done")
-    return python_in(target)
 
 
 @dataclass(frozen=True)
@@ -193,7 +202,6 @@ def _pip(python: Path, *more: str) -> list[str]:
 
 def _make_venv(folder: Path, base: Path, task: Task) -> None:
     task.tell(f"Making an environment with {base}")
-    folder.parent.mkdir(parents=True, exist_ok=True)
     try:
         _run([base, "-m", "venv", folder], task)
     except SetupError as error:
@@ -278,15 +286,15 @@ def _put_in_place(partial: Path, target: Path) -> None:
     Only the scripts of a virtual environment know where it lies, and those are not used: its
     Python finds the rest by itself.
     """
-    aside = target.with_name(f"{target.name}.{secrets.token_hex(4)}.old")
+    aside = turn.aside(target)
     try:
         if target.exists():
-            _rename(target, aside)
+            turn.rename(target, aside)
         try:
-            _rename(partial, target)
+            turn.rename(partial, target)
         except OSError:
             if aside.exists():
-                _rename(aside, target)
+                turn.rename(aside, target)
             raise
     except OSError as error:
         raise SetupError(
@@ -294,15 +302,3 @@ def _put_in_place(partial: Path, target: Path) -> None:
             "press Make Environment again."
         ) from error
     shutil.rmtree(aside, ignore_errors=True)
-
-
-def _rename(old: Path, new: Path) -> None:
-    """Virus scanners of Windows hold new files for a moment."""
-    for left in range(_RENAME_TRIES - 1, -1, -1):
-        try:
-            os.replace(old, new)  # noqa: PTH105 - also of folders
-            return
-        except PermissionError:
-            if not left:
-                raise
-            time.sleep(0.5)

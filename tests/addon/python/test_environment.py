@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import signal
+import subprocess
 import sys
 import time
 import tomllib
@@ -19,6 +21,7 @@ from addon.process.background import Task
 from addon.python import environment, installer, pins, setup
 from addon.python.environment import Verdict, check, find, python_in
 
+ROOT = Path(__file__).parents[3]
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
 
@@ -92,8 +95,7 @@ def test_a_python_without_torch(tmp_path: Path) -> None:
     """Oracle: this Python, which has gscore by a .pth file and no torch."""
     venv.create(tmp_path / "v", system_site_packages=True, with_pip=False)
     site = next((tmp_path / "v").glob("[lL]ib*/**/site-packages"))
-    root = Path(__file__).parents[3]
-    (site / "checkout.pth").write_text(f"{root}\n{bpy_site()}\n")
+    (site / "checkout.pth").write_text(f"{ROOT}\n{bpy_site()}\n")
     found = verdict(run(lambda task: check(python_in(tmp_path / "v"), task)))
     assert not found.good
     assert "cannot train without" in found.sentence and "torch" in found.sentence
@@ -333,6 +335,64 @@ def test_making_can_be_cancelled(tmp_path: Path) -> None:
     assert leftovers(target) == []
 
 
+@pytest.fixture
+def killed(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """Another process whose pip hangs while it makes an environment, and the environment."""
+    number, target = tmp_path / "number", tmp_path / "trainer"
+    base = fake_base(tmp_path / "other", f"echo $$ > {number}; exec sleep 60")
+    code = (
+        "import sys; from pathlib import Path; from types import SimpleNamespace\n"
+        "from addon.python import installer\n"
+        "task = SimpleNamespace(tell=print, check=lambda: None)\n"
+        "target, base = map(Path, sys.argv[1:])\n"
+        "installer.make(target, target.parent / 'w.whl', task, online=True, base=base)\n"
+    )
+    other = subprocess.Popen([sys.executable, "-c", code, str(target), str(base)], cwd=ROOT)
+    until = time.monotonic() + 30
+    while not (number.is_file() and number.read_text().strip()):
+        assert other.poll() is None and time.monotonic() < until
+        time.sleep(0.05)
+    yield other, target
+    other.kill()
+    other.wait(10)
+    os.kill(int(number.read_text()), signal.SIGKILL)  # its pip, which nobody ends any more
+
+
+def test_what_a_killed_one_left_is_removed(
+    killed: tuple[subprocess.Popen[str], Path], tmp_path: Path
+) -> None:
+    """Oracle: the listing while it lives, when it is gone, and after the next one; folders of
+    other names stay."""
+    other, target = killed
+    alike = tmp_path / "trainer.mine.new"
+    alike.mkdir()
+    (part,) = [p for p in tmp_path.glob("trainer.*.new") if p != alike]
+    refused = make(target, fake_base(tmp_path, "exit 0"))
+    assert f"Another Blender (process {other.pid}) is making the environment" in refused.problem
+    assert part.is_dir()
+    other.kill()
+    other.wait(10)
+    assert part.is_dir()
+    task = make(target, fake_base(tmp_path, "exit 0"))
+    assert task.result == python_in(target), task.problem
+    assert leftovers(target) == ["trainer", alike.name]
+
+
+def test_an_environment_that_was_moved_aside_is_put_back(tmp_path: Path) -> None:
+    """Oracle: the later of two is in its place though the installation failed; and it goes where
+    there is one in its place."""
+    target = tmp_path / "trainer"
+    for number, name in enumerate(("0badcafe", "12345678")):
+        (tmp_path / f"trainer.{name}.old" / name).mkdir(parents=True)
+        os.utime(tmp_path / f"trainer.{name}.old", (number, number))
+    task = make(target, fake_base(tmp_path, "exit 1"))
+    assert task.result is None and (target / "12345678").is_dir()
+    assert leftovers(target) == ["trainer"]
+    (tmp_path / "trainer.0badcafe.old").mkdir()
+    make(target, fake_base(tmp_path, "exit 1"))
+    assert (target / "12345678").is_dir() and leftovers(target) == ["trainer"]
+
+
 def test_the_calls_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the command lines, word for word, and the variables that a fake pip was given."""
     monkeypatch.setattr("sys.platform", "linux")
@@ -374,8 +434,7 @@ def test_a_wrong_hash_is_a_sentence(tmp_path: Path) -> None:
 
 def test_the_pins_are_exact_and_complete() -> None:
     """Oracle: pyproject.toml and constraints.txt, read with the library that pip uses."""
-    root = Path(__file__).parents[3]
-    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     wanted = [*project["dependencies"], *extras["train"], *extras["lpips"]]
     lists = [pins.pip(), pins.rest(), pins.torch(cpu=False)]
@@ -397,7 +456,7 @@ def test_the_pins_are_exact_and_complete() -> None:
             ((exact,),) = [list(p.specifier) for p in pinned]
             assert asked.specifier.contains(exact.version), text
     (torch,) = found["torch"]
-    assert str(torch).startswith((root / "constraints.txt").read_text().split()[-1])
+    assert str(torch).startswith((ROOT / "constraints.txt").read_text().split()[-1])
     (version,) = torch.specifier
     assert "torch" not in " ".join(pins.rest().packages)
     with pytest.MonkeyPatch.context() as patch:
