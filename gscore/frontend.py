@@ -77,7 +77,7 @@ if TYPE_CHECKING:
     from .io.ply.splats import MIP_COMMENT
     from .io.poses_json import POSES_FILE, read_moves
     from .io.region_file import write_region
-    from .io.runs import GUIDE_FILE, GUIDES, RunInfo, clear_run, read_losses, read_run
+    from .io.runs import GUIDE_FILE, GUIDES, RunInfo, clear_run, read_course, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
     from .lod.draw import LodModel
@@ -196,7 +196,7 @@ _HOME = {
     "read_header": "io.pictures.image_header",
     "read_lod": "lod.read",
     "read_moves": "io.poses_json",
-    "read_losses": "io.runs",
+    "read_course": "io.runs",
     "read_run": "io.runs",
     "read_sequence": "io.sequences",
     "quat_to_rotmat": "transforms",
@@ -315,9 +315,9 @@ __all__ = [
     "read_cameras",
     "read_capture",
     "read_colmap",
+    "read_course",
     "read_header",
     "read_lod",
-    "read_losses",
     "read_moves",
     "read_run",
     "read_sequence",

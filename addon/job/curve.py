@@ -1,17 +1,19 @@
-"""The loss of a run as few numbers, and as a small picture; no bpy."""
+"""The loss and the PSNR of a run as few numbers, and as a small picture; no bpy."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+LOSS_COLOR, PSNR_COLOR = (0.35, 0.65, 1.0), (1.0, 0.6, 0.2)
+"""Of their lines, RGB in [0, 1]; told apart by those too who do not tell red from green."""
 _MOST = 256
 
 
-class LossCurve:
-    """Loss by step, thinned out to at most 256 points evenly spread over the run.
+class Curve:
+    """Loss and PSNR by step, thinned out to at most 256 points evenly spread over the run.
 
-    When there are too many points, neighbours are averaged and from then on twice as many losses
+    When there are too many points, neighbours are averaged and from then on twice as many values
     go into a point.
     """
 
@@ -20,78 +22,104 @@ class LossCurve:
         """Last step of each point."""
         self.losses: list[float] = []
         """Mean loss of each point."""
+        self.psnrs: list[float] = []
+        """Mean PSNR of each point, dB."""
         self._per_point = 1
-        self._waiting: list[float] = []
+        self._waiting: list[tuple[float, float]] = []
 
     @classmethod
-    def of(cls, losses: Iterable[tuple[int, float]]) -> "LossCurve":
-        """The curve of a run so far, by steps and losses in order."""
+    def of(cls, course: Iterable[tuple[int, float, float]]) -> "Curve":
+        """The curve of a run so far, by steps, losses and PSNRs in order."""
         curve = cls()
-        for step, loss in losses:
-            curve.add(step, loss)
+        for step, loss, psnr in course:
+            curve.add(step, loss, psnr)
         return curve
 
-    def add(self, step: int, loss: float) -> None:
-        """Take a loss; one that is no finite number is left out.
+    def add(self, step: int, loss: float, psnr: float) -> None:
+        """Take both of a step; where either is no finite number, it is left out.
 
         A step that is not later than the last one means that the run went back: what came after
         it is forgotten.
         """
-        if not math.isfinite(loss):
+        if not (math.isfinite(loss) and math.isfinite(psnr)):
             return
         if self.steps and step <= self.steps[-1]:
             kept = sum(known < step for known in self.steps)
-            del self.steps[kept:], self.losses[kept:]
+            del self.steps[kept:], self.losses[kept:], self.psnrs[kept:]
             self._waiting.clear()
-        self._waiting.append(loss)
+        self._waiting.append((loss, psnr))
         if len(self._waiting) < self._per_point:
             return
+        losses, psnrs = zip(*self._waiting, strict=True)
         self.steps.append(step)
-        self.losses.append(sum(self._waiting) / len(self._waiting))
+        self.losses.append(sum(losses) / len(losses))
+        self.psnrs.append(sum(psnrs) / len(psnrs))
         self._waiting.clear()
         if len(self.steps) >= _MOST:
             self.steps = self.steps[1::2]
-            pairs = zip(self.losses[0::2], self.losses[1::2], strict=True)
-            self.losses = [(a + b) / 2 for a, b in pairs]
+            self.losses, self.psnrs = _halved(self.losses), _halved(self.psnrs)
             self._per_point *= 2
 
-    def picture(
-        self,
-        width: int,
-        height: int,
-        *,
-        last_step: int,
-        color: tuple[float, float, float] = (0.35, 0.65, 1.0),
-    ) -> np.ndarray:
-        """The curve over the whole run, the loss on a logarithmic axis.
+    def picture(self, width: int, height: int, *, last_step: int) -> np.ndarray:
+        """Both over the whole run, from their lowest to their highest: the loss on a logarithmic
+        axis, with a tint below it, and the PSNR over it.
 
         Args:
             width: Pixels.
             height: Pixels.
             last_step: Step at the right edge.
-            color: Of the line, RGB in [0, 1].
 
         Returns:
             [height, width, 4] float32 RGBA, premultiplied, bottom row first, as icons are.
         """
-        pixels = np.zeros((height, width, 4), np.float32)
-        if len(self.losses) < 2:
-            return pixels
-        columns = np.arange(width)
-        steps = np.array(self.steps, np.float64)
+        if len(self.steps) < 2:
+            return np.zeros((height, width, 4), np.float32)
+        x = np.array(self.steps, np.float64) / max(last_step, self.steps[-1], 1) * (width - 1)
         logs = np.log(np.maximum(self.losses, 1e-9))
-        x = steps / max(last_step, self.steps[-1], 1) * (width - 1)
-        low, high = logs.min(), max(logs.max(), logs.min() + 0.05)
-        y = np.interp(columns, x, (logs - low) / (high - low)) * (height - 3) + 1
-        inside = (columns >= math.floor(x[0])) & (columns <= math.ceil(x[-1]))
-        rows = np.arange(height)[:, None]
-        # A steep part must not tear: the line covers all rows that it crosses in its column.
-        beside = np.stack(
-            [y, np.r_[y[:1], (y[1:] + y[:-1]) / 2], np.r_[(y[1:] + y[:-1]) / 2, y[-1:]]]
-        )
-        distance = np.maximum(np.maximum(beside.min(axis=0) - rows, rows - beside.max(axis=0)), 0)
-        line = np.clip(1.5 - distance, 0, 1)
-        under = np.where(rows < y, 0.18, 0.0)
-        pixels[..., 3] = np.maximum(line, under) * inside
-        pixels[..., :3] = pixels[..., 3:] * np.float32(color)
+        y, line, inside = _line(x, logs, 0.05, width, height)
+        under = np.where(np.arange(height)[:, None] < y, 0.18, 0.0)
+        below = np.maximum(line, under * inside)
+        _, over, _ = _line(x, np.array(self.psnrs), 0.2, width, height)
+        # Dark around the upper line, so that both are seen where they cross.
+        clear = np.clip(1 - _widened(over), 0, 1)
+        pixels = np.empty((height, width, 4), np.float32)
+        pixels[..., 3] = over + (1 - over) * below * clear
+        shares = over[..., None], ((1 - over) * below * clear)[..., None]
+        pixels[..., :3] = shares[0] * np.float32(PSNR_COLOR) + shares[1] * np.float32(LOSS_COLOR)
         return pixels
+
+
+def _halved(values: Sequence[float]) -> list[float]:
+    return [(a + b) / 2 for a, b in zip(values[0::2], values[1::2], strict=True)]
+
+
+def _line(
+    x: np.ndarray, values: np.ndarray, least: float, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A line through points as it lies in a picture.
+
+    Args:
+        x: Columns of the points, rising.
+        values: Their heights, in any unit; the lowest is at the bottom and the highest at the top.
+        least: What is between bottom and top at least, in that unit.
+        width: Of the picture.
+        height: Of the picture.
+
+    Returns:
+        Its row in each column, how much of each pixel it covers, and which columns it goes through.
+    """
+    columns = np.arange(width)
+    low, high = values.min(), max(values.max(), values.min() + least)
+    y = np.interp(columns, x, (values - low) / (high - low)) * (height - 3) + 1
+    inside = (columns >= math.floor(x[0])) & (columns <= math.ceil(x[-1]))
+    rows = np.arange(height)[:, None]
+    # A steep part must not tear: the line covers all rows that it crosses in its column.
+    beside = np.stack([y, np.r_[y[:1], (y[1:] + y[:-1]) / 2], np.r_[(y[1:] + y[:-1]) / 2, y[-1:]]])
+    distance = np.maximum(np.maximum(beside.min(axis=0) - rows, rows - beside.max(axis=0)), 0)
+    return y, np.clip(1.5 - distance, 0, 1) * inside, inside
+
+
+def _widened(line: np.ndarray) -> np.ndarray:
+    """A line with two more pixels above and below it."""
+    padded = np.pad(line, ((2, 2), (0, 0)))
+    return np.max([padded[k : k + len(line)] for k in range(5)], axis=0)

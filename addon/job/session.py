@@ -24,7 +24,7 @@ from ..core import (
     judged_psnr,
 )
 from ..interface.flags import panel_words
-from .curve import LossCurve
+from .curve import Curve
 
 BUDGET = 0.005
 """Seconds that a poll may spend on lines of output."""
@@ -83,7 +83,7 @@ class RunState:
     elapsed_s: float = 0.0
     """Spent in steps."""
     phase: str = "starting the trainer"
-    curve: LossCurve = field(default_factory=LossCurve)
+    curve: Curve = field(default_factory=Curve)
     warnings: list[str] = field(default_factory=list)
     """The latest last, none twice."""
     started: Started | None = None
@@ -181,8 +181,8 @@ class RunState:
         self.splats = event.splats or self.splats
         self.loss, self.psnr = _finite(event.loss), _finite(event.psnr)
         self.eta_s = _finite(event.eta_s)
-        if self.loss is not None and event.step > 0:
-            self.curve.add(event.step, self.loss)
+        if self.loss is not None and self.psnr is not None and event.step > 0:
+            self.curve.add(event.step, self.loss, self.psnr)
         if self.status in (RUNNING, PAUSED):
             self.status = PAUSED if event.phase == "paused" else RUNNING
 

@@ -8,12 +8,12 @@ import bpy
 
 from .. import outcomes, preferences
 from ..capture.inspection import ShownFacts
-from ..core import read_losses
+from ..core import read_course
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import beat
 from . import display, earlier, facts, guides, lookups, options, registry, results, within
-from .curve import LossCurve
+from .curve import Curve
 from .job import Job
 from .launch import launch
 
@@ -148,9 +148,9 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
         changes=changes,
     )
     began_from = info.data.source
-    losses = read_losses(info.checkpoint)
+    course = read_course(info.checkpoint)
     job = _start(arguments, source, output, python=python, scene=scene, earlier_source=began_from)
-    job.state.curve = LossCurve.of(losses)
+    job.state.curve = Curve.of(course)
     if wait:
         wait_for(job)
     return job

@@ -1,11 +1,16 @@
-"""The loss curve as an icon that a panel can show."""
+"""The curve of a training as an icon that a panel can show, and the colors of its lines."""
 
 import bpy
 import bpy.utils.previews
+import numpy as np
 
+from ..job.curve import LOSS_COLOR, PSNR_COLOR
 from ..job.job import Job
 
 _SIZE = 192
+_SWATCH = 32
+LOSS, PSNR = "loss", "PSNR"
+_COLORS = {LOSS: LOSS_COLOR, PSNR: PSNR_COLOR}
 
 
 class CurveIcons:
@@ -36,11 +41,24 @@ class CurveIcons:
         last = curve.steps[-1] if curve.steps else 0
         if self._drawn.get(job.id) != last:
             self._drawn[job.id] = last
-            pixels = curve.picture(_SIZE, _SIZE, last_step=job.state.iterations)
-            pixels[..., :3] *= pixels[..., 3:]  # Blender blends icons as premultiplied
-            icon.image_size = (_SIZE, _SIZE)
-            icon.image_pixels_float.foreach_set(pixels.ravel())
+            _fill(icon, curve.picture(_SIZE, _SIZE, last_step=job.state.iterations))
         return icon.icon_id
+
+    def swatch(self, line: str) -> int:
+        """An icon of the color of a line, LOSS or PSNR; 0 without a window."""
+        if self._icons is None:
+            return 0
+        if line not in self._icons:
+            pixels = np.zeros((_SWATCH, _SWATCH, 4), np.float32)
+            middle = slice(_SWATCH // 2 - 3, _SWATCH // 2 + 3)
+            pixels[middle] = (*_COLORS[line], 1)
+            _fill(self._icons.new(line), pixels)
+        return self._icons[line].icon_id
+
+
+def _fill(icon: bpy.types.ImagePreview, pixels: np.ndarray) -> None:
+    icon.image_size = pixels.shape[1::-1]
+    icon.image_pixels_float.foreach_set(pixels.ravel())
 
 
 ICONS = CurveIcons()

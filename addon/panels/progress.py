@@ -7,6 +7,7 @@ import bpy
 
 from ..core import judged_psnr
 from ..job import session, verb_job
+from ..job.curve import Curve
 from ..job.job import Job
 from ..search import work as search_work
 from ..search.job import SearchJob
@@ -108,18 +109,31 @@ def search_numbers(search: SearchJob) -> list[tuple[str, str]]:
 
 
 def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
-    """The loss curve beside the numbers."""
-    state = current.state
+    """The curve beside the numbers, and which of its lines goes from where to where."""
+    state, curve = current.state, current.state.curve
     if state.started is None:
         if not state.ended:
             layout.label(text=f"{bar_text(state)}...", icon="TIME")
         return
     icon = curve_icon.ICONS.update(current)
-    if icon and len(state.curve.losses) > 1:
-        split = layout.split(factor=0.45)
-        split.template_icon(icon, scale=_CURVE_SCALE)
-        layout = split.column()
-    rows(layout, numbers(state))
+    if not icon or len(curve.steps) < 2:
+        rows(layout, numbers(state))
+        return
+    split = layout.split(factor=0.45)
+    split.template_icon(icon, scale=_CURVE_SCALE)
+    rows(split.column(), numbers(state))
+    column = layout.column(align=True)
+    for line, text in lines(curve).items():
+        column.label(text=text, icon_value=curve_icon.ICONS.swatch(line))
+
+
+def lines(curve: Curve) -> dict[str, str]:
+    """What each line of a curve shows, and from where to where."""
+    losses, psnrs = curve.losses, curve.psnrs
+    return {
+        curve_icon.LOSS: f"Loss, {min(losses):.3g} to {max(losses):.3g} (logarithmic)",
+        curve_icon.PSNR: f"PSNR in training, {min(psnrs):.1f} to {max(psnrs):.1f} dB",
+    }
 
 
 def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current: Job) -> None:

@@ -146,8 +146,8 @@ def options_of_run(config: Path) -> tuple[DataConfig, TrainConfig]:
     return data, train
 
 
-def read_losses(checkpoint: str | Path) -> list[tuple[int, float]]:
-    """Step and loss of a run up to one of its checkpoints, as often as it noted them.
+def read_course(checkpoint: str | Path) -> list[tuple[int, float, float]]:
+    """Step, loss and PSNR of a run up to one of its checkpoints, as often as it noted them.
 
     Reads what the checkpoint states before its tensors, without torch. Of one that cannot be read,
     or states no such thing, there are none: whether a run can go on from it, its training says.
@@ -158,7 +158,8 @@ def read_losses(checkpoint: str | Path) -> list[tuple[int, float]]:
             text = file.read(min(length, _MOST_STATED)).decode()
         stated = parse_json(parse_json(text)["__metadata__"]["gscore"])
         rows = stated["session"]["meter"]["history"]
-        return [(row["step"], row["loss"]) for row in rows if isinstance(row["loss"], float)]
+        found = [(row["step"], row["loss"], row["psnr"]) for row in rows]
+        return [row for row in found if all(isinstance(value, float) for value in row[1:])]
     except (OSError, struct.error, ValueError, LookupError, TypeError, RecursionError):
         return []
 

@@ -22,7 +22,7 @@ class Layout:
 
     row = column = box = split = _part
 
-    def label(self, *, text: str = "", icon: str = "NONE") -> None:
+    def label(self, *, text: str = "", icon: str = "NONE", icon_value: int = 0) -> None:
         """Note a text."""
         self.notes.append(text)
 

@@ -34,7 +34,7 @@ from gscore.io.cameras_json import read_cameras_json
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.pictures.images import read_image
 from gscore.io.ply.splats import read_ply, write_splats
-from gscore.io.runs import checkpoints_in, read_losses
+from gscore.io.runs import checkpoints_in, read_course
 from gscore.report import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
@@ -189,8 +189,9 @@ def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -
     assert degrees == [0, 1], "those of the files; the second comes into use after step 20"
     steps = [entry["step"] for entry in second.metrics["history"]]
     checkpoint = checkpoints_in(tmp_path / "parts")[40]
-    wanted = [(entry["step"], entry["loss"]) for entry in second.metrics["history"]]
-    assert read_losses(checkpoint) == wanted
+    rows = second.metrics["history"]
+    wanted = [(entry["step"], entry["loss"], entry["psnr"]) for entry in rows]
+    assert read_course(checkpoint) == wanted
     assert steps == list(range(1, 41))
 
 

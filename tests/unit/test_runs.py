@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gscore.config_file import config_json
-from gscore.io.runs import RUN_FILES, clear_run, read_losses, read_run
+from gscore.io.runs import RUN_FILES, clear_run, read_course, read_run
 from gscore.presets import PRESETS
 
 
@@ -42,11 +42,11 @@ def test_a_stopped_run_can_go_on(tmp_path: Path) -> None:
     [b"", b"x", b"\x05" + bytes(7) + b"{", b"\xff" * 40, b"\x02" + bytes(7) + b"{}"],
     ids=["empty", "short", "cut", "huge", "without"],
 )
-def test_a_checkpoint_that_is_none_states_no_losses(tmp_path: Path, content: bytes) -> None:
+def test_a_checkpoint_that_is_none_states_no_course(tmp_path: Path, content: bytes) -> None:
     """Oracle: none, and no exception; of a checkpoint of a training, tests/trainer/test_run.py."""
     (tmp_path / "step.safetensors").write_bytes(content)
-    assert read_losses(tmp_path / "step.safetensors") == []
-    assert read_losses(tmp_path / "missing") == []
+    assert read_course(tmp_path / "step.safetensors") == []
+    assert read_course(tmp_path / "missing") == []
 
 
 def test_a_finished_run_is_finished(tmp_path: Path) -> None:

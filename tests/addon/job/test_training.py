@@ -495,7 +495,7 @@ def test_resume_needs_the_capture_of_the_run(
 
     out, capture, gone = tmp_path / "out", tmp_path / "moved", tmp_path / "gone"
     (out / "checkpoints").mkdir(parents=True)
-    rows = [{"step": 5 * k, "loss": 1.0 / k} for k in (1, 2)]
+    rows = [{"step": 5 * k, "loss": 1.0 / k, "psnr": 20.0 + k} for k in (1, 2)]
     stated = json.dumps({"session": {"meter": {"history": rows}}})
     header = json.dumps({"__metadata__": {"gscore": stated}}).encode()
     raw = len(header).to_bytes(8, "little") + header
@@ -511,7 +511,7 @@ def test_resume_needs_the_capture_of_the_run(
     studio.gscore.capture_path = str(capture / "sparse" / "0")
     job = training.resume(studio, wait=True)
     assert job.state.curve.steps == [5, 10, 15]
-    assert job.state.curve.losses[:2] == [1.0, 0.5]
+    assert job.state.curve.losses[:2] == [1.0, 0.5] and job.state.curve.psnrs[:2] == [21.0, 22.0]
     arguments = json.loads((python.parent / "script.args").read_text())
     assert arguments[4:8] == [str(capture), "-o", str(out), "--resume"]
 

@@ -12,9 +12,9 @@ from addon import panels
 from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
 from addon.job import registry
-from addon.job.curve import LossCurve
+from addon.job.curve import LOSS_COLOR, PSNR_COLOR, Curve
 from addon.job.session import FINISHED, PAUSED, RunState
-from addon.panels import now, progress, result, train
+from addon.panels import curve_icon, now, progress, result, train
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout, drawn
@@ -169,41 +169,68 @@ def test_what_the_output_folder_holds() -> None:
 
 
 def test_the_curve_is_thinned_out_evenly() -> None:
-    """Oracle: the mean of all losses, and the spacing of the steps."""
-    curve, losses = LossCurve(), np.random.default_rng(0).random(10_000)
+    """Oracle: the mean of all losses and of all PSNRs, and the spacing of the steps."""
+    curve, losses = Curve(), np.random.default_rng(0).random(10_000)
     for step, loss in enumerate(losses, 1):
-        curve.add(step, float(loss))
-    curve.add(10_001, float("nan"))
+        curve.add(step, float(loss), 20 + float(loss))
+    curve.add(10_001, float("nan"), 20.0)
+    curve.add(10_001, 0.5, float("inf"))
     assert 100 <= len(curve.losses) < 256
     spacing = np.diff(curve.steps)
     assert (spacing == spacing[0]).all()
     covered = curve.steps[-1]
     assert np.mean(curve.losses) == pytest.approx(losses[:covered].mean(), rel=1e-9)
+    assert np.mean(curve.psnrs) == pytest.approx(20 + losses[:covered].mean(), rel=1e-9)
 
 
 def test_the_curve_forgets_what_a_run_took_back() -> None:
     """Oracle: the points of a run that went back from step 9 to step 5."""
-    curve = LossCurve()
+    curve = Curve()
     for step in (1, 3, 5, 7, 9, 6, 8):
-        curve.add(step, 1.0 / step)
+        curve.add(step, 1.0 / step, 10.0 * step)
     assert curve.steps == [1, 3, 5, 6, 8]
     assert curve.losses == [pytest.approx(1 / step) for step in curve.steps]
+    assert curve.psnrs == [10.0 * step for step in curve.steps]
 
 
-def test_the_curve_as_a_picture() -> None:
-    """Oracle: a loss that falls exponentially is a straight line from upper left to the middle."""
-    curve = LossCurve()
+def _heights(pixels: np.ndarray, color: tuple[float, float, float]) -> list[float]:
+    """Mean row of the pixels of a colour in the columns 1 to 49; NaN where it has none."""
+    alike = np.abs(pixels - (*color, 1)).max(axis=-1) < 0.2
+    rows = [np.flatnonzero(alike[:, x]) for x in range(1, 50)]
+    return [float(row.mean()) if row.size else np.nan for row in rows]
+
+
+def test_the_curves_as_a_picture() -> None:
+    """Oracle: a loss that falls exponentially is a straight line from upper left to the middle, and
+    a PSNR that rises evenly one from lower left, which is whole where they cross."""
+    curve = Curve()
     for step in range(1, 101):
-        curve.add(step, float(np.exp(-step / 20)))
+        curve.add(step, float(np.exp(-step / 20)), 10 + step / 10)
     pixels = curve.picture(100, 100, last_step=200)
     assert (pixels.shape, pixels.dtype) == ((100, 100, 4), np.float32)
-    opaque = pixels[..., 3] > 0.6
-    assert not opaque[:, 52:].any()
-    heights = [float(np.flatnonzero(opaque[:, x]).mean()) for x in range(1, 50)]
-    line = np.polyfit(np.arange(1, 50), heights, 1)
-    assert np.abs(np.polyval(line, np.arange(1, 50)) - heights).max() < 1.0
-    assert line[0] == pytest.approx(-97 / 49.5, rel=0.05)
-    assert LossCurve().picture(8, 8, last_step=1)[..., 3].max() == 0
+    assert not (pixels[..., 3] > 0.6)[:, 52:].any()
+    at = np.arange(1, 50)
+    rising = _heights(pixels, PSNR_COLOR)
+    assert np.abs(97 / 49.5 * (at - 0.5) + 1 - rising).max() < 1.0
+    falling = np.array(_heights(pixels, LOSS_COLOR))
+    apart = np.abs(at - 25) > 3
+    assert np.abs(98 - 97 / 49.5 * (at - 0.5) - falling)[apart].max() < 1.0
+    assert Curve().picture(8, 8, last_step=1)[..., 3].max() == 0
+
+
+def test_the_lines_of_the_curve_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the numbers that went in, in the panel's words, below the picture; none without."""
+    state, layout = running(), Layout()
+    monkeypatch.setattr(curve_icon.ICONS, "update", lambda _: 7)
+    current = SimpleNamespace(state=state, id="a")
+    progress.draw_numbers(layout, current)
+    assert "[picture]" not in layout.text
+    state.curve.add(60, 0.0567, 25.68)
+    layout = Layout()
+    progress.draw_numbers(layout, current)
+    below = layout.text.partition("[picture]")[2]
+    assert "Loss, 0.0567 to 0.123 (logarithmic)" in below
+    assert "PSNR in training, 21.2 to 25.7 dB" in below
 
 
 def test_the_bar_is_on_top_while_a_training_runs(

@@ -66,7 +66,8 @@ def test_events_become_state(start: Start) -> None:
     )
     assert state.status == session.FINISHED
     assert (state.loss, state.psnr, state.eta_s) == (0.25, 21.5, None)
-    assert state.curve.losses == [0.25] and state.curve.steps == [40]
+    curve = state.curve
+    assert (curve.steps, curve.losses, curve.psnrs) == ([40], [0.25], [21.5])
     assert (state.step, state.splats, state.warnings) == (100, 1234, ["few points"])
     assert state.preview is not None and state.preview.view == "a.jpg"
     assert state.checkpoint is not None and state.checkpoint.name == "step_00000100.safetensors"
