@@ -64,6 +64,43 @@ def part(sign: int) -> list[int]:
     return [shown.x + xs[0], shown.x + xs[1], shown.y + ys[0], shown.y + ys[1]]
 
 
+def drawn_around(ob: bpy.types.Object) -> Iterator[object]:
+    """What Blender's own box and lasso select of the splats, with X-Ray and without.
+
+    The box is that of `part(1)`; the lasso goes around its left half, with a corner cut off.
+    """
+    window, shown = bpy.context.window_manager.windows[0], region()
+    left, right, bottom, top = (v - (shown.x, shown.y)[k // 2] for k, v in enumerate(part(1)))
+    middle = (left + right) // 2
+    lasso = [(left, bottom), (middle, bottom), (middle, top), (left, (bottom + top) // 2)]
+    path = [{"name": "", "loc": corner, "time": 0.0} for corner in lasso]
+    flat = [location_3d_to_region_2d(shown, space().region_3d, v.co) for v in ob.data.vertices]
+    seen["flat"] = [list(place) for place in flat]
+    seen["box"], seen["lasso"] = [left, right, bottom, top], lasso
+    seen["drawn"] = {}
+    with bpy.context.temp_override(window=window, area=area(), region=shown):
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.mesh.select_mode(type="VERT")
+    for xray in (False, True):
+        space().shading.show_xray = xray
+        area().tag_redraw()
+        yield 1.0  # Blender selects by what it has drawn
+        for name in ("box", "lasso"):
+            with bpy.context.temp_override(window=window, area=area(), region=shown):
+                bpy.ops.mesh.select_all(action="DESELECT")
+                if name == "box":
+                    sides = {"xmin": left, "xmax": right, "ymin": bottom, "ymax": top}
+                    bpy.ops.view3d.select_box(**sides, wait_for_input=False, mode="SET")
+                else:
+                    bpy.ops.view3d.select_lasso(path=path, mode="SET")
+            yield 1.0
+            editor = bmesh.from_edit_mesh(ob.data)
+            chosen = [v.index for v in editor.verts if v.select]
+            seen["drawn"][f"{name}_{'xray' if xray else 'plain'}"] = chosen
+        screenshot(f"lasso_{'xray' if xray else 'plain'}")
+    space().shading.show_xray = False
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     clear()
@@ -86,6 +123,8 @@ def story() -> Iterator[object]:
     wall.gscore.display = "SPLATS"
     yield 3.0
     screenshot("splats_upper")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    yield from drawn_around(wall)
     copies.EDITED_AT_ONCE = 1000  # fewer than the wall has
     choose(wall, upper=True, lower=False)
     yield 1.5

@@ -51,6 +51,41 @@ def test_splats_tell_what_is_selected(seen):
     assert orange(seen, "splats_upper", "lower") < FEW
 
 
+EDGE = 4.0
+"""Pixels beside a line that one draws within which a vertex, as it is drawn without X-Ray, lies on
+both sides."""
+
+
+@pytest.mark.parametrize("way", ["plain", "xray"])
+def test_a_box_selects_the_splats_within_it(seen, way):
+    """Oracle: where Blender's own projection puts each splat."""
+    flat = np.array(seen[0]["flat"])
+    left, right, bottom, top = seen[0]["box"]
+    inside = np.min(
+        [flat[:, 0] - left, right - flat[:, 0], flat[:, 1] - bottom, top - flat[:, 1]], 0
+    )
+    _selected_are(seen, f"box_{way}", inside)
+
+
+@pytest.mark.parametrize("way", ["plain", "xray"])
+def test_a_lasso_selects_the_splats_within_it(seen, way):
+    """Oracle: on which side of each edge of the lasso Blender's own projection puts a splat."""
+    flat, corners = np.array(seen[0]["flat"]), np.array(seen[0]["lasso"], float)
+    along = np.roll(corners, -1, axis=0) - corners
+    normals = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
+    sides = np.einsum("pke,ke->pk", flat[:, None] - corners, normals)
+    _selected_are(seen, f"lasso_{way}", sides.min(axis=1))
+
+
+def _selected_are(seen: tuple[dict, Path], name: str, inside: np.ndarray) -> None:
+    """Those well inside are, those well outside are not; of both there are many."""
+    chosen = np.zeros(len(inside), bool)
+    chosen[seen[0]["drawn"][name]] = True
+    assert min((inside > EDGE).sum(), (inside < -EDGE).sum()) > 50
+    assert chosen[inside > EDGE].all()
+    assert not chosen[inside < -EDGE].any()
+
+
 def test_large_objects_follow_a_selection_in_edit_mode(seen):
     """Oracle: the other half, after Blender's own operator and without leaving Edit Mode."""
     assert orange(seen, "splats_lower", "upper") < FEW
