@@ -153,6 +153,77 @@ def dark(scene: bpy.types.Scene) -> Iterator[object]:
     yield 0.5
 
 
+def with_gizmo(ob: bpy.types.Object) -> Iterator[object]:
+    """The move gizmo of a selected object over splats, in each shading, and the view without it."""
+    window = bpy.context.window_manager.windows[0]
+    bpy.context.view_layer.objects.active = ob
+    ob.select_set(True)
+    colors = bpy.context.preferences.themes[0].user_interface
+    seen["axes"] = [list(getattr(colors, f"axis_{axis}")) for axis in "xy"]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.wm.tool_set_by_id(name="builtin.move")
+    for shading in ("SOLID", "MATERIAL", "RENDERED"):
+        space().shading.type = shading
+        for shows in (False, True):
+            space().show_gizmo = shows
+            yield 0.5
+            yield at_rest
+            yield 1.0
+            screenshot(f"gizmo_{shading.lower()}_{'on' if shows else 'off'}")
+    space().show_gizmo = False
+    space().shading.type = "SOLID"
+    ob.select_set(False)
+
+
+def through_camera(scene: bpy.types.Scene) -> Iterator[object]:
+    """The view through a camera whose frame is the whole view, and what F12 writes of it."""
+    shown, view = region(), space().region_3d
+    seen["view"] = [shown.x, shown.y, shown.width, shown.height]
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location = (0.3, -0.2, 4)
+    scene.camera = camera
+    scene.render.resolution_x, scene.render.resolution_y = shown.width, shown.height
+    scene.render.resolution_percentage = 100
+    view.view_perspective, view.view_camera_offset = "CAMERA", (0, 0)
+    view.view_camera_zoom = 50 * (2 - 2**0.5)  # at which the frame fills the view
+    space().overlay.show_overlays = False
+    for transform in ("Standard", "Raw"):
+        scene.view_settings.view_transform = transform
+        yield 0.5
+        yield lambda: region().as_pointer() in handler.viewport.EXACT
+        yield 1.0
+        screenshot(f"camera_{transform}")
+        lab.render_file(FOLDER / f"f12_{transform}.png")
+    scene.view_settings.view_transform = "Standard"
+    view.view_perspective = "PERSP"
+
+
+def off_and_on() -> Iterator[object]:
+    """The add-on disabled and enabled again, as in the preferences."""
+    space().shading.type = "SOLID"
+    look_down()
+    yield 0.5
+    yield at_rest
+    yield 1.0
+    screenshot("before_off")
+    addon_utils.disable("addon", default_set=True)
+    area().tag_redraw()
+    yield 1.0
+    screenshot("off")
+    addon_utils.enable("addon", default_set=True, persistent=True)
+    area().tag_redraw()
+    yield 0.5
+    yield at_rest
+    yield 1.0
+    screenshot("on_again")
+    wall = bpy.data.objects["wall"]
+    seen["display_again"] = wall.gscore.display
+    wall.gscore.display = "POINTS"
+    yield 1.0
+    seen["shown_again"] = look()
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     scene = bpy.context.scene
@@ -254,6 +325,10 @@ def story() -> Iterator[object]:
     yield lambda: region().as_pointer() in handler.viewport.EXACT
     yield 1.0
     screenshot("exact")
+    yield from through_camera(scene)
+    look_down()
+    yield from with_gizmo(wall)
+    yield from off_and_on()
 
 
 def _end(problem: str) -> None:

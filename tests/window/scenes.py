@@ -48,8 +48,8 @@ def told(
     return found, folder, output
 
 
-def pixels(folder: Path, name: str) -> np.ndarray:
-    """[H, W, 3] 8 bit of a picture of the screen."""
+def pixels(folder: Path, name: str, size: tuple[int, int] = SCREEN) -> np.ndarray:
+    """[H, W, 3] 8 bit of a picture of that width and height, else of the screen."""
     command = ["convert", str(folder / f"{name}.png"), "-depth", "8", "rgb:-"]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
-    return np.frombuffer(raw, np.uint8).reshape(*SCREEN[::-1], 3).astype(int)
+    return np.frombuffer(raw, np.uint8).reshape(*size[::-1], 3).astype(int)

@@ -131,3 +131,44 @@ def test_the_exact_picture_takes_over(seen):
     part = np.s_[SCREEN[1] - y - 60 : SCREEN[1] - y + 60, x - 60 : x + 60]
     assert np.abs(live[part] - exact[part]).max() <= 2
     assert np.std(exact[part]) > 5
+
+
+@pytest.mark.parametrize("transform", ["Standard", "Raw"])
+def test_a_still_camera_view_is_the_render(seen, transform):
+    """Oracle: the PNG that F12 wrote, pixel by pixel, but for the view's edge, on which Blender has
+    its corners and the arrows of regions that are closed."""
+    found, folder = seen
+    left, bottom, width, height = found["view"]
+    rows = slice(SCREEN[1] - bottom - height, SCREEN[1] - bottom)
+    view = pixels(folder, f"camera_{transform}")[rows, left : left + width]
+    written = pixels(folder, f"f12_{transform}", (width, height))
+    assert np.std(written, axis=(0, 1)).max() > 20
+    inside = np.s_[16:-16, 16:-16]
+    apart = np.abs(view - written)[inside].max(axis=-1)
+    assert np.quantile(apart, 0.999) <= 2 and apart.max() <= 3
+
+
+@pytest.mark.parametrize("shading", ["solid", "material", "rendered"])
+def test_gizmos_lie_over_splats(seen, shading):
+    """Oracle: the theme's colours of the axes, where only splats are without the gizmo."""
+    found, folder = seen
+    x, y = found["middle"][0], SCREEN[1] - found["middle"][1]
+    arms = np.s_[y - 3 : y + 3, x + 20 : x + 90], np.s_[y - 90 : y - 20, x - 3 : x + 3]
+    for axis, arm in zip(found["axes"], arms, strict=True):
+        off, on = (pixels(folder, f"gizmo_{shading}_{switch}")[arm] for switch in ("off", "on"))
+        near = [np.abs(picture - 255 * np.array(axis)).max(axis=-1) < 60 for picture in (on, off)]
+        assert (near[0] & ~near[1]).sum() > 20
+
+
+def test_the_addon_can_be_disabled_and_enabled_in_a_window(seen):
+    """Oracle: nothing in the place of the splats, then the same picture as before; the display of
+    the wall, and what is drawn once it is shown otherwise."""
+    found, folder = seen
+    before, off, again = (pixels(folder, name) for name in ("before_off", "off", "on_again"))
+    x, y = found["middle"]
+    part = np.s_[SCREEN[1] - y - 60 : SCREEN[1] - y + 60, x - 60 : x + 60]
+    assert np.abs(off[part] - before[part]).mean() > 20
+    apart = np.abs(again[part] - before[part])
+    assert apart.max() <= 1
+    assert found["display_again"] == "SPLATS"
+    assert found["shown_again"] == ["blob"]
