@@ -163,21 +163,21 @@ class MorePanel(TabPanel, bpy.types.Panel):
 
 
 def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
-    """How many splats there are of which opacity and size; below each, sliders that hide some."""
-    kinds = {OPACITY: ("opacity_min",), SIZE: ("size_min", "size_max")}
+    """How many splats there are of which opacity and size; below, as wide as the panel, since their
+    names would be cut else, sliders that hide some."""
     try:
-        icons = {kind: ICONS.update(ob, kind) for kind in kinds}
+        icons = {kind: ICONS.update(ob, kind) for kind in (OPACITY, SIZE)}
     except ValueError:  # the counts above say why
         icons = {}
-    pictured = any(icons.values())
-    row = layout.row() if pictured else layout.column(align=True)
-    for kind, names in kinds.items():
-        column = row.column(align=True)
-        if pictured:
+    if any(icons.values()):
+        row = layout.row()
+        for kind, icon in icons.items():
+            column = row.column(align=True)
             column.label(text=f"By {kind}")
-            column.template_icon(icons[kind], scale=_HISTOGRAM_SCALE)
-        for name in names:
-            limit(column, ob.gscore, name)
+            column.template_icon(icon, scale=_HISTOGRAM_SCALE)
+    column = layout.column(align=True)
+    for name in ("opacity_min", "size_min", "size_max"):
+        limit(column, ob.gscore, name)
 
 
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -78,7 +78,7 @@ def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
     bpy.context.view_layer.objects.active = ob
     assert drawn(FiltersPanel).startswith("<opacity_min>")  # icons have no number here
     monkeypatch.setattr(histogram_icons.ICONS, "update", lambda ob, kind: 7)
-    wanted = "By opacity [picture] <opacity_min> By size [picture] <size_min> <size_max>"
+    wanted = "By opacity [picture] By size [picture] <opacity_min> <size_min> <size_max>"
     assert drawn(FiltersPanel).startswith(wanted)
 
 
