@@ -38,6 +38,21 @@ def veil(count: int = 500) -> Splats:
     return Splats(**fields, scales=splats.scales + 3, opacities=splats.opacities * 0 - 4)
 
 
+def beads(rest: int) -> Splats:
+    """Nine opaque balls apart from one another, whose colours change much with the view."""
+    rng = np.random.default_rng(rest)
+    x, y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
+    means = np.stack([x.ravel(), y.ravel(), rng.uniform(-0.3, 0.3, 9)], axis=1)
+    return Splats(
+        means=means.astype(np.float32),
+        quats=np.tile([1, 0, 0, 0], (9, 1)).astype(np.float32),
+        scales=np.full((9, 3), np.log(0.1), np.float32),
+        opacities=np.full(9, 8, np.float32),
+        sh0=(rng.normal(size=(9, 1, 3)) * 0.3).astype(np.float32),
+        shN=(rng.normal(size=(9, rest, 3)) * 0.4).astype(np.float32),
+    )
+
+
 def wall(z: float, color: tuple[float, float, float], *, half: float = 1.0) -> Splats:
     """A dense opaque square of one sRGB colour across the z axis."""
     side = np.linspace(-half, half, 41)

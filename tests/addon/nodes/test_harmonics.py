@@ -10,7 +10,6 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon.compat import splat_cloud_type
-from addon.core import Splats
 from addon.nodes import harmonics
 from addon.nodes.display import modifier_of
 from tests.addon import splat_scenes as lab
@@ -21,21 +20,6 @@ LIMITS = {"SOFT": LIMIT, "NATIVE": 25 / 255}
 """Of single colors, by display: those of its own splats Blender works out more coarsely."""
 OPAQUE = 0.99
 """Opacity at which the engine ends; Cycles does not."""
-
-
-def beads(rest: int) -> Splats:
-    """Nine opaque balls apart from one another, whose colours change much with the view."""
-    rng = np.random.default_rng(rest)
-    x, y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
-    means = np.stack([x.ravel(), y.ravel(), rng.uniform(-0.3, 0.3, 9)], axis=1)
-    return Splats(
-        means=means.astype(np.float32),
-        quats=np.tile([1, 0, 0, 0], (9, 1)).astype(np.float32),
-        scales=np.full((9, 3), np.log(0.1), np.float32),
-        opacities=np.full(9, 8, np.float32),
-        sh0=(rng.normal(size=(9, 1, 3)) * 0.3).astype(np.float32),
-        shN=(rng.normal(size=(9, rest, 3)) * 0.4).astype(np.float32),
-    )
 
 
 def centres(scene: bpy.types.Scene, ob: bpy.types.Object, folder: Path, engine: str) -> np.ndarray:
@@ -70,7 +54,7 @@ def test_cycles_shows_the_color_from_here(
     ready: bpy.types.Scene, tmp_path: Path, rest: int, placed: str, display: str
 ) -> None:
     """Oracle: the engine's picture of the same object at the middle of each ball."""
-    ob = lab.add(ready, beads(rest))
+    ob = lab.add(ready, lab.beads(rest))
     if placed != "as made":
         ob.location, ob.rotation_euler, ob.scale = (0.2, -0.3, 0.1), (0.3, 0.1, 2.0), (0.9,) * 3
     if placed == "mirrored":
@@ -86,7 +70,7 @@ def test_cycles_shows_the_color_from_here(
 
 def test_colors_follow_the_camera(ready: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the engine once more, after the camera alone has moved; colours have changed."""
-    ob = lab.add(ready, beads(15))
+    ob = lab.add(ready, lab.beads(15))
     ob.gscore.display = "SOFT"
     before = centres(ready, ob, tmp_path, "CYCLES")
     ready.camera.location = (-2.5, 1, 4.5)
@@ -100,7 +84,7 @@ def test_colors_follow_the_camera(ready: bpy.types.Scene, tmp_path: Path) -> Non
 
 def test_the_live_display_renders_them_too(ready: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the picture of the display Native Splats, before 5.3 that of Soft Splats."""
-    ob = lab.add(ready, beads(8))
+    ob = lab.add(ready, lab.beads(8))
     ob.gscore.display = DISPLAYS[-1]
     want = centres(ready, ob, tmp_path, "CYCLES")
     ob.gscore.display = "SPLATS"
@@ -109,7 +93,7 @@ def test_the_live_display_renders_them_too(ready: bpy.types.Scene, tmp_path: Pat
 
 def test_without_a_camera_the_mean_color_is_shown(ready: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: splats that have no other coefficients, from nodes that are given no camera."""
-    splats = beads(15)
+    splats = lab.beads(15)
     ob = lab.add(ready, splats)
     ob.gscore.display = "SOFT"
     for tree in {modifier_of(ob).node_group, *bpy.data.node_groups}:

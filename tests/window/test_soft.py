@@ -1,0 +1,28 @@
+"""Soft Splats by EEVEE, in the window of a real Blender. Oracle: `gscore.render`.
+
+Needs what `test_live.py` needs.
+"""
+
+import numpy as np
+import pytest
+
+from tests.window.scenes import pixels, told
+
+pytestmark = pytest.mark.window
+
+OPAQUE = 0.99
+"""Opacity at which gscore ends; EEVEE does not."""
+
+
+def test_eevee_shows_the_color_from_here(tmp_path_factory):
+    """Oracle: the colors of degree 3 of nine opaque balls at their middles, seen from aside, to
+    what the page on Blender says in the mean, and single ones as in Cycles."""
+    found, folder, output = told("soft", tmp_path_factory, longest=400)
+    assert "Traceback" not in output, output
+    x, y = np.transpose(found["places"])
+    shown = OPAQUE * pixels(folder, "f12", (200, 200))[y, x] / 255
+    wanted = np.clip(found["wanted"], 0, 1)
+    assert np.ptp(wanted) > 0.3
+    apart = shown - wanted
+    assert np.abs(apart.mean(axis=0)).max() <= 1 / 255
+    assert np.abs(apart).max() <= 3 / 255
