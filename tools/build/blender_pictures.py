@@ -1,0 +1,74 @@
+"""Takes the pictures of the add-on's panels in docs/blender/ anew.
+
+`GSCORE_BLENDER=PROGRAM python tools/build/blender_pictures.py [NAME...]`, of a Blender of 4.2 or
+later, with Xvfb and ImageMagick, and a Python here that trains. Without names, all of them. It
+trains the example capture for it; without a graphics card that and the rest take six minutes. Look
+at each before it is kept.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from tools.window import programs  # noqa: E402 - the path comes first
+
+PAGES = ROOT / "docs" / "blender"
+SCRIPT = ROOT / "tools" / "window" / "pictures_scene.py"
+SCREENS = (1060, 820), (1060, 1180)
+"""Of the window before there are splats, and then."""
+LONGEST = 900
+WHOLE = "capture", "training", "viewport"
+MONTAGES = {
+    "region": {"region": "1060x960+0+0"},
+    "soft": {"part_soft": "240x420+410+350", "part_ellipsoids": "240x420+410+350"},
+    "behind": {"part_photo": "620x700+230+230"},
+    "frames": {"part_sequence": "345x264+715+775"},
+    "torn": {"part_torn": "310x282+715+188"},
+    "environment": {"part_question": "560x332+38+341"},
+}
+"""What is cut out of which pictures of the screen, and put side by side."""
+
+
+def main() -> None:
+    """Run the command line."""
+    blender, problem = programs.find(*programs.PICTURES)
+    if not blender:
+        sys.exit(problem)
+    with tempfile.TemporaryDirectory() as place:
+        first, second = Path(place, "first"), Path(place, "second")
+        shutil.copytree(ROOT / "examples" / "studio", first / "studio")
+        (first / "python").write_text(sys.executable)
+        take(blender, first, SCREENS[0])
+        kept = shutil.ignore_patterns("profile", "packages", "*.png", "seen.json")
+        shutil.copytree(first, second, ignore=kept)
+        take(blender, second, SCREENS[1])
+        shots = {file.stem: file for file in Path(place).glob("*/*.png")}
+        for name in sys.argv[1:] or (*WHOLE, *MONTAGES):
+            parts = MONTAGES.get(name, {name: ""})
+            command = ["convert"]
+            for part, cut in parts.items():
+                command += ["(", str(shots[part]), *(["-crop", cut, "+repage"] if cut else []), ")"]
+            target = PAGES / f"{name}.jpg"
+            subprocess.run([*command, "+append", "-quality", "82", str(target)], check=True)
+            print(target.relative_to(ROOT))
+
+
+def take(blender: str, folder: Path, size: tuple[int, int]) -> None:
+    """Have Blender leave its pictures in a folder."""
+    with programs.screen(*size) as display:
+        options = (size, LONGEST, "--enable-event-simulate")
+        output = programs.run(blender, SCRIPT, folder, display, *options)
+    seen = folder / "seen.json"
+    log = json.loads(seen.read_text())["log"] if seen.is_file() else [output]
+    if log:
+        sys.exit("\n".join(log))
+
+
+if __name__ == "__main__":
+    main()

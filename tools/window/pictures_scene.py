@@ -1,0 +1,283 @@
+"""Runs inside a Blender with a window: draws the pictures of the sidebar's panels for docs/.
+
+`blender --factory-startup --enable-event-simulate -P tools/window/pictures_scene.py -- FOLDER
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER/studio is a capture, and
+FOLDER/python names the Python that trains it; where FOLDER/figure.blend is there already, its
+splats are shown. Leaves FOLDER/seen.json, that file and pictures of the screen, of which
+`tools/build/blender_pictures.py` makes those of pages.
+"""
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+from mathutils import Matrix, Quaternion, Vector  # noqa: E402
+
+from addon.panels import CLASSES  # noqa: E402
+
+IS_TRAINED = (FOLDER / "figure.blend").exists()
+OPEN = {"capture", "cameras", "train"}, {"result", "filters", "region", "sequence"}
+"""Of the panels, while there is nothing trained yet, and then; besides those of a training."""
+for panel in CLASSES:
+    name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
+    if name in OPEN[not IS_TRAINED] | {"render"}:
+        panel.bl_options = {"DEFAULT_CLOSED"}
+    elif name in OPEN[IS_TRAINED]:
+        panel.bl_options = set()
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon.job.session import RunState  # noqa: E402
+from addon.job.training import job_of  # noqa: E402
+from addon.process import beat  # noqa: E402
+from addon.python import setup  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, leaving, region, send, shoot, space  # noqa: E402
+
+Teller.LONGEST = 200.0
+WIDER = 60
+"""Pixels by which the sidebar is drawn out, for labels that would be cut."""
+seen: dict = {"log": []}
+python = (FOLDER / "python").read_text().strip()
+bpy.context.preferences.addons["addon"].preferences.python_path = python
+
+
+def press(name: str, **given: object) -> None:
+    """Call an operator, `room.name`, as a user does with the mouse over the view."""
+    room, operator = name.split(".")
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        getattr(getattr(bpy.ops, room), operator)("EXEC_DEFAULT", True, **given)
+
+
+def choose(ob: bpy.types.Object) -> None:
+    """Click on an object."""
+    for other in bpy.context.view_layer.objects:
+        other.select_set(other == ob)
+    bpy.context.view_layer.objects.active = ob
+
+
+def sidebar() -> bpy.types.Region:
+    """The region of the sidebar."""
+    return next(r for r in area().regions if r.type == "UI")
+
+
+def open_sidebar() -> Iterator[object]:
+    """The add-on's tab, wider than it opens."""
+    press("screen.screen_full_area")
+    yield 1.0
+    space().show_region_ui = True
+    yield 1.0
+    sidebar().active_panel_category = "Train Splats"
+    yield 0.5
+    window, edge = bpy.context.window_manager.windows[0], sidebar().x
+    y = sidebar().y + sidebar().height // 3
+    for kind, value, x in (
+        ("MOUSEMOVE", "NOTHING", edge + 1),
+        ("LEFTMOUSE", "PRESS", edge + 1),
+        ("MOUSEMOVE", "NOTHING", edge - WIDER // 2),
+        ("MOUSEMOVE", "NOTHING", edge - WIDER),
+        ("LEFTMOUSE", "RELEASE", edge - WIDER),
+        ("MOUSEMOVE", "NOTHING", area().x + area().width // 3),
+    ):
+        window.event_simulate(kind, value, x=x, y=y)
+        yield 0.2
+
+
+def clicked(row: int) -> Iterator[object]:
+    """A click on the header of the panel that is so many closed ones below the first: it closes."""
+    window, shown = bpy.context.window_manager.windows[0], sidebar()
+    place = {"x": shown.x + 60, "y": shown.y + shown.height - 14 - 28 * row}  # as headers are high
+    window.event_simulate("MOUSEMOVE", "NOTHING", **place)
+    yield 0.2
+    for value in ("PRESS", "RELEASE"):
+        window.event_simulate("LEFTMOUSE", value, **place)
+        yield 0.3
+    place["x"] = area().x + area().width // 3
+    window.event_simulate("MOUSEMOVE", "NOTHING", **place)
+    yield 0.5
+
+
+def look_at_figure() -> None:
+    """From the front and somewhat above, as large as the view's height."""
+    view = space().region_3d
+    view.view_perspective = "PERSP"
+    view.view_distance = 3.5 if IS_TRAINED else 4.5
+    view.view_location = (0, 0, 0.8)
+    view.view_rotation = Quaternion((0.79, 0.59, 0.06, 0.12)).normalized()
+
+
+def state() -> RunState:
+    """Where the training stands."""
+    job = job_of(bpy.context.scene)
+    assert job is not None
+    return job.state
+
+
+def trained() -> bool:
+    """Whether the training has ended and its splats are there."""
+    return state().ended and not any(f.waits() for f in beat.FOLLOWERS)
+
+
+def training() -> Iterator[object]:
+    """A capture, its training on the way, and its splats at the end."""
+    settings = bpy.context.scene.gscore
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "figure.blend"))
+    for ob in list(bpy.data.objects):
+        bpy.data.objects.remove(ob)
+    yield from open_sidebar()
+    settings.capture_path, settings.output_path = "//studio", "//studio_splats"
+    settings.preset = "normal"
+    press("gscore.import_cameras", directory=str(FOLDER / "studio"))
+    yield 3.0
+    look_at_figure()
+    yield 1.0
+    shoot(FOLDER / "capture.png")
+    settings.preset = "preview"
+    for row in (0, 1, 3):  # Depth between is closed
+        yield from clicked(row)
+    press("gscore.train")
+    yield lambda: state().share > 0.6 and settings.result is not None
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "training.png")
+    yield trained
+    press("gscore.show_splats")
+    look_at_figure()
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "viewport.png")
+    bpy.ops.wm.save_mainfile()
+
+
+def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
+    """A crop box, histograms with limits, and what trains the box."""
+    press("gscore.add_crop_box")
+    box = bpy.context.object
+    box.location.z, box.scale = 1.2, [0.6 * v for v in box.scale]
+    ob.gscore.opacity_min, ob.gscore.size_max = 0.25, 0.02
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "region.png")
+    bpy.data.objects.remove(box)
+    choose(ob)
+    press("gscore.reset_filters")
+
+
+def displays(ob: bpy.types.Object) -> Iterator[object]:
+    """Soft Splats and Ellipsoids."""
+    space().shading.type = "MATERIAL"
+    space().overlay.show_overlays = space().show_gizmo = False
+    for display in ("SOFT", "ELLIPSOIDS"):
+        ob.gscore.display = display
+        ob.gscore.opacity_min = 0.3 if display == "ELLIPSOIDS" else 0.0
+        area().tag_redraw()
+        yield 60.0  # for its shaders, until which all is white
+        space().shading.type = "SOLID"  # or some white would stay in the mean
+        yield 1.0
+        space().shading.type = "MATERIAL"
+        yield 60.0
+        shoot(FOLDER / f"part_{display.lower()}.png")
+    ob.gscore.display, ob.gscore.opacity_min = "SPLATS", 0.0
+    space().shading.type = "SOLID"
+    space().overlay.show_overlays = space().show_gizmo = True
+
+
+def photo(ob: bpy.types.Object) -> Iterator[object]:
+    """A photo behind splats that stand beside the figure in it."""
+    scene = bpy.context.scene
+    press("gscore.use_camera", index=0, look_through=True)
+    for other in scene.objects:
+        other.hide_set(other not in (ob, scene.camera))
+    slot = scene.camera.data.background_images[0]
+    scene.camera.data.show_background_images = True
+    slot.show_background_image, slot.display_depth, slot.alpha = True, "BACK", 1.0
+    place = ob.matrix_world.copy()
+    ob.matrix_world = (
+        Matrix.Translation(scene.camera.matrix_world.to_3x3() @ Vector((0.35, 0, 0))) @ place
+    )
+    scene.render.engine, scene.view_settings.view_transform = "GSCORE_SPLATS", "Standard"
+    space().shading.type = "RENDERED"
+    space().show_region_ui = space().show_gizmo = False
+    ob.select_set(False)
+    yield 1.0
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "part_photo.png")
+    space().show_region_ui = space().show_gizmo = True
+    ob.matrix_world = place
+    space().shading.type = "SOLID"
+    space().region_3d.view_perspective = "PERSP"
+    look_at_figure()
+
+
+def sequence() -> Iterator[object]:
+    """The settings of a sequence."""
+    frames = FOLDER / "frames"
+    frames.mkdir()
+    for number in range(1, 25):
+        shutil.copy(FOLDER / "studio_splats" / "point_cloud.ply", frames / f"{number:04}.ply")
+    press("gscore.import_sequence", directory=str(frames))
+    ob = bpy.context.object
+    ob.name = "dance"
+    bpy.context.scene.frame_set(7)
+    yield 1.0
+    yield at_rest
+    shoot(FOLDER / "part_sequence.png")
+    bpy.data.objects.remove(ob)
+
+
+def torn(ob: bpy.types.Object) -> Iterator[object]:
+    """What is said of splats after Apply."""
+    choose(ob)
+    ob.rotation_euler = (0.0, 0.0, 1.2)
+    press("object.transform_apply", location=False, rotation=True, scale=False)
+    yield 1.0
+    yield at_rest
+    shoot(FOLDER / "part_torn.png")
+
+
+def question() -> Iterator[object]:
+    """What Make Environment asks."""
+    bpy.context.preferences.system.use_online_access = True
+    setup.private_folder = lambda: Path("/home/me/gscore/trainer")
+    window = bpy.context.window_manager.windows[0]
+    send("MOUSEMOVE", "NOTHING", 0, 200)  # where it opens
+    yield 0.5
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.gscore.make_environment(
+            "INVOKE_DEFAULT", wheel="gscore-0.1.0-py3-none-manylinux_2_28_x86_64.whl"
+        )
+    yield 1.0
+    shoot(FOLDER / "part_question.png")
+
+
+def result() -> Iterator[object]:
+    """What is done with the splats of a training."""
+    bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "figure.blend"), load_ui=False)
+    yield 2.0
+    yield from open_sidebar()
+    ob = bpy.context.scene.gscore.result
+    choose(ob)
+    for other in bpy.context.scene.objects:
+        other.hide_set(other != ob)
+    look_at_figure()
+    yield at_rest
+    for part in (region_and_filters, displays, photo):
+        yield from part(ob)
+    for other in bpy.context.scene.objects:
+        other.hide_set(other != ob)
+    ob.hide_set(True)
+    yield from sequence()
+    ob.hide_set(False)
+    yield from torn(ob)
+    yield from question()
+
+
+Teller(result() if IS_TRAINED else training(), leaving(FOLDER, seen))
