@@ -239,9 +239,10 @@ class TrainConfig:
     ensemble_below: float = option(
         0.0,
         "There is more than one model only where stereo, asked for points, finds the depth of less "
-        "than this share of the pixels, and masks are not opacity: where photos agree in more, "
-        "one model with all splats shows finer detail. 0: always, as where `--ensemble` is given "
-        "by itself.",
+        "than this share of the pixels: where photos agree in more, one model with all splats "
+        "shows finer detail. Where masks are opacity there are several where it finds three "
+        "quarters of the pixels that these leave and more, and splats are left out (`drop_rate`). "
+        "0: always, as where `--ensemble` is given by itself.",
         group="run",
         range=Range(high=1),
         when="ensemble",

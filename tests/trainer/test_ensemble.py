@@ -200,6 +200,10 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
         (2, 0.35, 0.35, "none", 9000, 1),
         (2, 0.35, None, "none", 9000, 1),
         (2, 0.35, 0.25, "composite", 9000, 1),
+        (2, 0.35, 0.74, "composite", 9000, 1),
+        (2, 0.35, None, "composite", 9000, 1),
+        (2, 0.35, 0.75, "composite", 9000, 2),
+        (2, 0.35, 0.9, "composite", 100_001, 1),
         (2, 0.0, 0.9, "composite", 500_000, 2),
         (2, 0.0, None, "none", 9000, 2),
         (1, 0.35, 0.1, "none", 9000, 1),
@@ -209,11 +213,16 @@ def test_how_many_models_there_are(
     ensemble: int, below: float, known: float | None, mask_mode: str, points: int, models: int
 ) -> None:
     """Oracle: the text of the options, 400,000 splats at most; the sentence comes with the
-    condition; what is expected before photos are compared is no less."""
-    config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO)
+    condition; what is expected before photos are compared is no less, but of a subject. Of one of
+    which no splats are left out there is one model."""
+    config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO, drop_rate=0.1)
     found, words = models_of(config, photos=50, mask_mode=mask_mode, known=known, points=points)
     subject = mask_mode == "composite"
-    assert models_to_expect(config, photos=50, points=points, subject=subject) >= models
+    expected = models_to_expect(config, photos=50, points=points, subject=subject)
+    assert expected == 1 if subject and below else expected >= models
+    whole = replace(config, drop_rate=0.0)
+    alone, _ = models_of(whole, photos=50, mask_mode=mask_mode, known=known, points=points)
+    assert alone == (1 if subject and below else models)
     off = replace(config, stereo=Stereo.OFF, start_splats=None)
     unasked = models_to_expect(off, photos=50, points=points, subject=False)
     assert unasked == (1 if below else ensemble)
@@ -222,7 +231,8 @@ def test_how_many_models_there_are(
     assert found == models
     assert bool(words) == (models > 1 and below > 0)
     if words:
-        assert "the depth of 25% of their pixels" in words and f"{models} models" in words
+        whose = "75% of the subject's pixels:" if subject else "25% of their pixels, less"
+        assert f"the depth of {whose}" in words and f"{models} models" in words
 
 
 def test_which_presets_train_several() -> None:

@@ -122,7 +122,7 @@ def estimate(
             sh_degree=config.sh_degree,
             pixels=pixels,
             lpips=lpips,
-            joined=models > 1,
+            joined=models > 1 or (subject and config.ensemble > 1),
         )
 
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)

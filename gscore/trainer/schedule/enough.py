@@ -14,6 +14,9 @@ SPLATS_A_POINT = 5
 _AGREE = 0.5
 """Share of a subject's pixels whose depth stereo finds where photos agree: .68 and .84 of two, .34
 and .39 of two others."""
+_AGREE_WELL = 0.75
+"""And from where on several models of a subject are better than one: .84 of the one that gains;
+that of .68 loses, for one model alone grows more splats than its share."""
 _FEWEST_STEPS, _FEWEST_SPLATS = 1500, 300_000
 """What is always allowed if it was asked for: the steps of the preset `preview`, for fewer leave
 too little time to grow, and the splats of `normal`."""
@@ -66,7 +69,8 @@ def _splats_for(config: TrainConfig, photos: int) -> int:
 
 def models_to_expect(config: TrainConfig, *, photos: int, points: int, subject: bool) -> int:
     """How many models a run trains side by side, unless photos agree in more than
-    `ensemble_below`, which is not known before they are compared.
+    `ensemble_below`, which is not known before they are compared. Of a subject one is expected:
+    where photos agree there are several, but with half the steps.
 
     Args:
         config: `ensemble`, and `ensemble_below`, its condition; before or after
@@ -102,17 +106,22 @@ def models_of(
     Returns:
         The number, and a sentence where photos decide that there are several; empty: they do not.
     """
-    subject = mask_mode == "composite"
-    models = models_to_expect(config, photos=photos, points=points, subject=subject)
+    models = models_to_expect(config, photos=photos, points=points, subject=False)
     if models == 1 or not config.ensemble_below:
         return models, ""
-    if known is None or known >= config.ensemble_below:
+    if mask_mode == "composite":
+        thins = thins_subject(config, mask_mode=mask_mode, known=known)
+        if known is None or known < _AGREE_WELL or not thins:
+            return 1, ""
+        why = f"{known:.0%} of the subject's pixels"
+    elif known is None or known >= config.ensemble_below:
         return 1, ""
+    else:
+        why = f"{known:.0%} of their pixels, less than {config.ensemble_below:.0%}"
     return models, (
-        f"Photos agree on the depth of {known:.0%} of their pixels, less than "
-        f"{config.ensemble_below:.0%}: {models} models, each with its share of the splats, are "
-        "trained side by side and shown as one. That takes longer, and views between the photos "
-        "are better (--ensemble 1 trains one)."
+        f"Photos agree on the depth of {why}: {models} models, each with its share of the splats, "
+        "are trained side by side and shown as one. That takes longer, and views between the "
+        "photos are better (--ensemble 1 trains one)."
     )
 
 
