@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from addon import preferences, stored_paths
-from addon.cameras import camera_path_import, captures, export_colmap, straight
+from addon.cameras import camera_path_import, captures, export_colmap, reading, straight
 from addon.cameras import objects as co
 from addon.core import (
     PRESETS,
@@ -148,11 +148,11 @@ def test_what_is_said_of_cameras(
     """What a capture warns of, lenses that cannot be straightened, a model that cannot be read any
     more, and what a camera path warns of."""
     write_capture(tmp_path / "odd", np.random.default_rng(0))
-    for module in (captures, straight):
+    for module in (reading, straight):
         monkeypatch.setattr(module, "plan_undistortion", refuse)
     odd = DataConfig(source=tmp_path / "odd")
     warned = replace(read_capture(odd, photos_required=False), warnings=(SAID,))
-    monkeypatch.setattr(captures, "read_capture", lambda *_, **__: warned)
+    monkeypatch.setattr(reading, "read_capture", lambda *_, **__: warned)
     made = captures.import_capture(bpy.context.scene, tmp_path / "odd")
     assert made.warnings[0] == SHOWN
     assert any(text.startswith(f"{SHOWN} Until then") for text in made.warnings)
