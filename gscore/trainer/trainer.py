@@ -515,14 +515,17 @@ class Trainer:
             out |= member.tensors()
         return out | self.learnt.tensors()
 
-    def _judge(self, known: float | None) -> None:
-        """Decide what photos decide by the share of their pixels whose depth is `known`."""
+    def _judge(self, known: float | None, models: int | None = None) -> None:
+        """Decide what photos decide by the share of their pixels whose depth is `known`, but for
+        the number of `models` if that was decided before."""
         config, mask_mode = self.config, self.photos.mask_mode
         self._known = known
         self.drop_rate, self.drop_words = drop_rate_of(config, known=known, mask_mode=mask_mode)
         """Share of the splats that is left out of the last step, and a sentence on it where these
         photos decide; empty: none are, or the options say so."""
         self._models, self.ensemble_words = self._models_for(known)
+        if models is not None and models != self._models:
+            self._models, self.ensemble_words = models, ""
 
     def _models_for(self, known: float | None) -> tuple[int, str]:
         """How many models there are, and a sentence on them where these photos decide that."""
@@ -558,8 +561,12 @@ class Trainer:
         if state.get("known") is not None:
             known = real("known", state["known"], low=0)
         models, like = self._models_for(known)[0], self.model
-        if members_in(tensors) != models:
-            raise ValueError(f"it has {members_in(tensors)} models, expected {models}")
+        if (there := members_in(tensors)) != models:
+            # Photos decided on them when the run began, by the rule of then.
+            by_photos = self.config.ensemble_below and there in {1, self.config.ensemble}
+            if self._given or not by_photos:
+                raise ValueError(f"it has {there} models, expected {models}")
+            models = there
         members = [Member(place, like, self.team) for place in range(models)]
         for member in members:
             member.check(tensors, like)
@@ -571,7 +578,7 @@ class Trainer:
         length = self.config.iterations
         if self.config.time_budget:
             length = whole("iterations", state.get("iterations", length), low=1)
-        self._judge(known)
+        self._judge(known, models)
         self.replan(length)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
         self._painter.release()

@@ -15,6 +15,7 @@ from gscore.presets import PRESETS
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
+from gscore.trainer import trainer as trainer_module
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.photos.views import Sampler
 from gscore.trainer.ranks.member import members_in
@@ -148,6 +149,26 @@ def test_same_bits_for_any_number_of_threads_and_after_going_on(
     assert bits(once.tensors()) == bits(threads.tensors()) == bits(after.tensors())
     assert once.state() == after.state()
     assert members_in(once.tensors()) == 2
+
+
+@pytest.mark.parametrize("models", [1, 2])
+def test_a_run_keeps_the_models_that_photos_decided_on(
+    photos: Any, monkeypatch: pytest.MonkeyPatch, models: int
+) -> None:
+    """Oracle: bit equality with the run that goes on, though the rule finds another number now."""
+    config = replace(TWO, ensemble_below=0.35)
+    monkeypatch.setattr(trainer_module, "models_of", lambda *_, **__: (models, "then"))
+    begun = trained(config, photos, 20)
+    state, tensors = begun.state(), {name: t.clone() for name, t in begun.tensors().items()}
+    for _ in range(15):
+        begun.step()
+    monkeypatch.setattr(trainer_module, "models_of", lambda *_, **__: (3 - models, "now"))
+    after = Trainer(config, photos)
+    after.restore(state, tensors)
+    for _ in range(15):
+        after.step()
+    assert bits(after.tensors()) == bits(begun.tensors())
+    assert (after.plan.models, after.ensemble_words) == (models, "")
 
 
 def test_a_state_of_other_models_is_refused(photos: Any) -> None:

@@ -13,7 +13,7 @@ from ...metrics.lpips import lpips_file, named_net
 from ...raster.api import render
 from ...splats import Splats
 from ...words import count_words
-from ..schedule.enough import models_to_expect
+from ..schedule.enough import models_to_expect, where_photos_agree
 from ..schedule.plan import Plan
 from .cost import Cost
 from .memory import (
@@ -113,8 +113,13 @@ def estimate(
     photos = total * (4 if masks else 3)
     network = lpips_file(config.lpips)
     lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
-    # Whether photos agree is not known yet; where they do, it is sooner done.
-    models = models_to_expect(config, photos=len(sizes), points=points, subject=subject)
+    # Whether photos agree is not known yet: of whole photos where they do it is sooner done, of a
+    # subject sooner or later.
+    count = len(sizes)
+    expected = [(config, models_to_expect(config, photos=count, points=points, subject=subject))]
+    if subject and (agreed := where_photos_agree(config, photos=count, points=points)):
+        expected.append(agreed)
+    models = max(models for _, models in expected)
 
     def needed(splats: int, pixels: int) -> int:
         return training_bytes(
@@ -122,7 +127,7 @@ def estimate(
             sh_degree=config.sh_degree,
             pixels=pixels,
             lpips=lpips,
-            joined=models > 1 or (subject and config.ensemble > 1),
+            joined=models > 1,
         )
 
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
@@ -152,19 +157,24 @@ def estimate(
         fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0
         fitting_width = _most(lambda width: fit(config.max_splats, width), widest)
         fitting_width = fitting_width if fitting_width >= _SMALLEST_WIDTH else 0
-    plan = Plan.of(
-        config,
-        extent=1.0,
-        points=points,
-        side=int(min(widths.min(initial=1 << 30), heights.min(initial=1 << 30))),
-        pixels=int(pixels.mean()) if len(pixels) else 1,
-        subject=subject,
-        models=models,
-    )
+
+    def paced(config: TrainConfig, models: int, *, drops: bool) -> float:
+        plan = Plan.of(
+            config,
+            extent=1.0,
+            points=points,
+            side=int(min(widths.min(initial=1 << 30), heights.min(initial=1 << 30))),
+            pixels=int(pixels.mean()) if len(pixels) else 1,
+            subject=subject,
+            drops=drops,
+            models=models,
+        )
+        return Cost(plan).seconds_after(0, models * min(points, plan.max_splats))
+
     seconds = config.time_budget
     if not seconds:
         pace = machine_pace(config.threads) if pace is None else pace
-        seconds = pace * Cost(plan).seconds_after(0, models * min(points, plan.max_splats))
+        seconds = pace * max(paced(*case, drops=n > 0) for n, case in enumerate(expected))
     return Estimate(
         seconds=seconds,
         peak_bytes=RUNTIME + rest + held,

@@ -69,8 +69,8 @@ def _splats_for(config: TrainConfig, photos: int) -> int:
 
 def models_to_expect(config: TrainConfig, *, photos: int, points: int, subject: bool) -> int:
     """How many models a run trains side by side, unless photos agree in more than
-    `ensemble_below`, which is not known before they are compared. Of a subject one is expected:
-    where photos agree there are several, but with half the steps.
+    `ensemble_below`, which is not known before they are compared. Of a subject one is expected; see
+    `where_photos_agree`.
 
     Args:
         config: `ensemble`, and `ensemble_below`, its condition; before or after
@@ -84,11 +84,33 @@ def models_to_expect(config: TrainConfig, *, photos: int, points: int, subject: 
     models = min(config.ensemble, config.max_splats)
     if not config.ensemble_below:
         return models
-    compared = config.stereo != Stereo.OFF and points_to_add(config, points) > 0
-    compared &= points == 0 or config.stereo != Stereo.MISSING
     each = min(splats_of_each(config, models), _splats_for(config, photos))
     roomy = 2 * points <= each
-    return models if compared and roomy and not subject else 1
+    return models if _compared(config, points) and roomy and not subject else 1
+
+
+def _compared(config: TrainConfig, points: int) -> bool:
+    """Whether photos are compared for points beside so many."""
+    asked = config.stereo != Stereo.OFF and (points == 0 or config.stereo != Stereo.MISSING)
+    return asked and points_to_add(config, points) > 0
+
+
+def where_photos_agree(
+    config: TrainConfig, *, photos: int, points: int
+) -> tuple[TrainConfig, int] | None:
+    """What becomes of a subject that masks cut out where photos agree well on it: the options with
+    the steps that are taken then, and how many models take them; None: nothing else.
+
+    Args:
+        config: As `models_to_expect`.
+        photos: As `models_to_expect`.
+        points: As `models_to_expect`.
+    """
+    how = {"photos": photos, "points": points, "mask_mode": "composite", "known": 1.0}
+    thinned = thins_subject(config, mask_mode="composite", known=1.0)
+    if config.start_splats is not None or not thinned or not _compared(config, points):
+        return None
+    return limit_by_photos(config, **how, compared=True)[0], models_of(config, **how)[0]
 
 
 def models_of(

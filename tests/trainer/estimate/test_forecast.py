@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gscore.config import TrainConfig
+from gscore.config import Stereo, TrainConfig
 from gscore.errors import GsError
 from gscore.presets import PRESETS
 from gscore.trainer.estimate import forecast
@@ -212,3 +212,29 @@ def test_seconds_said_for_two_models(
         config = replace(PRESETS[preset](Path())[1], iterations=each * photos)
         seconds.append(estimate(config, [size] * photos, points=17_000, pace=1.0).seconds)
     assert seconds[1] / seconds[0] == pytest.approx(ratio, rel=0.1)
+
+
+@pytest.mark.parametrize(("photos", "steps"), [(50, (7000, 4000)), (100, (7000, 7000))])
+def test_seconds_said_for_a_subject(photos: int, steps: tuple[int, int]) -> None:
+    """Oracle: the longer of both that may come: one model, and two of which splats are left out,
+    with half the steps where photos are few; without stereo the first alone."""
+    config = replace(PRESETS["normal"](Path())[1], iterations=steps[0])
+    sizes, seconds = [(480, 640)] * photos, []
+    found = estimate(config, sizes, points=17_000, masks=True, subject=True, pace=1.0)
+    for models, drops in ((1, False), (2, True)):
+        plan = Plan.of(
+            replace(config, iterations=steps[drops]),
+            extent=1.0,
+            points=17_000,
+            side=480,
+            pixels=480 * 640,
+            subject=True,
+            drops=drops,
+            models=models,
+        )
+        seconds.append(Cost(plan).seconds_after(0, models * 17_000))
+    assert found.seconds == max(seconds)
+    off = replace(config, stereo=Stereo.OFF)
+    alone = estimate(off, sizes, points=17_000, masks=True, subject=True, pace=1.0)
+    assert alone.seconds == seconds[0]
+    assert alone.peak_bytes < found.peak_bytes
