@@ -11,10 +11,13 @@ _REACH = 2.0
 """Standard deviations as far as an ellipsoid goes; there it has an eighth of its opacity."""
 _STEPS = (-1.0, -0.5, 0.5, 1.0)
 """Places along an axis of an ellipsoid, as shares of its reach, that it joins to its middle."""
-_LARGE = 4.0
-"""Times the reach from which on axes count: from here on the ellipsoid is filled with places."""
-_FILLED = 48
-"""Places in a large ellipsoid; two that overlap have some in cells that touch."""
+_FEW, _MOST = 4, 96
+"""Places that a large ellipsoid is filled with besides, the larger the more."""
+_PLACES = 0.3
+"""Of them, times the square of the reach in half cells: a disc of up to six cells' reach has three
+in each square of three by three cells. Of larger ones that overlap most still meet."""
+_ALL = 4_000_000
+"""Of them for all splats, at most: beyond it only the largest are filled."""
 _EXPONENT = 88.0
 """Of scales, at most: float32 holds no more, and squares stay finite."""
 _BITS = 20
@@ -29,7 +32,7 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     """How many splats belong to the cluster of each.
 
     Space is cut into cells. Splats in the same cell or in cells that touch, at corners too, belong
-    together, and a large splat counts in cells all over its ellipsoid: those of a wall or of a
+    together, and a large splat counts in cells spread over its ellipsoid: those of a wall or of a
     background lie far apart and yet without a gap. One that holds the middle of the model, as a
     sky does, belongs to what is there. Beyond the middle cells grow with the distance.
 
@@ -49,10 +52,11 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     size = float(np.median(distances)) or 1.0
     shortest = gap / 2 * size * np.maximum(distances / size, 1)
     heart = means[np.argmin(distances)]
+    counts = _fill(splats.scales, shortest)
     middles, ends, owners = [], [], []
     for at in range(0, len(means), _BLOCK):
         part = slice(at, at + _BLOCK)
-        places, rows = _reached(splats, part, shortest[part], heart)
+        places, rows = _reached(splats, part, shortest[part], counts[part], heart)
         found = _keys(_near_and_far((places - middle) / size) / gap)
         further = np.flatnonzero(found != found[rows])
         middles.append(found[: len(shortest[part])])
@@ -89,12 +93,25 @@ def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray
     return found[labels]
 
 
+def _fill(scales: np.ndarray, shortest: np.ndarray) -> np.ndarray:
+    """[N] int: with how many places ellipsoids of `scales` [N, 3] are filled, where an axis counts
+    from a reach of `shortest` [N] on."""
+    reach = _REACH * np.exp(np.minimum(scales.max(axis=1).astype(np.float64), _EXPONENT))
+    ratios = np.minimum(reach / shortest, _MOST)
+    counts = np.minimum((_PLACES * ratios * ratios).astype(int), _MOST)
+    counts[counts < _FEW] = 0
+    if counts.sum() > _ALL:
+        order = np.argsort(-reach / shortest, kind="stable")
+        counts[order[np.cumsum(counts[order]) > _ALL]] = 0
+    return counts
+
+
 def _reached(
-    splats: Splats, part: slice, shortest: np.ndarray, heart: np.ndarray
+    splats: Splats, part: slice, shortest: np.ndarray, counts: np.ndarray, heart: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places [M, 3] that some splats join: the middles of all; those along axes that reach farther
-    than `shortest` [B]; those all over large ellipsoids, and `heart` [3] where one holds it. And
-    the row [M] in the part that each belongs to."""
+    than `shortest` [B]; `counts` [B] all over ellipsoids, and `heart` [3] where a large one holds
+    it. And the row [M] in the part that each belongs to."""
     means = splats.means[part].astype(np.float64)
     scales = splats.scales[part].astype(np.float64)
     reaches = _REACH * np.exp(np.minimum(scales, _EXPONENT))
@@ -106,10 +123,13 @@ def _reached(
         arm, own = axes[long, :, axis], rows[long]
         places += [means[own] + step * arm for step in _STEPS]
         owners += [own] * len(_STEPS)
-    large = (reaches[rows] > _LARGE * shortest[rows, None]).any(axis=1)
+    large = counts[rows] > 0
     axes, rows = axes[large], rows[large]
-    places.append((means[rows, None] + _ball() @ axes.transpose(0, 2, 1)).reshape(-1, 3))
-    owners.append(np.repeat(rows, _FILLED))
+    counts = counts[rows]
+    of = np.repeat(np.arange(len(rows)), counts)
+    ball = _ball()[np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)]
+    places.append(means[rows[of]] + np.einsum("nij,nj->ni", axes[of], ball))
+    owners.append(rows[of])
     inside = _holds(axes, heart - means[rows])
     places.append(np.tile(heart, (int(inside.sum()), 1)))
     owners.append(rows[inside])
@@ -117,14 +137,15 @@ def _reached(
 
 
 def _ball() -> np.ndarray:
-    """[_FILLED, 3] places spread evenly in the unit ball, always the same: a sequence of low
-    discrepancy (steps of 1/g and 1/g^2 with g^3 = g + 1; Roberts 2018) on spheres that grow."""
-    n = np.arange(_FILLED) + 0.5
-    z = 1 - 2 * (n * 0.7548776662466927 % 1)
-    angle = 2 * np.pi * n * 0.5698402909980532
+    """[_MOST, 3] places in the unit ball, of which the first few are spread evenly too: always the
+    same ones, of a sequence of low discrepancy (steps of 1/g, 1/g^2, 1/g^3 with g^4 = g + 1;
+    Roberts 2018)."""
+    n = np.arange(_MOST)[:, None] + 0.5
+    radius, height, turn = (n * [0.8191725134, 0.6710436067, 0.5497004779] % 1).T
+    z, angle = 1 - 2 * height, 2 * np.pi * turn
     ring = np.sqrt(1 - z * z)
     directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
-    return np.cbrt(n / _FILLED)[:, None] * directions
+    return np.cbrt(radius)[:, None] * directions
 
 
 def _holds(axes: np.ndarray, offsets: np.ndarray) -> np.ndarray:
