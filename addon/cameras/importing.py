@@ -12,6 +12,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from .. import attributes, stored_paths
 from ..capture.folders import same_folder
@@ -291,8 +292,10 @@ def _move(ob: bpy.types.Object, before: bpy.types.Collection, after: bpy.types.C
 
 def _hang(ob: bpy.types.Object, root: bpy.types.Object) -> None:
     """Put an object directly below the capture's empty."""
-    ob.parent, ob.parent_type = root, "OBJECT"
-    ob.matrix_parent_inverse.identity()
+    if ob.parent != root or ob.parent_type != "OBJECT":
+        ob.parent, ob.parent_type = root, "OBJECT"
+    if ob.matrix_parent_inverse != Matrix.Identity(4):
+        ob.matrix_parent_inverse.identity()
 
 
 def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:

@@ -178,11 +178,9 @@ def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]])
 
 def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
     """Give a camera datablock a lens."""
-    data.type, data.lens_unit = lens.type, "MILLIMETERS"
-    data.sensor_fit = lens.sensor_fit
-    data.sensor_width, data.sensor_height = lens.sensor_width, lens.sensor_height
-    data.lens, data.ortho_scale = lens.lens, lens.ortho_scale
-    data.shift_x, data.shift_y = lens.shift_x, lens.shift_y
+    for name, value in (("lens_unit", "MILLIMETERS"), *vars(lens).items()):
+        if getattr(data, name) != value:  # to write takes Blender ten times as long
+            setattr(data, name, value)
 
 
 def lens_of(data: bpy.types.Camera) -> cm.Lens:
@@ -288,8 +286,11 @@ def _pose(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _put(ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray) -> None:
     """Give an object a pose as exactly as Blender can."""
-    ob.rotation_mode = "QUATERNION"  # Euler angles lose up to 5e-6 rad
-    ob.location, ob.rotation_quaternion, ob.scale = location, rotation, (1.0, 1.0, 1.0)
+    if ob.rotation_mode != "QUATERNION":  # Euler angles lose up to 5e-6 rad
+        ob.rotation_mode = "QUATERNION"
+    ob.location, ob.rotation_quaternion = location.tolist(), rotation.tolist()
+    if tuple(ob.scale) != (1.0, 1.0, 1.0):
+        ob.scale = 1.0, 1.0, 1.0
 
 
 def _is_plain_child(ob: bpy.types.Object) -> bool:
