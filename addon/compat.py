@@ -40,6 +40,15 @@ def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any)
     modifier.id_data.update_tag()
 
 
+def curves_of(block: bpy.types.ID) -> list[bpy.types.FCurve]:
+    """The curves of an animated datablock; since 4.4 its action may hold those of others too."""
+    animation = block.animation_data
+    if not hasattr(animation, "action_slot"):
+        return list(animation.action.fcurves)
+    strip = animation.action.layers[0].strips[0]
+    return list(strip.channelbag(animation.action_slot).fcurves)
+
+
 HAS_GEOMETRY_SETS = hasattr(bpy.types.Object, "evaluated_geometry")
 """Whether `evaluated_geometry` has something to give: from 4.5 on."""
 

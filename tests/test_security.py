@@ -61,9 +61,9 @@ SPOKEN = {"all_gather", "all_to_all_single", "broadcast", "gather"}
 """What it calls of torch.distributed besides meeting and parting: none that passes pickles, as
 those whose names end in `_object` and torch's RPC do."""
 WRITES = {
-    "addon/cameras/camera_path.py:export_path ..core.atomic_write": "the user's choice",
-    "addon/cameras/camera_path.py:export_path ..core.write_cameras": "the user's choice",
-    "addon/cameras/camera_path.py:export_path ..core.write_nerfstudio_path": "the user's choice",
+    "addon/cameras/camera_path.py:_write ..core.atomic_write": "the user's choice",
+    "addon/cameras/camera_path.py:_write ..core.write_cameras": "the user's choice",
+    "addon/cameras/camera_path.py:_write ..core.write_nerfstudio_path": "the user's choice",
     "addon/cameras/export_colmap.py:_write ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:_write ..core.atomic_write": "the user's choice",
     "addon/cameras/straight.py:remove file.unlink": "Blender's folder of it",

@@ -1,15 +1,23 @@
 """An animated Blender camera into a file of a camera path: a camera for each frame."""
 
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ..core import Cameras, atomic_write, write_cameras, write_nerfstudio_path
+from ..core import Cameras, atomic_write, given_up_by, write_cameras, write_nerfstudio_path
+from ..process.pieces import Check, Pieces, aside, at_once
+from . import objects as co
 from .export_transforms import transforms_text
-from .export_views import ExportView, collect
+from .export_views import ExportView, Watched, collect
 
+BUDGET = 0.008
+"""Seconds of a piece in which frames are begun."""
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""
 
@@ -22,18 +30,31 @@ def export_path(
     root: bpy.types.Object | None = None,
     kind: str = CAMERAS,
 ) -> int:
+    """The same as `exporting_path`, at once."""
+    return at_once(exporting_path(path, camera, scene, root=root, kind=kind))
+
+
+def exporting_path(
+    path: str | Path,
+    camera: bpy.types.Object,
+    scene: bpy.types.Scene,
+    *,
+    root: bpy.types.Object | None,
+    kind: str,
+) -> Pieces[int]:
     """Write where a camera stands, and its lens, at each frame of the scene's range.
 
     Every `frame_step`-th frame is written, as a render of the animation would draw them, and so
-    many fewer pictures a second, so that the path takes as long as on the timeline. The scene
-    stands at its own frame again afterwards. Depth of field, motion blur and clipping distances
-    have no place in the file. Times go from 0 at the first to 1 at the last frame, as readers of
-    moving scenes take them; a cameras.json has none.
+    many fewer pictures a second, so that the path takes as long as on the timeline. After each
+    piece the scene stands at its own frame again, which may be another one each time. Depth of
+    field, motion blur and clipping distances have no place in the file. Times go from 0 at the
+    first to 1 at the last frame, as readers of moving scenes take them; a cameras.json has none.
+    Given up, the file is untouched.
 
     Args:
         path: The file to write.
         camera: A perspective camera; its lens, sensor and shift may be animated.
-        scene: Gives range, resolution and pixel aspect.
+        scene: Gives range, pace, resolution and pixel aspect, as they are at the first piece.
         root: A capture's empty, whose world is written; None: Blender's world.
         kind: CAMERAS, TRANSFORMS or NERFSTUDIO.
 
@@ -44,27 +65,71 @@ def export_path(
         GsError: the file cannot be written.
         ValueError: the camera is orthographic, panoramic or sheared at some frame, or has
             distortion, which a cameras.json cannot state, and no straightened photo, or a lens that
-            nerfstudio's file cannot.
+            nerfstudio's file cannot; or it, the scene, its resolution or the capture is another
+            meanwhile.
     """
-    here, views = (scene.frame_current, scene.frame_subframe), []
-    try:
-        for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
-            scene.frame_set(number)
-            depsgraph = bpy.context.evaluated_depsgraph_get()
-            (view,) = collect([camera], scene, root, depsgraph, photos=False)
-            views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
-    finally:
-        scene.frame_set(here[0], subframe=here[1])
+    path = Path(path)
     pace = scene.render.fps / scene.render.fps_base / scene.frame_step
-    if kind == TRANSFORMS:
-        times = np.linspace(0, 1, len(views)).tolist()
-        text = transforms_text(views, Path(path).parent, {"fps": pace}, times=times)
-        atomic_write(path, text.encode())
-    elif kind == NERFSTUDIO:
-        write_nerfstudio_path(path, _pinholes(views), fps=pace)
-    else:
-        write_cameras(path, _pinholes(views))
+    views = yield from _reading(camera, scene, root)
+    yield from aside(partial(_write, path, views, kind, pace), f"Writing {path}")
     return len(views)
+
+
+def _reading(
+    camera: bpy.types.Object, scene: bpy.types.Scene, root: bpy.types.Object | None
+) -> Pieces[list[ExportView]]:
+    numbers = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
+    watched, raster = Watched([camera], scene, root), co.frame_of(scene)
+    views: list[ExportView] = []
+    while True:
+        views += _some_frames(watched, numbers[len(views) :])
+        if len(views) == len(numbers):
+            return views
+        yield f"Reading frames: {len(views)} of {len(numbers)}"
+        watched.look_again()
+        if co.frame_of(watched.scene) != raster:
+            raise ValueError(
+                "The resolution was changed while the camera was exported: export it again."
+            )
+
+
+def _some_frames(watched: Watched, numbers: Sequence[int]) -> list[ExportView]:
+    """The camera at the first of some frames, as many as a piece has time for."""
+    views, scene = [], watched.scene
+    until = time.perf_counter() + BUDGET
+    with _own_frame(scene):
+        for number in numbers:
+            scene.frame_set(number)
+            # That of a context is of the scene in the window, which may be another by now.
+            graph = scene.view_layers[0].depsgraph
+            (view,) = collect(watched.cameras, scene, watched.root, graph, photos=False)
+            views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
+            if time.perf_counter() > until:
+                break
+    return views
+
+
+@contextmanager
+def _own_frame(scene: bpy.types.Scene) -> Iterator[None]:
+    """Afterwards the scene stands at the frame at which it stands now."""
+    number, part = scene.frame_current, scene.frame_subframe
+    try:
+        yield
+    finally:
+        scene.frame_set(number, subframe=part)
+
+
+def _write(path: Path, views: list[ExportView], kind: str, pace: float, check: Check) -> None:
+    """What needs no bpy."""
+    with given_up_by(check):
+        if kind == TRANSFORMS:
+            times = np.linspace(0, 1, len(views)).tolist()
+            text = transforms_text(views, path.parent, {"fps": pace}, times=times)
+            atomic_write(path, text.encode())
+        elif kind == NERFSTUDIO:
+            write_nerfstudio_path(path, _pinholes(views), fps=pace)
+        else:
+            write_cameras(path, _pinholes(views))
 
 
 def _pinholes(views: list[ExportView]) -> Cameras:

@@ -1,18 +1,26 @@
 """A file of a camera path as an animated Blender camera: the way back of `camera_path`."""
 
 import re
+import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 
+from ..compat import curves_of
 from ..core import Cameras, read_camera_path, rotmat_to_quat
 from ..interface import writable
 from ..interface.flags import panel_words
+from ..interface.temporary import Temporary
+from ..process.pieces import Check, Pieces, aside, at_once
 from . import formulas as cm
 from . import objects as co
 
+BUDGET = 0.008
+"""Seconds of a piece in which curves are begun."""
 _NUMBER = re.compile(r"(\d+)\D*$")
 _SAME = 1e-6
 """Relative difference below which pictures have one shape."""
@@ -22,8 +30,9 @@ _LAST = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedPath:
-    """What `import_path` made."""
+    """What came into the scene."""
 
+    scene: bpy.types.Scene
     camera: bpy.types.Object
     frames: tuple[int, int]
     """The first and the last frame of the timeline."""
@@ -37,15 +46,21 @@ class ImportedPath:
     """Sentences for the user."""
 
 
-def import_path(
+def import_path(path: str | Path, scene: bpy.types.Scene, **options: Any) -> ImportedPath:
+    """The same as `importing_path`, at once."""
+    return at_once(importing_path(path, scene, **options))
+
+
+def importing_path(
     path: str | Path,
     scene: bpy.types.Scene,
     *,
     root: bpy.types.Object | None = None,
     start: int = 1,
     numbered: bool = True,
-) -> ImportedPath:
-    """Make a camera with a keyframe of place, turn and lens for each camera of a file.
+) -> Pieces[ImportedPath]:
+    """Make a camera with a keyframe of place, turn and lens for each camera of a file; it is not
+    there before all of them are.
 
     Args:
         path: Of `export_camera_path`, nerfstudio's viewer, or a transforms.json.
@@ -56,30 +71,31 @@ def import_path(
 
     Raises:
         GsError: the file cannot be read.
-        ValueError: its pictures have several shapes, which one camera cannot have.
+        ValueError: its pictures have several shapes, which one camera cannot have, or the scene or
+            the capture is gone meanwhile.
     """
-    read = read_camera_path(path)
-    cameras = read.cameras
-    lenses, frame = _lenses(cameras, Path(path).name)
-    numbers = _numbers(cameras.names, start, numbered=numbered)
-    ob = _camera(Path(path).stem, scene, root)
-    co.set_lens(ob.data, lenses[0])
-    poses = np.stack([cm.matrix_world_from_viewmat(viewmat) for viewmat in cameras.viewmats])
-    for number, lens, pose, quat in zip(numbers, lenses, poses, _turns(poses), strict=True):
-        ob.location, ob.rotation_quaternion = pose[:3, 3], quat
-        ob.data.lens, ob.data.shift_x, ob.data.shift_y = lens.lens, lens.shift_x, lens.shift_y
-        for name in ("location", "rotation_quaternion"):
-            ob.keyframe_insert(name, frame=number)
-        for name in _moving(lenses):
-            ob.data.keyframe_insert(name, frame=number)
-    return ImportedPath(
-        camera=ob,
-        frames=(numbers[0], numbers[-1]),
-        count=len(cameras),
-        frame=frame,
-        fps=None if read.fps is None else read.fps * _frames_a_picture(numbers),
-        warnings=tuple(map(panel_words, read.warnings)),
-    )
+    path, uid = Path(path), scene.session_uid
+    root_uid = None if root is None else root.session_uid
+    found = yield from aside(partial(_read, path, start, numbered), f"Reading {path}")
+    while True:
+        coming = _Coming(found)
+        try:
+            yield from coming.fill()
+            scene = _there(bpy.data.scenes, uid, "scene")
+            above = None if root_uid is None else _there(bpy.data.objects, root_uid, "capture")
+            camera = coming.arrive(scene, above)
+        finally:
+            coming.drop()
+        if camera is not None:
+            return ImportedPath(
+                scene=scene,
+                camera=camera,
+                frames=(found.numbers[0], found.numbers[-1]),
+                count=len(found.numbers),
+                frame=found.frame,
+                fps=found.fps,
+                warnings=found.warnings,
+            )
 
 
 def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:
@@ -97,6 +113,141 @@ def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:
     if made.fps is not None:
         whole = max(1, round(made.fps))
         render.fps, render.fps_base = whole, whole / made.fps
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Column:
+    """What a curve says."""
+
+    of_lens: bool
+    """It animates the camera's data, else the object."""
+    name: str
+    """The property."""
+    index: int
+    """Place in it, from 0."""
+    values: np.ndarray
+    """[C] a camera each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ReadPath:
+    """A file as it comes into Blender."""
+
+    name: str
+    lens: cm.Lens
+    """Of the first camera."""
+    numbers: list[int]
+    """Frames of the timeline, a camera each."""
+    columns: list[_Column]
+    frame: cm.Frame
+    fps: float | None
+    warnings: tuple[str, ...]
+
+
+def _read(path: Path, start: int, numbered: bool, check: Check) -> _ReadPath:
+    """What needs no bpy."""
+    read = read_camera_path(path)
+    check()
+    cameras = read.cameras
+    lenses, frame = _lenses(cameras, path.name)
+    numbers = _numbers(cameras.names, start, numbered=numbered)
+    poses = np.stack([cm.matrix_world_from_viewmat(viewmat) for viewmat in cameras.viewmats])
+    tables = {"location": poses[:, :3, 3], "rotation_quaternion": _turns(poses)}
+    columns = [
+        _Column(of_lens=False, name=name, index=i, values=values)
+        for name, table in tables.items()
+        for i, values in enumerate(table.T)
+    ]
+    for name in ("lens", "shift_x", "shift_y"):
+        values = np.array([getattr(lens, name) for lens in lenses])
+        if np.ptp(values):
+            columns.append(_Column(of_lens=True, name=name, index=0, values=values))
+    return _ReadPath(
+        name=path.stem,
+        lens=lenses[0],
+        numbers=numbers,
+        columns=columns,
+        frame=frame,
+        fps=None if read.fps is None else read.fps * _frames_a_picture(numbers),
+        warnings=tuple(map(panel_words, read.warnings)),
+    )
+
+
+class _Coming:
+    """A camera on its way, in a collection that no scene has."""
+
+    def __init__(self, found: _ReadPath) -> None:
+        """Make it, as the first of the file and with that one's keyframes."""
+        self._found = found
+        outer = bpy.data.collections.new(found.name)
+        self._temporary = Temporary(outer)
+        ob = bpy.data.objects.new(found.name, bpy.data.cameras.new(found.name))
+        outer.objects.link(ob)
+        self._temporary.hold(ob)
+        ob.rotation_mode = "QUATERNION"
+        co.set_lens(ob.data, found.lens)
+        for column in found.columns:
+            if not column.of_lens:
+                getattr(ob, column.name)[column.index] = column.values[0]
+        for of_lens, name in dict.fromkeys((one.of_lens, one.name) for one in found.columns):
+            (ob.data if of_lens else ob).keyframe_insert(name, frame=found.numbers[0])
+
+    def fill(self) -> Pieces[None]:
+        """Make its other keyframes, a curve after the other."""
+        columns, until = self._found.columns, time.perf_counter() + BUDGET
+        for done, column in enumerate(columns):
+            if time.perf_counter() > until:
+                yield f"Importing keyframes: curve {done} of {len(columns)}"
+                until = time.perf_counter() + BUDGET
+            if (outer := self._temporary.found()) is None:
+                return
+            ob = outer.objects[0]
+            curves = curves_of(ob.data if column.of_lens else ob)
+            place = column.name, column.index
+            curve = next(one for one in curves if (one.data_path, one.array_index) == place)
+            _fill(curve, self._found.numbers, column.values)
+
+    def arrive(
+        self, scene: bpy.types.Scene, root: bpy.types.Object | None
+    ) -> bpy.types.Object | None:
+        """Bring it into the scene; None: undo, or a user, has taken it meanwhile."""
+        if (outer := self._temporary.take()) is None:
+            return None
+        ob = outer.objects[0]
+        ob.parent = root
+        places = root.users_collection if root is not None else ()
+        writable.taking([*places, scene.collection])[0].objects.link(ob)
+        bpy.data.collections.remove(outer)
+        photos = co.cameras_of(root) if root is not None else []
+        if photos:
+            own = photos[0].data
+            ob.data.clip_start, ob.data.clip_end = own.clip_start, own.clip_end
+        return ob
+
+    def drop(self) -> None:
+        """Remove what did not come into the scene."""
+        self._temporary.drop()
+
+
+def _fill(curve: bpy.types.FCurve, numbers: list[int], values: np.ndarray) -> None:
+    """Give a curve with one keyframe those of all frames, as Blender inserts them, but hundreds of
+    times as fast."""
+    points = curve.keyframe_points
+    points.add(len(numbers) - 1)
+    for name in ("amplitude", "back", "period"):  # which those that are added lack
+        like = getattr(points[0], name)
+        points.foreach_set(name, np.full(len(numbers), like, np.float32))
+    points.foreach_set("co", np.stack([numbers, values], axis=1).astype(np.float32).ravel())
+    curve.update()
+
+
+def _there(blocks: bpy.types.bpy_prop_collection, uid: int, what: str) -> Any:
+    found = next((one for one in blocks if one.session_uid == uid), None)
+    if found is None:
+        raise ValueError(
+            f"The {what} that a camera path was imported into is gone; import it again."
+        )
+    return found
 
 
 def _lenses(cameras: Cameras, name: str) -> tuple[list[cm.Lens], cm.Frame]:
@@ -138,22 +289,3 @@ def _turns(poses: np.ndarray) -> np.ndarray:
         if quats[i] @ quats[i - 1] < 0:
             quats[i] = -quats[i]
     return quats
-
-
-def _moving(lenses: list[cm.Lens]) -> list[str]:
-    """Which properties of the lens change."""
-    names = ("lens", "shift_x", "shift_y")
-    return [name for name in names if len({getattr(lens, name) for lens in lenses}) > 1]
-
-
-def _camera(name: str, scene: bpy.types.Scene, root: bpy.types.Object | None) -> bpy.types.Object:
-    ob = bpy.data.objects.new(name, bpy.data.cameras.new(name))
-    ob.rotation_mode = "QUATERNION"
-    ob.parent = root
-    places = root.users_collection if root is not None else ()
-    writable.taking(places)[0].objects.link(ob)
-    photos = co.cameras_of(root) if root is not None else []
-    if photos:
-        own = photos[0].data
-        ob.data.clip_start, ob.data.clip_end = own.clip_start, own.clip_end
-    return ob

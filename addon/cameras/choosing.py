@@ -1,4 +1,4 @@
-"""A capture that came into a scene: selected, chosen in the panel, and seen in views."""
+"""What came into a scene: selected, chosen in the panel, and seen in views."""
 
 import bpy
 
@@ -15,19 +15,28 @@ def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool 
         made: It.
         set_up_views: Let the 3D views of the scene's windows show its points' colors.
     """
-    windows = [w for w in bpy.context.window_manager.windows if w.scene == scene]
-    if bpy.context.scene == scene:
-        layers = [bpy.context.view_layer]
-    else:
-        layers = [w.view_layer for w in windows] or [scene.view_layers[0]]
-    make_active_in(layers[0], made.root)
+    activate(scene, made.root)
     if set_up_views:
-        for window in windows:
+        for window in _windows(scene):
             _set_up_views(window.screen)
     settings = getattr(scene, "gscore", None)  # None where cameras alone are registered
     if settings is not None and not settings.capture_path.strip():
         settings.capture_path = made.root[stored_paths.SOURCE]
         settings.images = made.root["gs_images"]
+
+
+def activate(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
+    """Select an object and no other, and make it the active one, in a scene which no window has to
+    show."""
+    if bpy.context.scene == scene:
+        layers = [bpy.context.view_layer]
+    else:
+        layers = [window.view_layer for window in _windows(scene)] or [scene.view_layers[0]]
+    make_active_in(layers[0], ob)
+
+
+def _windows(scene: bpy.types.Scene) -> list[bpy.types.Window]:
+    return [window for window in bpy.context.window_manager.windows if window.scene == scene]
 
 
 def _set_up_views(screen: bpy.types.Screen) -> None:

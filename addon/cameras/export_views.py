@@ -97,7 +97,8 @@ def collecting(
     """
     if not cameras:
         raise ValueError("There are no cameras to export. Select some, or import a capture.")
-    watched = _Watched(cameras, scene, root)
+    watched = Watched(cameras, scene, root)
+    frame = scene.frame_current_final
     views: list[ExportView] = []
     taken: set[str] = set()
     graph, until = depsgraph(), time.perf_counter() + BUDGET
@@ -105,6 +106,10 @@ def collecting(
         if time.perf_counter() > until:
             yield f"Reading cameras: {done} of {len(cameras)}"
             watched.look_again()
+            if watched.scene.frame_current_final != frame:
+                raise ValueError(
+                    "The frame was changed while cameras were exported: export them again."
+                )
             graph, until = depsgraph(), time.perf_counter() + BUDGET
         ob = watched.cameras[done]
         if co.is_camera(ob):
@@ -120,9 +125,9 @@ def collecting(
     return views
 
 
-class _Watched:
-    """Cameras that are read in pieces, at one frame. They are looked up anew after each: undo
-    replaces objects."""
+class Watched:
+    """Cameras that are read in pieces. They are looked up anew after each: undo replaces
+    objects."""
 
     def __init__(
         self,
@@ -130,25 +135,22 @@ class _Watched:
         scene: bpy.types.Scene,
         root: bpy.types.Object | None,
     ) -> None:
+        """They are there now."""
         self.cameras, self.scene, self.root = list(cameras), scene, root
         self._uids = [ob.session_uid for ob in cameras]
         self._others = scene.session_uid, None if root is None else root.session_uid
-        self._frame = scene.frame_current_final
 
     def look_again(self) -> None:
-        """Look all of it up; ValueError where it is gone, or the frame is another."""
+        """Look all of it up; ValueError where it is gone."""
         obs = {ob.session_uid: ob for ob in bpy.data.objects}
         scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
         scene, root = self._others
         is_there = scene in scenes and (root is None or root in obs)
         if not is_there or not all(uid in obs for uid in self._uids):
-            raise ValueError("Cameras were removed while they were exported: export them again.")
+            gone = "Cameras were" if is_there else "The scene or the capture was"
+            raise ValueError(f"{gone} removed while cameras were exported: export them again.")
         self.scene, self.root = scenes[scene], None if root is None else obs[root]
         self.cameras = [obs[uid] for uid in self._uids]
-        if self.scene.frame_current_final != self._frame:
-            raise ValueError(
-                "The frame was changed while cameras were exported: export them again."
-            )
 
 
 @contextmanager
@@ -181,11 +183,11 @@ def _photo_view(
     own = co.stated(ob)
     camera = lens_of(own)
     moved = root is None or co.root_of(ob) != root or co.is_moved(ob, own)
-    changed = co.is_lens_changed(ob.data, own)
+    changed = co.is_lens_changed(_data(ob, depsgraph), own)
     kept = photos and changed and not camera.is_pinhole
     if (changed and not kept) or (own.photo_size is not None and not photos):
         _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
-        camera = _pinhole(_intrinsics(ob, frame), frame)
+        camera = _pinhole(_intrinsics(ob, frame, depsgraph), frame)
     return ExportView(
         name=own.image,
         photo=Path(own.photo) if own.photo else None,
@@ -210,18 +212,26 @@ def _plain_view(
         name="".join(letters).strip(" .") + ".png",
         photo=None,
         viewmat=_rigid(co.viewmat_in(ob, root, depsgraph)),
-        camera=_pinhole(_intrinsics(ob, frame), frame),
+        camera=_pinhole(_intrinsics(ob, frame, depsgraph), frame),
         is_moved=True,
     )
 
 
-def _intrinsics(ob: bpy.types.Object, frame: cm.Frame) -> np.ndarray:
-    if ob.data.type != "PERSP":
+def _intrinsics(
+    ob: bpy.types.Object, frame: cm.Frame, depsgraph: bpy.types.Depsgraph | None
+) -> np.ndarray:
+    data = _data(ob, depsgraph)
+    if data.type != "PERSP":
         raise ValueError(
             f"Camera {ob.name} is not perspective, which COLMAP and transforms.json have no model "
             f"for. Leave it out or change its type."
         )
-    return cm.intrinsics(co.lens_of(ob.data), frame)
+    return cm.intrinsics(co.lens_of(data), frame)
+
+
+def _data(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None) -> bpy.types.Camera:
+    """With its animated lens: of a scene that no window has shown the object's own has another."""
+    return (ob.evaluated_get(depsgraph) if depsgraph else ob).data
 
 
 def _pinhole(K: np.ndarray, frame: cm.Frame) -> ColmapCamera:

@@ -7,17 +7,19 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from ..interface.operators import make_active
+from ..interface.stepping import Stepping
 from ..paths import absolute
-from .camera_path import CAMERAS, NERFSTUDIO, TRANSFORMS, export_path
-from .camera_path_import import import_path, use_path
+from ..process.pieces import Pieces
+from .camera_path import CAMERAS, NERFSTUDIO, TRANSFORMS, exporting_path
+from .camera_path_import import importing_path, use_path
+from .choosing import activate
 from .lookup import find_root, roots_of
 from .operators import OnCapture
 
 _BLENDER = ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled")
 
 
-class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
+class ExportCameraPath(Stepping, OnCapture, bpy.types.Operator, ExportHelper):
     """Write the scene camera's animation as a file with a camera for each frame"""
 
     bl_idname = "gscore.export_camera_path"
@@ -53,17 +55,22 @@ class ExportCameraPath(OnCapture, bpy.types.Operator, ExportHelper):
         description="Whose axes, origin and scale to write in",
     )
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Export."""
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file."""
+        return ExportHelper.invoke(self, context, event)
+
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read the frames, then write in a thread."""
         path, camera = absolute(self.filepath, "File"), context.scene.camera
         if camera is None:
             raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        count = export_path(path, camera, context.scene, root=root, kind=self.kind)
-        return f"{path}: {count} frames of {camera.name}"
+        name, given = camera.name, {"root": root, "kind": self.kind}
+        count = yield from exporting_path(path, camera, context.scene, **given)
+        return f"{path}: {count} frames of {name}"
 
 
-class ImportCameraPath(OnCapture, bpy.types.Operator, ImportHelper):
+class ImportCameraPath(Stepping, OnCapture, bpy.types.Operator, ImportHelper):
     """Make an animated camera of a file with a camera for each frame: a cameras.json, the
     camera_path.json of nerfstudio's viewer, or a transforms.json"""
 
@@ -99,21 +106,22 @@ class ImportCameraPath(OnCapture, bpy.types.Operator, ImportHelper):
         """Ask for the file."""
         if not self.properties.is_property_set("world") and not roots_of(context.scene):
             self.world = "BLENDER"
-        return super().invoke(context, event)
+        return ImportHelper.invoke(self, context, event)
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene."""
         return (context.scene,)
 
-    def act(self, context: bpy.types.Context) -> str:
-        """Import."""
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read it in a thread, then make the camera."""
         path = absolute(self.filepath, "File")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        scene = context.scene
-        made = import_path(path, scene, root=root, start=self.start, numbered=self.numbered)
-        if self.set_up_scene:
-            use_path(scene, made)
-        make_active(context, made.camera)
+        given = {"root": root, "start": self.start, "numbered": self.numbered}
+        set_up_scene = self.set_up_scene
+        made = yield from importing_path(path, context.scene, **given)
+        if set_up_scene:
+            use_path(made.scene, made)
+        activate(made.scene, made.camera)
         self.warn(made.warnings)
         first, last = made.frames
         return f"{made.camera.name}: {made.count} cameras, frames {first} to {last}"

@@ -1,6 +1,7 @@
 """Datablocks that are only there while something goes on."""
 
 import uuid
+from collections import Counter
 from collections.abc import Iterable
 
 import bpy
@@ -66,10 +67,13 @@ def _inside(block: Block) -> list[bpy.types.ID]:
 
 
 def _remove(blocks: Iterable[bpy.types.ID]) -> None:
-    """Remove datablocks, and the data that objects among them alone have."""
+    """Remove datablocks, and the data and the actions that these alone have."""
     found = set(blocks)
     data = {ob.data for ob in found if isinstance(ob, bpy.types.Object) and ob.data is not None}
     found |= {one for one in data if one.users == 1}
+    moved = [one.animation_data for one in found if getattr(one, "animation_data", None)]
+    uses = Counter(animation.action for animation in moved if animation.action is not None)
+    found |= {action for action, count in uses.items() if action.users == count}
     if found:
         bpy.data.batch_remove(list(found))
 
