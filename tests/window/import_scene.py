@@ -20,14 +20,14 @@ import bpy  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.cameras import export_colmap, importing  # noqa: E402
+from addon.cameras import camera_path, camera_path_import, export_colmap, importing  # noqa: E402
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
 from addon.interface import waiting  # noqa: E402
 from tests.window.held import Held  # noqa: E402
 from tools.window.desk import Teller, area, clear, leaving, send, shoot, space  # noqa: E402
 
 STUDIO = FOLDER / "studio"
-KINDS = ("objects", "cameras", "meshes", "collections", "images")
+KINDS = ("objects", "cameras", "meshes", "collections", "images", "actions")
 seen: dict = {"log": []}
 said: list[str] = []
 
@@ -164,6 +164,67 @@ def invoke_export(name: str) -> list[str]:
     return invoke("export_cameras", directory=str(FOLDER / name))
 
 
+def chosen(file: Path) -> Iterator[object]:
+    """A file in the browser that a button has opened."""
+    yield lambda: any(a.type == "FILE_BROWSER" for a in window().screen.areas)
+    yield 0.5
+    browser = next(a for a in window().screen.areas if a.type == "FILE_BROWSER")
+    params = browser.spaces.active.params
+    params.directory, params.filename = str(file.parent).encode(), file.name
+    with bpy.context.temp_override(window=window(), area=browser):
+        bpy.ops.file.execute()
+
+
+def pressed(name: str, file: Path) -> Iterator[object]:
+    """A button of camera paths, until it is under way."""
+    seen[name] = invoke(name, world="BLENDER")
+    yield from chosen(file)
+    yield lambda: not rests()
+
+
+def paths() -> Iterator[object]:
+    """A path goes out while one moves along the timeline, and comes in; each with Esc before."""
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+    camera_path.BUDGET = camera_path_import.BUDGET = 0.0  # a frame, or a curve, a piece
+    scene, file = bpy.context.scene, FOLDER / "walk.json"
+    ob = scene.camera = cameras_of(bpy.data.objects["studio"])[0]
+    scene.frame_start, scene.frame_end = 1, 100
+    for number in (1, 100):
+        ob.location.x = number
+        ob.keyframe_insert("location", frame=number)
+    scene.frame_set(7)
+    with bpy.context.temp_override(window=window(), area=area()):
+        bpy.ops.ed.undo_push(message="by hand")
+    yield from pressed("export_camera_path", file)
+    yield 0.2
+    press("ESC")
+    yield rests
+    seen["path given up"] = file.exists(), scene.frame_current
+    yield from pressed("export_camera_path", file)
+    yield 0.2
+    at = scene.frame_current
+    scene.frame_set(40)
+    yield 0.2
+    shoot(FOLDER / "path.png")
+    seen["path meanwhile"] = at, scene.frame_current, rests()
+    yield rests
+    seen["path"] = file.is_file(), scene.frame_current
+    before = counts()
+    held = Held(camera_path_import, "_read")
+    yield from pressed("import_camera_path", file)
+    press("ESC")
+    yield rests
+    held.let_go()
+    yield 0.5
+    seen["path not in"] = counts() == before
+    yield from pressed("import_camera_path", file)
+    yield rests
+    seen["path in"] = scene.camera.name, scene.frame_end, bpy.context.object.name
+    step("undo")
+    camera = bpy.context.scene.camera
+    seen["path undone"] = counts() == before, camera and camera.name
+
+
 def by_menu() -> Iterator[object]:
     """File > Import asks for a folder, though the panel names one."""
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
@@ -194,6 +255,7 @@ def story() -> Iterator[object]:
     yield from to_the_end()
     yield from anew()
     yield from exported()
+    yield from paths()
     yield from by_menu()
 
 

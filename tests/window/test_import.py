@@ -65,6 +65,16 @@ def test_an_export_is_written_or_not(seen):
     assert found["written"] == MODEL
 
 
+def test_a_path_goes_out_and_comes_in(seen):
+    """Esc leaves no file and no camera; the timeline is where the user moves it."""
+    found, _ = seen
+    assert found["export_camera_path"] == found["import_camera_path"] == ["RUNNING_MODAL"]
+    assert found["path given up"] == [False, 7]
+    assert found["path meanwhile"] == [7, 40, False] and found["path"] == [True, 40]
+    assert found["path not in"] and found["path in"] == ["walk", 100, "walk"]
+    assert found["path undone"] == [True, "view_000"]
+
+
 def test_the_menu_asks_for_a_folder(seen):
     """The one of the panel to begin with; chosen again, it is no second set of cameras."""
     found, folder = seen
