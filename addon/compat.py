@@ -143,14 +143,6 @@ def new_math_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
     return tree.nodes.new("CompositorNodeMath" if compositing else "ShaderNodeMath")
 
 
-def alpha_over_sockets(node: bpy.types.Node) -> dict[str, bpy.types.NodeSocket]:
-    """Inputs of an Alpha Over node as factor, below and above; 5.0 changed their order."""
-    if "Background" in node.inputs:
-        names = {"factor": "Factor", "below": "Background", "above": "Foreground"}
-        return {name: node.inputs[theirs] for name, theirs in names.items()}
-    return dict(zip(("factor", "below", "above"), node.inputs[:3], strict=True))
-
-
 def tool_settings(context: bpy.types.Context) -> bpy.types.ToolSettings:
     """Those of the scene. Asked for them itself, the context of Blender 4.2 takes the scene for its
     owner for good: in the next file what it gives, as its window, points to freed memory."""

@@ -4,10 +4,10 @@ import bpy
 
 from .. import compat
 from . import held_passes
+from .composite_group import group, is_of_now
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
 """Names of the nodes in the scene's tree."""
-GROUP = "Combine by Depth"
 
 
 def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
@@ -40,13 +40,13 @@ def insert(
 
 
 def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node, layers: bpy.types.Node) -> None:
-    """Give the node a group that knows of worlds and of what is held out; older files have one that
-    does not."""
-    if combine.node_tree is not None and _is_of_now(combine.node_tree):
+    """Give the node the group of today; that of older files knows neither of worlds nor of what is
+    held out, or shows what is behind meshes where these are cut."""
+    if combine.node_tree is not None and is_of_now(combine.node_tree):
         return
     # The new group's result is another socket to Blender, so that its links would go.
     targets = [link.to_socket for link in combine.outputs[0].links]
-    combine.node_tree = _group()
+    combine.node_tree = group()
     for target in targets:
         tree.links.new(combine.outputs[0], target)
     _link_held(tree, layers, combine)
@@ -104,7 +104,7 @@ def _combine(
     layers.scene, layers.location = other, (meshes.location.x, meshes.location.y - 420)
     combine = tree.nodes.new("CompositorNodeGroup")
     combine.name = combine.label = COMBINE_NODE
-    combine.node_tree = _group()
+    combine.node_tree = group()
     combine.location = (meshes.location.x + 300, meshes.location.y)
     followers = [link.to_socket for link in meshes.outputs["Image"].links]
     for socket in followers:
@@ -126,99 +126,3 @@ def _render_layers(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.type
     node = tree.nodes.new("CompositorNodeRLayers")
     node.scene = scene
     return node
-
-
-def _group() -> bpy.types.NodeTree:
-    """Two premultiplied pictures with depths to one: at each pixel the nearer one over the other,
-    and both over a world. Where splats are held out before meshes or the world, these are cut.
-
-    Blender's own Z Combine multiplies colours by alpha once more, so it is not used. Depths know no
-    part of a pixel: where meshes and splats meet, the edge is smoothed.
-    """
-    for tree in bpy.data.node_groups:
-        ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
-        if ours and _is_of_now(tree):
-            return tree
-    tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
-    for name in ("Meshes", "Splats"):
-        tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
-        tree.interface.new_socket(f"{name} Depth", in_out="INPUT", socket_type="NodeSocketFloat")
-    backdrop = tree.interface.new_socket("World", in_out="INPUT", socket_type="NodeSocketColor")
-    backdrop.default_value = (0, 0, 0, 0)
-    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    for name in held_passes.NAMES:  # after all others, whose links in older files so stay
-        tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
-    given, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
-    given.location, result.location = (-1600, 0), (600, 0)
-    meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    alone, all_of_it, held_depth = (given.outputs[name] for name in held_passes.NAMES)
-    before = _before(tree, splat_depth, mesh_depth, -200)
-    behind = _math(tree, "SUBTRACT", None, before, (-400, -200))
-    # Splats that are held out alone before a mesh let through what they do; with all others before
-    # it too, what all do, and how much the others block is seen by their alpha.
-    more = _math(tree, "SUBTRACT", all_of_it, alone, (-1000, -400))
-    more = _math(tree, "MULTIPLY", more, before, (-800, -400))
-    cut = _math(tree, "ADD", alone, more, (-600, -400))
-    held = _before(tree, held_depth, mesh_depth, -600)
-    cut = _math(tree, "MULTIPLY", cut, held, (-400, -400))
-    left = _over(tree, None, meshes, _math(tree, "SUBTRACT", None, cut, (-200, -400)), (-200, 200))
-    far = _over(tree, None, splats, behind, (-200, 0))
-    middle = _over(tree, far, left, None, (0, 0))
-    near = _over(tree, middle, splats, before, (200, 0))
-    light = _math(tree, "SUBTRACT", None, all_of_it, (0, -400))
-    sky = _over(tree, None, world, light, (200, -200))
-    tree.links.new(_over(tree, sky, near, None, (400, 0)), result.inputs[0])
-    return tree
-
-
-def _is_of_now(tree: bpy.types.NodeTree) -> bool:
-    """Whether a group has all sockets."""
-    return held_passes.HELD_DEPTH in (item.name for item in tree.interface.items_tree)
-
-
-def _before(
-    tree: bpy.types.NodeTree, depth: bpy.types.NodeSocket, other: bpy.types.NodeSocket, height: int
-) -> bpy.types.NodeSocket:
-    """1 where a depth is less than another, smoothed where that changes."""
-    nearer = _math(tree, "LESS_THAN", depth, other, (-1400, height))
-    smooth = tree.nodes.new("CompositorNodeAntiAliasing")
-    smooth.location = (-1200, height)
-    tree.links.new(nearer, smooth.inputs[0])
-    return smooth.outputs[0]
-
-
-def _math(
-    tree: bpy.types.NodeTree,
-    operation: str,
-    first: bpy.types.NodeSocket | None,
-    second: bpy.types.NodeSocket,
-    location: tuple[int, int],
-) -> bpy.types.NodeSocket:
-    """A math node; without `first`, that is 1."""
-    node = compat.new_math_node(tree)
-    node.operation, node.location = operation, location
-    if first is None:
-        node.inputs[0].default_value = 1.0
-    else:
-        tree.links.new(first, node.inputs[0])
-    tree.links.new(second, node.inputs[1])
-    return node.outputs[0]
-
-
-def _over(
-    tree: bpy.types.NodeTree,
-    below: bpy.types.NodeSocket | None,
-    above: bpy.types.NodeSocket,
-    factor: bpy.types.NodeSocket | None,
-    location: tuple[int, int],
-) -> bpy.types.NodeSocket:
-    """`above` times `factor` over `below`; without them, 1 and nothing."""
-    node = tree.nodes.new("CompositorNodeAlphaOver")
-    node.location = location
-    sockets = compat.alpha_over_sockets(node)
-    sockets["below"].default_value = (0, 0, 0, 0)
-    sockets["factor"].default_value = 1.0
-    for name, socket in (("below", below), ("above", above), ("factor", factor)):
-        if socket is not None:
-            tree.links.new(socket, sockets[name])
-    return node.outputs[0]
