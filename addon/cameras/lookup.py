@@ -6,6 +6,7 @@ import bpy
 
 from .. import stored_paths
 from ..capture.folders import means_capture
+from ..core import read_run
 from ..paths import absolute
 from . import objects as co
 
@@ -62,6 +63,13 @@ def root_from(scene: bpy.types.Scene, chosen: Path) -> bpy.types.Object | None:
         if means_capture(chosen, Path(stored_paths.read(root, stored_paths.SOURCE))):
             return root
     return None
+
+
+def root_of_run(scene: bpy.types.Scene, splats: Path) -> bpy.types.Object | None:
+    """The empty of the capture that a file of splats was trained on, if it lies in the folder of
+    the run and the capture was imported."""
+    run = read_run(absolute(str(splats), "File").parent) if roots_of(scene) else None
+    return None if run is None or run.data is None else root_from(scene, run.data.source)
 
 
 def panel_root(scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -1,5 +1,6 @@
 """The splats of the scene: counts, display, filters, files."""
 
+from itertools import islice
 from typing import ClassVar
 
 import bpy
@@ -12,17 +13,21 @@ from ..splats.objects import is_native, is_splats, meant
 from .histogram_icons import ICONS, OPACITY, SIZE
 from .widgets import TabPanel, job, limit, rows, sentence
 
+_LOOKED_AT = 1000
+"""Objects of a scene in which splats are looked for: panels are drawn often."""
 _HISTOGRAM_SCALE = 4.0
 """Height of a histogram, in buttons."""
 
 
 def shown(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splats that the panel is about: the active object's, or the scene's result."""
+    """The splats that the panel is about: the active object's, or the scene's result, or the first
+    that are found in it."""
     if is_splats(ob := meant(context)):
         return ob
-    result = context.scene.gscore.result
-    there = is_splats(result) and context.scene.objects.get(result.name) == result
-    return result if there else None  # a deleted object is kept by the setting alone
+    result, objects = context.scene.gscore.result, context.scene.objects
+    if is_splats(result) and objects.get(result.name) == result:  # else it is deleted
+        return result
+    return next((ob for ob in islice(objects, _LOOKED_AT) if is_splats(ob)), None)
 
 
 class ResultPanel(TabPanel, bpy.types.Panel):

@@ -15,6 +15,7 @@ from bpy.props import (
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from .. import compat
+from ..cameras.lookup import root_of_run
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.operators import Acting, make_active
@@ -103,9 +104,10 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
         default=files.FROM_FILE,
     )
     under_capture: BoolProperty(
-        name="Under the Active Capture",
-        description="Put the splats under the capture that the active object belongs to, so that "
-        "they stand where its photos were taken; the up axis is then the capture's",
+        name="Under the Capture",
+        description="Put the splats under the capture that the active object belongs to, or whose "
+        "photos they were trained on, so that they stand where these were taken; the up axis is "
+        "then the capture's",
         default=True,
     )
     level: IntProperty(
@@ -131,15 +133,18 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
     def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
         """What the properties say; ValueError where they ask for what there is not."""
         paths = [Path(self.directory, file.name) for file in self.files if file.name]
-        parent = root_of(context.object) if self.under_capture else None
+        active = root_of(context.object) if self.under_capture else None
         cropped = meant(context) if self.in_crop else None
         if self.in_crop and not is_splats(cropped):
             raise ValueError("Select the splat object whose crop says what to import.")
         level = None if self.level < 0 else self.level
-        return [
-            files.want(path, parent=parent, up=self.up, level=level, cropped=cropped)
-            for path in paths or [Path(self.filepath)]
-        ]
+        found = []
+        for path in paths or [Path(self.filepath)]:
+            parent = active
+            if self.under_capture and parent is None:
+                parent = root_of_run(context.scene, path)
+            found.append(files.want(path, parent=parent, up=self.up, level=level, cropped=cropped))
+        return found
 
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]

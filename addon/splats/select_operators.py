@@ -55,7 +55,7 @@ class _Choosing(Editing):
         attributes.select(ob.data, chosen)
         ob.data.update()
         edit_vertices(context, ob)
-        return f"{int(chosen.sum()):,} splats are selected."
+        return f"Selected splats: {int(chosen.sum()):,}."
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
         """What tells which are meant; `before` [N] are selected. ValueError as `edit`."""

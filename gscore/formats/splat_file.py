@@ -83,8 +83,8 @@ def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
         f"{round(float(end), 3) + 0:.2g}" for end in sh0_to_rgb(np.array([low, high]))
     )
     return (
-        f"{count_words(beyond, 'splat')} had colours darker or brighter than {name} holds, {ends}, "
-        f"and were cut to that."
+        f"Colours darker or brighter than {name} holds, {ends}, were cut to that: of "
+        f"{count_words(beyond, 'splat')}."
     )
 
 

@@ -275,14 +275,14 @@ def _clamped(splats: Splats) -> list[str]:
     beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
     if beyond:
         notes.append(
-            f"{count_words(beyond, 'splat')} had a size outside of SPZ's range, e^-10 to e^5.9, "
-            f"and were cut to that."
+            f"Sizes outside of SPZ's range, e^-10 to e^5.9, were cut to that: of "
+            f"{count_words(beyond, 'splat')}."
         )
     wide = int((np.abs(splats.shN) > 1.004).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
-            f"{count_words(wide, 'splat')} had SH coefficients beyond -1 to 1, which SPZ holds, "
-            f"and were cut to that."
+            f"SH coefficients beyond -1 to 1, which SPZ holds, were cut to that: of "
+            f"{count_words(wide, 'splat')}."
         )
     return notes
 

@@ -12,7 +12,9 @@ from mathutils import Matrix
 
 from addon.core import (
     MIP_COMMENT,
+    DataConfig,
     Splats,
+    TrainConfig,
     collected_warnings,
     read_splats,
     transform_splats,
@@ -21,6 +23,7 @@ from addon.core import (
 from addon.panels import result
 from addon.splats import edit, even_scale, exporting, objects
 from addon.splats.filters import visible_mask
+from gscore.config_file import config_json
 from gscore.formats.registry import FORMATS, format_to_write
 from tests.addon.drawn import drawn, labels
 
@@ -92,6 +95,43 @@ def test_import_below_the_capture(scene: bpy.types.Scene, ply: Path) -> None:
     assert ob.parent == root
     bpy.context.view_layer.update()
     np.testing.assert_allclose(ob.matrix_world, root.matrix_world, atol=1e-6)
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_splats_of_a_run_come_under_the_capture_it_was_trained_on(
+    scene: bpy.types.Scene, ply: Path, wanted: bool
+) -> None:
+    """Oracle: the source that the run's config.json states, of two captures that are there; nothing
+    is active. Without the option, or of another capture, there is no parent."""
+    roots = {}
+    for name in ("horse", "street"):
+        roots[name] = bpy.data.objects.new(name, None)
+        roots[name]["gs_kind"], roots[name]["gs_source"] = "capture", str(ply.parent / name)
+        scene.collection.objects.link(roots[name])
+    run = ply.parent / "run"
+    run.mkdir()
+    splats = ply.rename(run / "point_cloud.ply")
+    data = DataConfig(source=ply.parent / "street")
+    (run / "config.json").write_text(config_json(data, TrainConfig()))
+    bpy.context.view_layer.objects.active = None
+    bpy.ops.gscore.import_splats(filepath=str(splats), under_capture=wanted)
+    assert bpy.context.object.parent == (roots["street"] if wanted else None)
+    bpy.data.objects.remove(roots["street"])
+    bpy.context.view_layer.objects.active = None
+    bpy.ops.gscore.import_splats(filepath=str(splats))
+    assert bpy.context.object.parent is None
+
+
+def test_the_panel_is_about_splats_that_are_there(
+    scene: bpy.types.Scene, ob: bpy.types.Object
+) -> None:
+    """Oracle: the only splats of the scene, with a mesh active; then none."""
+    cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    scene.collection.objects.link(cube)
+    bpy.context.view_layer.objects.active = cube
+    assert scene.gscore.result is None and result.shown(bpy.context) == ob
+    bpy.data.objects.remove(ob)
+    assert result.shown(bpy.context) is None
 
 
 def test_an_export_of_the_box_that_crops_is_of_the_splats(
