@@ -106,6 +106,8 @@ class _Coming:
     def __init__(self, found: ReadCapture, known: KnownImages, into: int) -> None:
         """Make the collection, with the capture's empty."""
         self._found, self._known, self._into = found, known, into
+        self._there = 0
+        """Session number of the capture's empty in the scene, when cameras were begun."""
         self._same: set[str] = set()
         """Images whose cameras are as the files say."""
         self._same_photos: set[str] = set()
@@ -123,6 +125,7 @@ class _Coming:
 
     def fill(self, there: bpy.types.Object | None) -> Pieces[None]:
         """Make what is not `there`, the empty of the capture in the scene."""
+        self._there = 0 if there is None else there.session_uid
         have = {} if there is None else _by_image(cameras_of(there))
         uids = {image: ob.session_uid for image, ob in have.items()}
         obs = {ob.session_uid: ob for ob in have.values()}
@@ -143,7 +146,8 @@ class _Coming:
             yield from self._fill_points(self._found.points)
 
     def arrive(self, scene: bpy.types.Scene) -> ImportedCapture | None:
-        """Bring all into the scene, in one moment; None: undo, or a user, has taken it meanwhile.
+        """Bring all into the scene, in one moment; None: undo, or a user, has taken it meanwhile,
+        or the scene has the capture by now, or no longer, so that something else has to be made.
 
         Raises:
             ValueError: the capture's points are being edited.
@@ -152,6 +156,8 @@ class _Coming:
         if outer is None:
             return None
         root = _root_there(scene, found.source, self._into)
+        if self._there != (0 if root is None else root.session_uid):
+            return None
         renewed, warnings = root is not None, found.warnings
         if root is None:
             root = self._bring(outer, scene)

@@ -231,6 +231,21 @@ def test_anew(scene, folder: Path) -> None:
     assert state() == before and len(third.warnings) == len(again.warnings) - 1
 
 
+def test_a_capture_that_is_removed_meanwhile(scene, folder: Path) -> None:
+    """Or its empty alone, or none was there and one came. Oracle: the import at once."""
+    made = captures.import_capture(scene, folder)
+    at_once = state()
+    work = going(directory=str(folder))
+    until(work, _begun)
+    bpy.data.batch_remove([*made.cameras, made.root, made.points])
+    assert until(work, lambda: False) and work.result == "studio: 60 cameras, 6,725 points"
+    assert state().keys() == at_once.keys()
+    work = going(directory=str(folder))
+    until(work, _begun)
+    bpy.data.objects.remove(bpy.data.objects["studio"])
+    assert until(work, lambda: False) and work.result.endswith(": 60 cameras, 6,725 points")
+
+
 def test_points_that_are_edited(scene, folder: Path) -> None:
     """Oracle: a sentence; nothing is changed."""
     made = captures.import_capture(scene, folder)
