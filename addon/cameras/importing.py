@@ -162,7 +162,7 @@ class _Coming:
         if root is None:
             root = self._bring(outer, scene)
         else:
-            warnings += self._renew(root, outer)
+            warnings += self._renew(root, outer, scene)
         root["gs_images"] = found.images
         root.pop(UP, None)
         if found.up is not None:
@@ -236,7 +236,9 @@ class _Coming:
         if image not in self._same_photos:
             self._hand_photo(ob, one)
 
-    def _renew(self, root: bpy.types.Object, outer: bpy.types.Collection) -> tuple[str, ...]:
+    def _renew(
+        self, root: bpy.types.Object, outer: bpy.types.Collection, scene: bpy.types.Scene
+    ) -> tuple[str, ...]:
         """Have the capture of an empty be what was read; what to tell the user."""
         old, new = points_of(root), _points_in(outer)
         if new is not None and old is not None and old.mode == "EDIT":
@@ -245,7 +247,7 @@ class _Coming:
             )
         cameras = cameras_of(root)
         there = _by_image(cameras)
-        place = writable.taking(cameras[0].users_collection if cameras else root.users_collection)
+        place = _beside(cameras[0] if cameras else root, scene)
         made = _by_image(outer.children[0].objects)
         others = _in_another_world(self._found.cameras, there)
         scale = root_scale(root)
@@ -254,7 +256,7 @@ class _Coming:
             ob = there.get(image)
             if ob is None:
                 ob = made.get(image) or self._make(one, outer)
-                _move(ob, outer.children[0], place[0])
+                _move(ob, outer.children[0], place)
                 _hang(ob, root)
                 size_drawing(ob.data, self._found.drawing, scale)
             else:
@@ -266,7 +268,7 @@ class _Coming:
         if new is not None and old is not None:
             _exchange(old, new)
         elif new is not None:
-            _move(new, outer, writable.taking(root.users_collection)[0])
+            _move(new, outer, _beside(root, scene))
             _hang(new, root)
         return others
 
@@ -287,6 +289,12 @@ def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
 
 def _points_in(outer: bpy.types.Collection) -> bpy.types.Object | None:
     return next((ob for ob in outer.objects if co.is_kind(ob, "points")), None)
+
+
+def _beside(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Where a new object is put to be beside another one in a scene."""
+    own = {scene.collection, *scene.collection.children_recursive}
+    return writable.taking([one for one in ob.users_collection if one in own], scene)[0]
 
 
 def _move(ob: bpy.types.Object, before: bpy.types.Collection, after: bpy.types.Collection) -> None:

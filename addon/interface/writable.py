@@ -42,11 +42,13 @@ def check(*blocks: bpy.types.ID) -> None:
         raise ValueError(found)
 
 
-def taking(wanted: Iterable[bpy.types.Collection | None]) -> list[bpy.types.Collection]:
-    """Those of some collections that take objects, else the scene's own: linked and overridden ones
-    take none, and a context may have none."""
+def taking(
+    wanted: Iterable[bpy.types.Collection | None], scene: bpy.types.Scene | None = None
+) -> list[bpy.types.Collection]:
+    """Those of some collections that take objects, else that of the scene, or of the one that is
+    shown: linked and overridden ones take none, and a context may have none."""
     found = [c for c in wanted if c is not None and c.is_editable and c.override_library is None]
-    return found or [bpy.context.scene.collection]
+    return found or [(scene or bpy.context.scene).collection]
 
 
 def link_beside(made: bpy.types.Object, ob: bpy.types.Object) -> None:
