@@ -1,4 +1,4 @@
-"""What came into a scene: selected, chosen in the panel, and seen in views."""
+"""A capture that came into a scene: selected, chosen in the panel, and seen in views."""
 
 import bpy
 
@@ -27,12 +27,15 @@ def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool 
 
 def activate(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
     """Select an object and no other, and make it the active one, in a scene which no window has to
-    show."""
+    show; not where the view layer leaves it out, nor while the user edits or paints another one,
+    who could then not leave that mode any more."""
     if bpy.context.scene == scene:
         layers = [bpy.context.view_layer]
     else:
         layers = [window.view_layer for window in _windows(scene)] or [scene.view_layers[0]]
-    make_active_in(layers[0], ob)
+    layer, active = layers[0], layers[0].objects.active
+    if layer.objects.get(ob.name) == ob and (active is None or active.mode == "OBJECT"):
+        make_active_in(layer, ob)
 
 
 def _windows(scene: bpy.types.Scene) -> list[bpy.types.Window]:

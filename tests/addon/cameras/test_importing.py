@@ -246,6 +246,56 @@ def test_a_capture_that_is_removed_meanwhile(scene, folder: Path) -> None:
     assert until(work, lambda: False) and work.result.endswith(": 60 cameras, 6,725 points")
 
 
+def test_another_mesh_is_edited_meanwhile(scene, folder: Path) -> None:
+    """Oracle: the mode and the active object; the user can leave it."""
+    mesh = bpy.data.objects.new("mesh", bpy.data.meshes.new("mesh"))
+    scene.collection.objects.link(mesh)
+    work = going(directory=str(folder))
+    until(work, half)
+    bpy.context.view_layer.objects.active = mesh
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert until(work, lambda: False)
+    assert bpy.context.view_layer.objects.active == mesh and mesh.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(cameras_of(bpy.data.objects["studio"])) == 60
+
+
+def test_a_collection_that_is_left_out(scene, folder: Path) -> None:
+    """Oracle: the camera is brought up to date, and what was selected stays so."""
+    made = captures.import_capture(scene, folder)
+    other = bpy.data.objects.new("other", None)
+    scene.collection.objects.link(other)
+    bpy.context.view_layer.objects.active = other
+    made.cameras[0].location.x = 99
+    layers = bpy.context.view_layer.layer_collection.children
+    layers[made.collection.name].exclude = True
+    assert bpy.ops.gscore.import_cameras(directory=str(folder)) == {"FINISHED"}
+    assert bpy.data.objects["view_000"].location.x != 99
+    assert bpy.context.view_layer.objects.active == other
+
+
+def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
+    """Oracle: new cameras are in the scene that asked, and only there."""
+    made = captures.import_capture(scene, folder)
+    other = bpy.data.scenes.new("Other")
+    shared = bpy.data.collections.new("a")  # before those of the capture
+    other.collection.children.link(shared)
+    inside = made.cameras[0].users_collection[0]
+    for ob in made.cameras[:5]:
+        shared.objects.link(ob)
+    bpy.data.cameras.remove(made.cameras[9].data)
+    captures.import_capture(scene, folder)
+    assert list(bpy.data.objects["view_009"].users_collection) == [inside]
+    bpy.data.cameras.remove(bpy.data.objects["view_009"].data)
+    for ob in cameras_of(made.root):
+        scene.collection.objects.link(ob)
+        inside.objects.unlink(ob)
+    bpy.context.window.scene = other
+    captures.import_capture(scene, folder)
+    bpy.context.window.scene = scene
+    assert list(bpy.data.objects["view_009"].users_collection) == [scene.collection]
+
+
 def test_points_that_are_edited(scene, folder: Path) -> None:
     """Oracle: a sentence; nothing is changed."""
     made = captures.import_capture(scene, folder)
