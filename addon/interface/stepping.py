@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..core import GsError
-from ..process.pieces import Going, Pieces, at_once
+from ..process.pieces import Going, Pieces, ResultT, at_once
 from . import writable
 from .operators import Acting
 from .waiting import Waiting
@@ -26,7 +26,7 @@ class Stepping(Acting):
 
     def act(self, context: bpy.types.Context) -> str:
         """Do it at once."""
-        return at_once(_in_words(self.pieces(context)))
+        return at_once(in_words(self.pieces(context)))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Of a button: without this, Blender does not tell that a user pressed it."""
@@ -41,7 +41,7 @@ class Stepping(Acting):
             return super().execute(context)
         try:
             writable.check(*self.changes(context))
-            going = Going(_in_words(self.pieces(context)))
+            going = Going(in_words(self.pieces(context)))
             done = going.step()
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
@@ -111,8 +111,8 @@ class _UnderWay:
 _UNDER_WAY: set[_UnderWay] = set()
 
 
-def _in_words(pieces: Pieces[str]) -> Pieces[str]:
-    """The same, with a sentence where memory is lacking."""
+def in_words(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
+    """The same work, with a sentence where memory is lacking."""
     try:
         return (yield from pieces)
     except MemoryError as error:

@@ -13,6 +13,7 @@ from ..capture.folders import same_folder
 from ..core import GsError, capture_beside
 from ..interface import undo, writable
 from ..interface.flags import error_words
+from ..interface.stepping import in_words
 from ..job import facts, lookups, options
 from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
@@ -99,27 +100,32 @@ def bring_in(job: SearchJob) -> bool:
     """Do the next step on the way of what a search has found into the scene, when nothing is in the
     way; whether panels changed.
 
-    Nothing is touched while Blender renders or a mesh is edited. Where another capture has been
-    chosen meanwhile, or another file opened, the cameras stay on the disk.
+    Nothing is touched while Blender renders or a mesh is edited. Where another capture is chosen
+    before all is there, or another file is opened, the cameras stay on the disk.
     """
     if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
+    scenes = (scene for scene in bpy.data.scenes if scene.session_uid == job.scene_uid)
+    scene = next((scene for scene in scenes if job_of(scene) is job), None)
+    if scene is None:
+        if job.coming is not None:
+            job.coming.cancel()
+        job.coming, job.wanted = None, False
+        return True
     if job.coming is None:
-        scenes = (scene for scene in bpy.data.scenes if scene.session_uid == job.scene_uid)
-        scene = next((scene for scene in scenes if job_of(scene) is job), None)
-        if scene is None:
-            job.wanted = False
-            return True
         lookups.captures.expire()
-        job.coming = Going(arriving(scene, job.capture))
+        job.coming = Going(in_words(arriving(scene, job.capture)))
+    ended = True
     try:
-        if not job.coming.step():
-            return False
-        job.warnings += job.coming.result
+        ended = job.coming.step()
+        if ended:
+            job.warnings += job.coming.result
     except (GsError, ValueError, OSError) as error:
         job.warnings.append(error_words(error))
-    job.coming, job.wanted = None, False
-    return True
+    finally:
+        if ended:
+            job.coming, job.wanted = None, False
+    return ended
 
 
 def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:

@@ -6,11 +6,13 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
 
 from addon import preferences
+from addon.cameras import importing
 from addon.cameras.lookup import chosen_root
 from addon.cameras.objects import cameras_of, points_of
 from addon.job import facts, registry, training, verb_job
@@ -188,6 +190,55 @@ def test_another_capture_chosen_meanwhile_stays(
     job._process.send("go")
     until(lambda: job.ended and not job.wanted)
     assert holiday.gscore.capture_path == str(STUDIO) and not holiday.objects
+
+
+@pytest.mark.parametrize("by", ["another capture", "another file"])
+def test_what_is_done_while_cameras_come(
+    holiday: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch, by: str
+) -> None:
+    """Oracle: the scene's objects and its capture; nothing of ours is left."""
+    monkeypatch.setattr(importing, "BUDGET", 0.0)
+    capture = tmp_path / "holiday-capture"
+    play(*_made(capture))
+    bpy.ops.gscore.find_cameras()
+    job = work.job_of(holiday)
+    (tmp_path / "waiting").rename(capture)
+    job._process.send("go")
+    until(lambda: len(bpy.data.cameras) > 10)
+    if by == "another file":
+        bpy.ops.wm.read_homefile(use_empty=True)
+    else:
+        holiday.gscore.capture_path = str(STUDIO)
+    until(lambda: not job.wanted)
+    scene = bpy.context.scene
+    assert not scene.objects and not bpy.data.cameras and not bpy.data.collections
+    assert scene.gscore.capture_path == ("" if by == "another file" else str(STUDIO))
+    assert job.coming is None and "gone" not in " ".join(job.warnings)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), KeyError("ours")])
+def test_cameras_that_fail_to_come_are_not_tried_again(
+    holiday: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """Oracle: a sentence where memory is lacking, else the error itself, once."""
+
+    def fails(*_: object, **__: object) -> Iterator[str]:
+        yield "begun"
+        raise error
+
+    job = SimpleNamespace(
+        wanted=True, coming=None, scene_uid=holiday.session_uid, capture=STUDIO, warnings=[]
+    )
+    monkeypatch.setattr(work, "importing", fails)
+    monkeypatch.setattr(work, "job_of", lambda scene: job)
+    assert not work.bring_in(job)
+    if isinstance(error, MemoryError):
+        assert work.bring_in(job)
+        assert "not enough memory" in job.warnings[0]
+    else:
+        with pytest.raises(KeyError, match="ours"):
+            work.bring_in(job)
+    assert job.coming is None and not work.bring_in(job)
 
 
 def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
