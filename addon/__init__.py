@@ -28,6 +28,7 @@ MODULES: tuple[str, ...] = (
     "splats.watch",
     "splats.held",
     "interface.temporary",
+    "interface.clearing",
     "job.properties",
     "job.follow",
     "job.operators",

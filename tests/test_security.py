@@ -87,6 +87,7 @@ WRITES = {
     "addon/python/turn.py:_mend shutil.rmtree": "Blender's folder of it",
     "addon/python/turn.py:rename os.replace": "Blender's folder of it",
     "addon/cameras/importing.py:_move before.objects.unlink": "no file, an object",
+    "addon/cameras/importing.py:_Coming._take_away collection.objects.unlink": "no file, an object",
     "addon/job/results.py:adopt collection.objects.unlink": "no file, an object",
     "addon/render/compositor.py:_link other.collection.objects.unlink": "no file, an object",
 }

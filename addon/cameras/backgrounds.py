@@ -1,6 +1,7 @@
 """The photo in a camera's background: the photo itself, or its straightened copy."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,9 @@ from .straight import copy_of
 
 _MADE = "gs_background"
 """Custom property of the images that the add-on puts into backgrounds; others are the user's."""
+
+_BATCH = 50
+"""Images that are removed together, in a millisecond or so."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +53,8 @@ class KnownImages:
         """Look at all there are."""
         images = (i for i in bpy.data.images if i.source == "FILE" and i.filepath)
         self._names = {str(file_of(image)): (image.name, _library_of(image)) for image in images}
-        self._made: set[str] = set()
+        self._made: set[int] = set()
+        """Session numbers."""
 
     def of(self, shown: Path, photo: Path) -> bpy.types.Image:
         """The image of a file, made where there is none, called like its photo."""
@@ -60,17 +65,20 @@ class KnownImages:
             found.source = "FILE"
             found.filepath = relative(shown) if shown == photo else str(shown)
             self._names[str(shown)] = found.name, None
-            self._made.add(found.name)
+            self._made.add(found.session_uid)
         if _MADE not in found and writable.keeps(found):
             found[_MADE] = True
         return found
 
-    def drop(self) -> None:
-        """Remove those that were made here and that nothing shows."""
-        made = (image for image in bpy.data.images if image.name in self._made)
-        unused = [image for image in made if _MADE in image and not image.users]
-        if unused:
-            bpy.data.batch_remove(unused)
+    def dropping(self) -> Iterator[None]:
+        """Remove those that were made here and that nothing shows, some a piece."""
+        made = (image for image in bpy.data.images if image.session_uid in self._made)
+        names = [image.name for image in made if _MADE in image and not image.users]
+        for start in range(0, len(names), _BATCH):
+            yield
+            found = map(bpy.data.images.get, names[start : start + _BATCH])
+            unused = [one for one in found if one is not None and not one.users]
+            bpy.data.batch_remove([one for one in unused if one.session_uid in self._made])
 
     def _found(self, shown: Path) -> bpy.types.Image | None:
         name = self._names.get(str(shown))

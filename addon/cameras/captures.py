@@ -8,6 +8,7 @@ import bpy
 from .. import stored_paths
 from ..core import Folder, find_capture
 from ..interface import writable
+from ..interface.clearing import finish
 from ..process.pieces import at_once
 from . import formulas as cm
 from . import objects as co
@@ -19,7 +20,10 @@ from .objects import cameras_of, is_camera
 
 def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> ImportedCapture:
     """Bring a capture into the scene at once; arguments and errors as `importing`."""
-    return at_once(importing(scene, path, **options))
+    try:
+        return at_once(importing(scene, path, **options))
+    finally:
+        finish()
 
 
 def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:

@@ -1,4 +1,4 @@
-"""A capture that came into a scene: selected, chosen in the panel, and seen in views."""
+"""What came into a scene: selected, chosen in the panel, and seen in views."""
 
 import bpy
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import bpy
@@ -17,6 +18,7 @@ from mathutils import Matrix
 from .. import attributes, stored_paths
 from ..capture.folders import same_folder
 from ..interface import writable
+from ..interface.clearing import clear, clearing
 from ..interface.temporary import Temporary, release
 from ..process.pieces import Pieces, aside
 from . import objects as co
@@ -85,15 +87,15 @@ def importing(
     there = 0 if into is None else into.session_uid
     wanted = {"images": images, "photos": photos, "points": points, "align": align}
     found = yield from aside(partial(read, place, **wanted), f"Reading {place}")
-    known = KnownImages()
     while True:
+        yield from clearing()
+        known = KnownImages()
         coming = _Coming(found, known, there)
         try:
             yield from coming.fill(_root_there(_scene(uid), found.source, there))
             made = coming.arrive(_scene(uid))
         finally:
-            coming.drop()
-            known.drop()
+            clear(chain(coming.dropping(), known.dropping()))
         if made is not None:
             if not bpy.app.background:
                 straightening.begin(found.copies)
@@ -178,9 +180,9 @@ class _Coming:
             warnings=warnings,
         )
 
-    def drop(self) -> None:
-        """Remove what did not come into the scene."""
-        self._temporary.drop()
+    def dropping(self) -> Iterator[None]:
+        """Remove what did not come into the scene, and what has left it, some a piece."""
+        return self._temporary.dropping()
 
     def _make(self, one: ReadCamera, outer: bpy.types.Collection) -> bpy.types.Object:
         ob = co.make(one.setup, one.name, outer.children[0])
@@ -236,6 +238,17 @@ class _Coming:
         if image not in self._same_photos:
             self._hand_photo(ob, one)
 
+    def _take_away(self, gone: set[bpy.types.Object], outer: bpy.types.Collection) -> None:
+        """Have cameras leave the scene; to remove them takes longer, which is done afterwards."""
+        # `users_collection` would look through all of this for each camera.
+        for collection in [*bpy.data.collections, *(one.collection for one in bpy.data.scenes)]:
+            for ob in [ob for ob in collection.objects if ob in gone]:
+                collection.objects.unlink(ob)
+        for ob in gone:
+            ob.parent = None
+            outer.children[0].objects.link(ob)
+            self._temporary.hold(ob)
+
     def _renew(
         self, root: bpy.types.Object, outer: bpy.types.Collection, scene: bpy.types.Scene
     ) -> tuple[str, ...]:
@@ -264,7 +277,9 @@ class _Coming:
                 if others:  # else the user may have sized it
                     size_drawing(ob.data, self._found.drawing, scale)
         wanted = {one.setup.own.image for one in self._found.cameras}
-        _remove([ob for ob in cameras if ob.get("gs_image") not in wanted])
+        gone = {ob for ob in cameras if ob.get("gs_image") not in wanted}
+        if gone:
+            self._take_away(gone, outer)
         if new is not None and old is not None:
             _exchange(old, new)
         elif new is not None:
@@ -320,12 +335,6 @@ def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
     if not mesh.users:
         bpy.data.meshes.remove(mesh)
     old.data.name = name
-
-
-def _remove(cameras: list[bpy.types.Object]) -> None:
-    if cameras:
-        data = {ob.data for ob in cameras if ob.data.users == 1}
-        bpy.data.batch_remove([*cameras, *data])
 
 
 def _in_another_world(

@@ -7,6 +7,7 @@ import bpy
 from ..core import GsError
 from ..process.pieces import Going, Pieces, ResultT, at_once
 from . import writable
+from .clearing import finish
 from .operators import Acting
 from .waiting import Waiting
 
@@ -26,7 +27,10 @@ class Stepping(Acting):
 
     def act(self, context: bpy.types.Context) -> str:
         """Do it at once."""
-        return at_once(in_words(self.pieces(context)))
+        try:
+            return at_once(in_words(self.pieces(context)))
+        finally:
+            finish()
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Of a button: without this, Blender does not tell that a user pressed it."""

@@ -1,13 +1,18 @@
 """Datablocks that are only there while something goes on."""
 
+import time
 import uuid
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import bpy
 from bpy.app.handlers import persistent
 
 _MARK = "gs_temporary"
+BUDGET = 0.008
+"""Seconds of a piece in which removals are begun."""
+_BATCH = 20
+"""Objects that are removed together. Each takes longer the more there are in the file."""
 Block = bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Collection
 
 
@@ -39,6 +44,16 @@ class Temporary:
                 release(one)
         return block
 
+    def dropping(self) -> Iterator[None]:
+        """The same as `drop`, of a collection's objects some a piece."""
+        until = time.perf_counter() + BUDGET
+        while some := _objects(self.found())[:_BATCH]:
+            _remove(some)
+            if time.perf_counter() > until:
+                yield
+                until = time.perf_counter() + BUDGET
+        self.drop()
+
     def drop(self) -> None:
         """Remove it; nothing happens once it is another's."""
         block = self.found()
@@ -61,9 +76,12 @@ def _all(kind: type) -> bpy.types.bpy_prop_collection:
 
 
 def _inside(block: Block) -> list[bpy.types.ID]:
-    if not isinstance(block, bpy.types.Collection):
-        return []
-    return [*block.children_recursive, *block.all_objects]
+    groups = block.children_recursive if isinstance(block, bpy.types.Collection) else ()
+    return [*groups, *_objects(block)]
+
+
+def _objects(block: Block | None) -> list[bpy.types.Object]:
+    return list(block.all_objects) if isinstance(block, bpy.types.Collection) else []
 
 
 def _remove(blocks: Iterable[bpy.types.ID]) -> None:

@@ -97,6 +97,8 @@ def given_up() -> Iterator[object]:
     seen["scene meanwhile"] = len(bpy.context.scene.objects)
     press("ESC")
     yield rests
+    yield lambda: not coming()  # it goes bit by bit
+    yield 0.3
     seen["after cameras"] = counts() == before
     seen["said"] = list(said)
 

@@ -3,10 +3,11 @@ Blender.
 
     python tools/measure/cameras.py [CAPTURE...]    (a Python with bpy)
 
-Each operator goes on bit by bit as in a window. Prints, of each capture and each path: the seconds
-to its end, the processor milliseconds of the longest step of the main thread, and the most
-milliseconds that the main thread woke later than it asked to, as when a thread keeps Python's lock,
-or other programs the processor.
+Each operator goes on bit by bit as in a window, to its end or to Esc, and so does the removal of
+what is no longer needed then. Prints, of each capture and each path: the seconds to its end, the
+processor milliseconds of the longest step of the main thread, and the most milliseconds that the
+main thread woke later than it asked to, as when a thread keeps Python's lock, or other programs the
+processor.
 """
 
 import argparse
@@ -34,15 +35,53 @@ def parse() -> argparse.Namespace:
 
 
 def measured(name: str, operator: str, **settings: Any) -> None:
-    """Print what one call of an operator takes."""
+    """Print what one call of an operator takes, and what it leaves to be removed afterwards."""
+    bpy.context.view_layer.update()
+    printed(name, begun(operator, **settings))
+    printed("  removed afterwards", removal())
+
+
+def begun(operator: str, **settings: Any) -> Any:
+    """An operator as a button begins it."""
     from addon.process.pieces import Going
 
-    bpy.context.view_layer.update()
+    return Going(stand_in(operator, **settings).pieces(bpy.context))
+
+
+def removal() -> Any:
+    """The removal of what is no longer needed, as work."""
+    from addon.interface.clearing import clearing
+    from addon.process.pieces import Going
+
+    return Going(clearing())
+
+
+def printed(name: str, going: Any) -> None:
+    """Do some work, and print what it takes."""
     began = time.perf_counter()
-    going = Going(stand_in(operator, **settings).pieces(bpy.context))
     own, late = map(max, zip(*steps(going), strict=True))
     took = time.perf_counter() - began
-    print(f"{name:28} {took:6.2f} s {own * 1e3:6.0f} ms {late * 1e3:6.0f} ms", flush=True)
+    print(f"{name:28} {took:6.2f} s {own * 1e3:6.1f} ms {late * 1e3:6.1f} ms", flush=True)
+
+
+def given_up(folder: str) -> None:
+    """Print what Esc takes when all cameras are made."""
+    count = len(bpy.data.cameras)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    going = begun("import_cameras", directory=folder)
+    while len(bpy.data.cameras) < count:
+        going.step()
+    began = time.thread_time()
+    going.cancel()
+    print(f"{'Import Cameras, Esc':28} {(time.thread_time() - began) * 1e3:18.1f} ms")
+    printed("  removed afterwards", removal())
+
+
+def have_gone() -> None:
+    """Half of the photos are others than those that the files have."""
+    for ob in bpy.data.objects:
+        if ob.type == "CAMERA" and ob.name.endswith(tuple("02468")):
+            ob["gs_image"] = f"gone/{ob['gs_image']}"
 
 
 def measured_path(frames: int) -> None:
@@ -77,11 +116,14 @@ def main() -> None:
             print(folder)
             measured("Import Cameras", "import_cameras", directory=folder)
             measured("Import Cameras, anew", "import_cameras", directory=folder)
+            have_gone()
+            measured("the same, half is gone", "import_cameras", directory=folder)
             measured("Export Cameras", "export_cameras", directory=tempfile.mkdtemp())
             target = tempfile.mkdtemp()
             measured(
                 "Export, transforms.json", "export_cameras", directory=target, kind="TRANSFORMS"
             )
+            given_up(folder)
         for frames in FRAMES:
             bpy.ops.wm.read_homefile(use_empty=True)
             print(f"{frames} frames")

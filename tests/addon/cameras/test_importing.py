@@ -17,6 +17,7 @@ from addon.cameras.backgrounds import file_of, photo_of
 from addon.cameras.objects import cameras_of, points_of
 from addon.compat import matrix_to_numpy
 from addon.core import read_colmap, write_colmap
+from addon.interface import clearing, temporary
 from addon.panels.cameras import CamerasPanel
 from addon.process.pieces import Going
 from tests.addon.captures import STUDIO
@@ -105,6 +106,7 @@ def test_given_up(scene, folder: Path, name: str) -> None:
     work = going(directory=str(folder))
     until(work, {"reading": lambda: True, "cameras": half, "points": _points_come}[name])
     work.cancel()
+    clearing.finish()
     assert counts() == before
     scene.gscore.capture_path = str(folder)
     captures.import_capture(scene, folder)
@@ -113,6 +115,7 @@ def test_given_up(scene, folder: Path, name: str) -> None:
     work = going(directory=str(folder))
     until(work, {"reading": lambda: True, "cameras": _begun, "points": _points_come}[name])
     work.cancel()
+    clearing.finish()
     assert counts() == there and state() == seen
 
 
@@ -168,6 +171,61 @@ def test_a_file_that_is_saved_meanwhile(scene, folder: Path, tmp_path: Path) -> 
     assert not bpy.data.objects and not bpy.data.cameras and not _begun()
 
 
+@pytest.mark.parametrize("ends", ["saved", "closed", "imported", "undone"])
+def test_what_is_done_right_after_esc(scene, folder: Path, tmp_path: Path, ends: str) -> None:
+    """What is removed bit by bit: Oracle: nothing of it is in the file, nor in a name's way."""
+    bpy.ops.ed.undo_push(message="start")
+    work = going(directory=str(folder))
+    until(work, half)
+    bpy.ops.ed.undo_push(message="meanwhile")
+    made = len(bpy.data.cameras)
+    work.cancel()
+    next(clearing.clearing())
+    assert len(bpy.data.cameras) < made
+    if ends == "saved":
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    elif ends == "closed":
+        bpy.ops.wm.read_homefile(use_empty=True)
+    elif ends == "imported":
+        assert until(going(directory=str(folder)), lambda: False)
+        assert {"studio", "view_000"} <= set(bpy.context.scene.objects.keys())
+        return
+    else:
+        bpy.ops.ed.undo()
+        clearing.finish()
+    assert not bpy.data.objects and not bpy.data.cameras and not _begun()
+    assert not bpy.data.images or ends == "undone"
+
+
+def test_photos_that_are_gone_leave_bit_by_bit(
+    scene, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: cameras that are not in the scene any more, then not in the file; undo brings them
+    back, and redo takes them."""
+    monkeypatch.setattr(temporary, "BUDGET", 0.0)
+    made = captures.import_capture(scene, folder)
+    child = bpy.data.objects.new("child", None)
+    scene.collection.objects.link(child)
+    child.parent, scene.camera = made.cameras[40], made.cameras[40]
+    bpy.ops.ed.undo_push(message="imported")
+    model = read_colmap(folder)
+    kept = sorted(model.images, key=lambda image: image.name)[:5]
+    write_colmap(replace(model, images=kept), folder / "sparse" / "0")
+    assert until(going(directory=str(folder)), lambda: False)
+    root = bpy.data.objects["studio"]
+    assert len(bpy.data.cameras) == 60 and len(cameras_of(root)) == 5
+    assert len([ob for ob in scene.objects if ob.type == "CAMERA"]) == 5
+    bpy.ops.ed.undo_push(message="anew")
+    assert len(list(clearing.clearing())) > 2
+    assert len(bpy.data.cameras) == 5 and not _begun() and scene.camera is None
+    assert child.parent is None
+    bpy.ops.ed.undo()
+    assert len(cameras_of(bpy.data.objects["studio"])) == 60
+    assert bpy.context.scene.camera.name == "view_040"
+    bpy.ops.ed.redo()
+    assert len(bpy.data.cameras) == 5 and not _begun()
+
+
 def test_a_scene_that_is_gone(scene, folder: Path) -> None:
     """Oracle: a sentence; nothing is left."""
     bpy.ops.scene.new()
@@ -176,6 +234,7 @@ def test_a_scene_that_is_gone(scene, folder: Path) -> None:
     bpy.data.scenes.remove(bpy.context.scene)
     with pytest.raises(ValueError, match="scene that cameras were imported into is gone"):
         until(work, lambda: False)
+    clearing.finish()
     assert not bpy.data.objects and not bpy.data.cameras and not _begun()
 
 

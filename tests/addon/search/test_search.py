@@ -15,6 +15,7 @@ from addon import preferences
 from addon.cameras import importing
 from addon.cameras.lookup import chosen_root
 from addon.cameras.objects import cameras_of, points_of
+from addon.interface import clearing
 from addon.job import facts, registry, training, verb_job
 from addon.panels.capture import CapturePanel
 from addon.panels.progress import ProgressPanel
@@ -210,6 +211,7 @@ def test_what_is_done_while_cameras_come(
     else:
         holiday.gscore.capture_path = str(STUDIO)
     until(lambda: not job.wanted)
+    clearing.finish()
     scene = bpy.context.scene
     assert not scene.objects and not bpy.data.cameras and not bpy.data.collections
     assert scene.gscore.capture_path == ("" if by == "another file" else str(STUDIO))
