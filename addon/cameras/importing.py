@@ -25,7 +25,6 @@ from . import objects as co
 from . import sfm_points, straightening
 from .backgrounds import KnownImages, set_photo, shows_photo
 from .lookup import roots_of
-from .objects import cameras_of, points_of
 from .placing import UP, root_scale, set_root_matrix, size_drawing
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
@@ -92,7 +91,7 @@ def importing(
         known = KnownImages()
         coming = _Coming(found, known, there)
         try:
-            yield from coming.fill(_root_there(_scene(uid), found.source, there))
+            yield from coming.fill(_there(_scene(uid), found.source, there))
             made = coming.arrive(_scene(uid))
         finally:
             clear(chain(coming.dropping(), known.dropping()))
@@ -100,6 +99,16 @@ def importing(
             if not bpy.app.background:
                 straightening.begin(found.copies)
             return made
+
+
+@dataclass(frozen=True, kw_only=True)
+class _There:
+    """A capture that the scene has."""
+
+    root: bpy.types.Object
+    cameras: list[bpy.types.Object]
+    """By image name."""
+    points: bpy.types.Object | None
 
 
 class _Coming:
@@ -125,25 +134,23 @@ class _Coming:
         for one in (inner, root):
             self._temporary.hold(one)
 
-    def fill(self, there: bpy.types.Object | None) -> Pieces[None]:
-        """Make what is not `there`, the empty of the capture in the scene."""
-        self._there = 0 if there is None else there.session_uid
-        have = {} if there is None else _by_image(cameras_of(there))
-        uids = {image: ob.session_uid for image, ob in have.items()}
-        obs = {ob.session_uid: ob for ob in have.values()}
+    def fill(self, there: _There | None) -> Pieces[None]:
+        """Make what is not `there`."""
+        self._there = _uid(there)
+        have = {} if there is None else _by_image(there.cameras)
+        known = {image: (ob.name, ob.session_uid) for image, ob in have.items()}
         until = time.perf_counter() + BUDGET
         for done, one in enumerate(self._found.cameras):
             if time.perf_counter() > until:
                 yield f"Importing cameras: {done} of {len(self._found.cameras)}"
-                obs = {ob.session_uid: ob for ob in bpy.data.objects} if have else {}
                 until = time.perf_counter() + BUDGET
             if (outer := self._temporary.found()) is None:
                 return
-            uid = uids.get(one.setup.own.image)
-            if uid is None:
+            name, uid = known.get(one.setup.own.image, ("", 0))
+            if not uid:
                 self._make(one, outer)
-            elif uid in obs:
-                self._compare(one, obs[uid])
+            elif (ob := bpy.data.objects.get(name)) is not None and ob.session_uid == uid:
+                self._compare(one, ob)
         if self._found.points is not None:
             yield from self._fill_points(self._found.points)
 
@@ -157,26 +164,27 @@ class _Coming:
         outer, found = self._temporary.found(), self._found
         if outer is None:
             return None
-        root = _root_there(scene, found.source, self._into)
-        if self._there != (0 if root is None else root.session_uid):
+        there, warnings = _there(scene, found.source, self._into), found.warnings
+        if self._there != _uid(there):
             return None
-        renewed, warnings = root is not None, found.warnings
-        if root is None:
+        if there is None:
             root = self._bring(outer, scene)
         else:
-            warnings += self._renew(root, outer, scene)
+            root = there.root
+            warnings += self._renew(there, outer, scene)
         root["gs_images"] = found.images
         root.pop(UP, None)
         if found.up is not None:
             root[UP] = found.up.tolist()
         stored_paths.write(root, stored_paths.SOURCE, found.source)
+        cameras, points = co.parts_of(root)
         return ImportedCapture(
             scene=scene,
             root=root,
             collection=root.users_collection[0],
-            cameras=cameras_of(root),
-            points=points_of(root),
-            renewed=renewed,
+            cameras=cameras,
+            points=points,
+            renewed=there is not None,
             warnings=warnings,
         )
 
@@ -250,15 +258,15 @@ class _Coming:
             self._temporary.hold(ob)
 
     def _renew(
-        self, root: bpy.types.Object, outer: bpy.types.Collection, scene: bpy.types.Scene
+        self, capture: _There, outer: bpy.types.Collection, scene: bpy.types.Scene
     ) -> tuple[str, ...]:
-        """Have the capture of an empty be what was read; what to tell the user."""
-        old, new = points_of(root), _points_in(outer)
+        """Have a capture be what was read; what to tell the user."""
+        root, cameras = capture.root, capture.cameras
+        old, new = capture.points, _points_in(outer)
         if new is not None and old is not None and old.mode == "EDIT":
             raise ValueError(
                 f"{old.name} is in Edit Mode: leave it before its capture is imported."
             )
-        cameras = cameras_of(root)
         there = _by_image(cameras)
         place = _beside(cameras[0] if cameras else root, scene)
         made = _by_image(outer.children[0].objects)
@@ -355,11 +363,20 @@ def _in_another_world(
     )
 
 
-def _root_there(scene: bpy.types.Scene, source: Path, into: int) -> bpy.types.Object | None:
-    """The empty of a capture that the scene has, and that may be changed."""
-    roots = [root for root in roots_of(scene) if _may_change(root)]
-    asked = (root for root in roots if root.session_uid == into)
-    return next(asked, None) or next((root for root in roots if _is_of(root, source)), None)
+def _there(scene: bpy.types.Scene, source: Path, into: int) -> _There | None:
+    """A capture that the scene has, and that may be changed."""
+    roots = roots_of(scene)
+    asked = [root for root in roots if root.session_uid == into]
+    for root in chain(asked, (root for root in roots if _is_of(root, source))):
+        cameras, points = co.parts_of(root)
+        found = _There(root=root, cameras=cameras, points=points)
+        if _may_change(found):
+            return found
+    return None
+
+
+def _uid(there: _There | None) -> int:
+    return 0 if there is None else there.root.session_uid
 
 
 def _is_of(root: bpy.types.Object, source: Path) -> bool:
@@ -367,9 +384,9 @@ def _is_of(root: bpy.types.Object, source: Path) -> bool:
     return bool(own) and same_folder(Path(own), source)
 
 
-def _may_change(root: bpy.types.Object) -> bool:
+def _may_change(found: _There) -> bool:
     """Whether a capture is all of this file, and no override."""
-    obs = [root, *cameras_of(root), *filter(None, [points_of(root)])]
+    obs = [found.root, *found.cameras, *filter(None, [found.points])]
     blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
     return all(block.library is None and block.override_library is None for block in blocks)
 

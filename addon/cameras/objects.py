@@ -1,6 +1,6 @@
 """Blender cameras that stand for photos: how they are marked, made and read back."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -68,13 +68,30 @@ def root_of(ob: bpy.types.Object | None) -> bpy.types.Object | None:
 
 def cameras_of(root: bpy.types.Object) -> list[bpy.types.Object]:
     """The photos' cameras below a capture's empty, by image name."""
-    found = [ob for ob in root.children_recursive if is_camera(ob)]
-    return sorted(found, key=lambda ob: (str(ob.get("gs_image", "")), ob.name))
+    return _cameras_among(root.children_recursive)
 
 
 def points_of(root: bpy.types.Object) -> bpy.types.Object | None:
     """The object of a capture's points, or None."""
-    return next((ob for ob in root.children if is_kind(ob, "points") and ob.type == "MESH"), None)
+    return _points_among(root.children)
+
+
+def parts_of(
+    root: bpy.types.Object,
+) -> tuple[list[bpy.types.Object], bpy.types.Object | None]:
+    """As `cameras_of` and `points_of`. To find what is below an object Blender looks through all
+    that there are, which is done once here."""
+    below = root.children_recursive
+    return _cameras_among(below), _points_among([ob for ob in below if ob.parent == root])
+
+
+def _cameras_among(obs: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    found = [ob for ob in obs if is_camera(ob)]
+    return sorted(found, key=lambda ob: (str(ob.get("gs_image", "")), ob.name))
+
+
+def _points_among(obs: Sequence[bpy.types.Object]) -> bpy.types.Object | None:
+    return next((ob for ob in obs if is_kind(ob, "points") and ob.type == "MESH"), None)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """How long Import Cameras, the same anew, Export Cameras, and both of camera paths take, and hold
 Blender.
 
-    python tools/measure/cameras.py [CAPTURE...]    (a Python with bpy)
+    python tools/measure/cameras.py [--others N] [CAPTURE...]    (a Python with bpy)
 
 Each operator goes on bit by bit as in a window, to its end or to Esc, and so does the removal of
 what is no longer needed then. Prints, of each capture and each path: the seconds to its end, the
@@ -31,6 +31,7 @@ def parse() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
+    parser.add_argument("--others", type=int, default=0, help="other objects in the scene")
     return parser.parse_args()
 
 
@@ -112,6 +113,8 @@ def main() -> None:
         print(f"{'':28} {'whole':>8} {'longest':>9} {'late':>9}")
         for capture in options.captures:
             bpy.ops.wm.read_homefile(use_empty=True)
+            for _ in range(options.others):
+                bpy.context.collection.objects.link(bpy.data.objects.new("other", None))
             folder = str(capture.resolve())
             print(folder)
             measured("Import Cameras", "import_cameras", directory=folder)
