@@ -30,6 +30,8 @@ from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
 BUDGET = 0.008
 """Seconds of a piece in which cameras are begun."""
+_NAMED = 3
+"""Cameras that a sentence names."""
 _SAMPLES = 20
 """Cameras that are looked at to tell whether the files have the same world as before."""
 
@@ -293,7 +295,7 @@ class _Coming:
         elif new is not None:
             _move(new, outer, _beside(root, scene))
             _hang(new, root)
-        return others
+        return others + _held([there[image] for image in wanted if image in there])
 
 
 def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
@@ -360,6 +362,20 @@ def _in_another_world(
     return (
         "The files have the photos elsewhere than before. Align to Ground turns the capture anew; "
         "splats that were trained before may no longer fit.",
+    )
+
+
+def _held(cameras: list[bpy.types.Object]) -> tuple[str, ...]:
+    """A sentence where something besides its own place says where a camera stands."""
+    names = sorted(ob.name for ob in cameras if not co.is_plain_child(ob))
+    if not names:
+        return ()
+    few = ", ".join(names[:_NAMED])
+    rest = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return (
+        f"Keyframes, drivers or constraints may keep cameras away from where their photos were "
+        f"taken: {few}{rest}. Clear them, else renders and exports have these cameras as they "
+        f"stand.",
     )
 
 

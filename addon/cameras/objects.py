@@ -18,6 +18,14 @@ TURNED, MOVED = "gs_turned_degrees", "gs_moved"
 _TURN, _MOVE, _LENS = 1e-5, 1e-6, 1e-6
 """What Blender's single precision does to a camera that nobody touched: radians, and relative."""
 
+_DELTAS = {
+    "delta_location": (0.0, 0.0, 0.0),
+    "delta_rotation_euler": (0.0, 0.0, 0.0),
+    "delta_rotation_quaternion": (1.0, 0.0, 0.0, 0.0),
+    "delta_scale": (1.0, 1.0, 1.0),
+}
+"""What does not move an object."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoCamera:
@@ -230,7 +238,7 @@ def frame_of(
 
 def is_moved(ob: bpy.types.Object, own: PhotoCamera) -> bool:
     """Whether a photo's camera stands elsewhere in the capture than the photo was taken from."""
-    if not _is_plain_child(ob):
+    if not is_plain_child(ob):
         return True
     now, then = local_matrix(ob), cm.matrix_world_from_viewmat(own.viewmat)
     far = np.abs(now[:3, 3] - then[:3, 3]).max() > _MOVE * np.linalg.norm(then[:3, 3])
@@ -264,7 +272,7 @@ def viewmat_in(
     Raises:
         ValueError: the camera is mirrored or sheared, or the capture's empty is flat.
     """
-    if root is not None and ob.parent == root and _is_plain_child(ob):
+    if root is not None and ob.parent == root and is_plain_child(ob):
         matrix = local_matrix(ob)
     else:
         matrix = _evaluated_matrix(ob, depsgraph)
@@ -308,9 +316,12 @@ def _put(ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray) -> No
     ob.location, ob.rotation_quaternion = location.tolist(), rotation.tolist()
     if tuple(ob.scale) != (1.0, 1.0, 1.0):
         ob.scale = 1.0, 1.0, 1.0
+    for name, none in _DELTAS.items():
+        if tuple(getattr(ob, name)) != none:
+            setattr(ob, name, none)
 
 
-def _is_plain_child(ob: bpy.types.Object) -> bool:
+def is_plain_child(ob: bpy.types.Object) -> bool:
     """Whether an object stands below a capture's empty and nothing else moves it."""
     return (
         is_kind(ob.parent, "capture")

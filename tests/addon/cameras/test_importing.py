@@ -355,6 +355,35 @@ def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
     assert list(bpy.data.objects["view_009"].users_collection) == [scene.collection]
 
 
+def test_what_else_moves_cameras(scene, folder: Path) -> None:
+    """Deltas go; keyframes and constraints stay, and are told. Oracle: Blender's own matrices."""
+    listed = captures.import_capture(scene, folder).cameras
+    bpy.context.view_layer.update()
+    before = [matrix_to_numpy(ob.matrix_world) for ob in listed]
+    listed[0].delta_location.x = 9
+    listed[1].delta_scale.x, listed[2].delta_rotation_quaternion = 2, (0, 1, 0, 0)
+    listed[2].delta_rotation_euler.x = 1
+    for ob in listed[3:8]:
+        ob.location.x = 50
+        ob.keyframe_insert("location", frame=1)
+    limit = listed[8].constraints.new("LIMIT_LOCATION")
+    limit.use_min_x, limit.min_x = True, 99
+    made = captures.import_capture(scene, folder)
+    (told,) = made.warnings
+    assert "view_003, view_004, view_005 and 3 more." in told
+    scene.frame_set(2)
+    bpy.context.view_layer.update()
+    far = [np.abs(matrix_to_numpy(ob.matrix_world) - was).max()
+           for ob, was in zip(listed, before, strict=True)]  # fmt: skip
+    assert [i for i, distance in enumerate(far) if distance > 1e-5] == [3, 4, 5, 6, 7, 8]
+    listed[2].rotation_mode = "XYZ"
+    assert tuple(listed[2].delta_rotation_euler) == (0, 0, 0)
+    for ob in listed[3:9]:
+        ob.animation_data_clear()
+        ob.constraints.clear()
+    assert not captures.import_capture(scene, folder).warnings
+
+
 def test_points_that_are_edited(scene, folder: Path) -> None:
     """Oracle: a sentence; nothing is changed."""
     made = captures.import_capture(scene, folder)
