@@ -73,11 +73,12 @@ class FindCameras(Stepping, OnScene, bpy.types.Operator):
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Start; or bring in what was found before."""
         scene = context.scene
-        if (capture := work.found_before(scene)) is not None:
-            self.warn((yield from work.arriving(scene, capture)))
+        where = work.places(scene)
+        if where.is_there:
+            self.warn((yield from work.arriving(scene, where.capture)))
             return "These cameras were found before; they are brought in."
-        job = work.find(scene, wait=self.wait)
-        if job is None or not job.ended:
+        job = work.find(scene, where, wait=self.wait)
+        if not job.ended:
             return ""
         if job.status == FAILED:
             raise ValueError(job.sentence)

@@ -1,6 +1,6 @@
 """The search for cameras from scripts and operators: begin, cancel, bring in what was found."""
 
-from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -18,61 +18,32 @@ from ..job import facts, lookups, options
 from ..job.launch import follow, launch
 from ..paths import absolute, capture_folder, relative
 from ..process import beat
-from ..process.pieces import Going, Pieces, at_once
+from ..process.pieces import Going, Pieces
 from .job import SearchJob
 from .registry import JOBS
 
 
-def find(
-    scene: bpy.types.Scene,
-    *,
-    wait: bool = False,
-    python: str | Path | None = None,
-    warn: Callable[[Iterable[str]], None] = tuple,
-) -> SearchJob | None:
-    """Find the cameras of the scene's photos or video, and bring them in.
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """What is searched, and what comes of it."""
 
-    The capture is made beside the source; where one was made of it before, that is taken at once.
+    source: Path
+    """The photos or the video."""
+    capture: Path
+    """The capture that is made of them, beside them."""
+    is_there: bool
+    """Whether it was made before."""
+
+
+def places(scene: bpy.types.Scene) -> Places:
+    """Where cameras of the scene's photos or video are looked for, and will be.
 
     Args:
         scene: Its `gscore` settings name photos or a video.
-        wait: Return when it has ended and the cameras are there.
-        python: The Python that searches; None: as the preferences say.
-        warn: Told what the user should know of a capture that is taken at once.
-
-    Returns:
-        The search; None: there was nothing to search for.
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
     """
-    source, capture, is_there = _places(scene)
-    if is_there:
-        warn(at_once(arriving(scene, capture)))
-        return None
-    arguments = options.search(
-        scene.gscore, source=source, capture=capture, threads=preferences.get().threads
-    )
-    places = {"source": source, "capture": capture, "scene_uid": scene.session_uid}
-    job = launch(lambda program: SearchJob(program, arguments, **places), python)
-    JOBS.add(job)
-    beat.ensure()
-    follow(lambda: wait and (not job.ended or job.wanted))
-    return job
-
-
-def found_before(scene: bpy.types.Scene) -> Path | None:
-    """The capture that was made of the scene's photos or video before; None: there is none.
-
-    Raises:
-        ValueError: as `find`.
-    """
-    _, capture, is_there = _places(scene)
-    return capture if is_there else None
-
-
-def _places(scene: bpy.types.Scene) -> tuple[Path, Path, bool]:
-    """The photos or video, the capture that is made of them, and whether that is there."""
     source = capture_folder(scene)
     found, problem = facts.look_again(scene)
     if found is None or not found.bare:
@@ -82,7 +53,36 @@ def _places(scene: bpy.types.Scene) -> tuple[Path, Path, bool]:
     if (other := JOBS.of_source(source)) is not None and not other.ended:
         raise ValueError(f"The cameras of {source} are being looked for already.")
     beside = capture_beside(source)
-    return source, beside.capture, beside.is_there
+    return Places(source=source, capture=beside.capture, is_there=beside.is_there)
+
+
+def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> SearchJob:
+    """Find the cameras of the scene's photos or video, and bring them in.
+
+    Args:
+        scene: Its `gscore` settings say how.
+        where: Of it; no capture is there yet.
+        wait: Return when it has ended and the cameras are there.
+
+    Raises:
+        ValueError: the Python of the preferences is missing; the message says what to do.
+    """
+    arguments = options.search(
+        scene.gscore,
+        source=where.source,
+        capture=where.capture,
+        threads=preferences.get().threads,
+    )
+    given = {
+        "source": where.source,
+        "capture": where.capture,
+        "scene_uid": scene.session_uid,
+    }
+    job = launch(lambda program: SearchJob(program, arguments, **given), None)
+    JOBS.add(job)
+    beat.ensure()
+    follow(lambda: wait and (not job.ended or job.wanted))
+    return job
 
 
 def job_of(scene: bpy.types.Scene) -> SearchJob | None:
@@ -92,8 +92,8 @@ def job_of(scene: bpy.types.Scene) -> SearchJob | None:
         chosen = absolute(scene.gscore.capture_path, "Capture")
     except ValueError:
         return None
-    places = (job for job in JOBS.jobs() if same_folder(job.capture, chosen))
-    return JOBS.of_source(chosen) or next(places, None)
+    made = (job for job in JOBS.jobs() if same_folder(job.capture, chosen))
+    return JOBS.of_source(chosen) or next(made, None)
 
 
 def bring_in(job: SearchJob) -> bool:
