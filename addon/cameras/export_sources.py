@@ -33,7 +33,7 @@ class HeldPoints:
     positions: np.ndarray
     """[P, 3] float32."""
     indices: np.ndarray
-    """As `sfm_points.indices_of`."""
+    """As `sfm_points.unique_places`."""
     linear: np.ndarray | None
     """As `sfm_points.linear_of`; None: the colours are gone."""
     name: str

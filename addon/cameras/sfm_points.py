@@ -93,11 +93,6 @@ def unique_places(places: np.ndarray) -> np.ndarray:
     return out
 
 
-def indices_of(ob: bpy.types.Object) -> np.ndarray:
-    """The same of an object, [P] int32."""
-    return unique_places(places_of(ob))
-
-
 def linear_of(ob: bpy.types.Object) -> np.ndarray | None:
     """[P, 4] float32, scene-linear colours of an object of points; None: they are gone."""
     attribute = ob.data.attributes.get(COLOR)
@@ -118,18 +113,6 @@ def encoded(rgba: np.ndarray) -> np.ndarray:
 def lost_colors(name: str) -> str:
     """What to tell where `linear_of` an object finds none."""
     return f"{name} has no colour attribute {COLOR!r} any more. Import the capture again."
-
-
-def colors_of(ob: bpy.types.Object) -> np.ndarray:
-    """The colours [P, 3] uint8 sRGB of an object of points.
-
-    Raises:
-        ValueError: the attribute is gone.
-    """
-    rgba = linear_of(ob)
-    if rgba is None:
-        raise ValueError(lost_colors(ob.name))
-    return encoded(rgba)
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:

@@ -187,8 +187,10 @@ def test_points_show_their_colors(scene) -> None:
     np.testing.assert_array_equal(
         sfm_points.positions_of(made.points), model.points.xyz.astype(np.float32)
     )
-    np.testing.assert_array_equal(sfm_points.colors_of(made.points), model.points.rgb)
-    np.testing.assert_array_equal(sfm_points.indices_of(made.points), np.arange(len(model.points)))
+    colors = sfm_points.encoded(sfm_points.linear_of(made.points))
+    np.testing.assert_array_equal(colors, model.points.rgb)
+    places = sfm_points.unique_places(sfm_points.places_of(made.points))
+    np.testing.assert_array_equal(places, np.arange(len(model.points)))
     shown = made.points.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     assert len(shown.vertices) == 6 * len(model.points) + 1
     assert len(shown.polygons) == 8 * len(model.points)
