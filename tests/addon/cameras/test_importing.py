@@ -58,7 +58,7 @@ def state() -> dict[str, Any]:
             found[f"{ob.name} drawn"] = ob.data.display_size, ob.data.clip_start, ob.data.name
         if ob.type == "MESH":
             found[f"{ob.name} points"] = [
-                read(ob).tobytes() for read in (sfm_points.positions_of, sfm_points.colors_of)
+                read(ob).tobytes() for read in (sfm_points.positions_of, sfm_points.linear_of)
             ]
             found[f"{ob.name} shown"] = [m.node_group.name for m in ob.modifiers], ob.hide_render
     return found
@@ -303,6 +303,17 @@ def test_a_capture_that_is_removed_meanwhile(scene, folder: Path) -> None:
     until(work, _begun)
     bpy.data.objects.remove(bpy.data.objects["studio"])
     assert until(work, lambda: False) and work.result.endswith(": 60 cameras, 6,725 points")
+
+
+def test_two_imports_at_once(scene, folder: Path) -> None:
+    """Oracle: one set of cameras and of images, as of one import."""
+    works = [going(directory=str(folder)), going(directory=str(folder))]
+    while works:
+        works = [work for work in works if not work.step()]
+        threading.Event().wait(0.0005)
+    clearing.finish()
+    found = [len(all_of) for all_of in (bpy.data.cameras, bpy.data.images, bpy.data.meshes)]
+    assert found == [60, 60, 1] and not _begun()
 
 
 def test_another_mesh_is_edited_meanwhile(scene, folder: Path) -> None:
