@@ -152,7 +152,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current
         row.label(text="Writing a checkpoint...")
         row.operator("gscore.discard_training", text="Do Not Wait", icon="TRASH")
     if current.state.ended and is_splats(context.scene.gscore.result):
-        layout.operator("gscore.show_splats", icon="SHADING_RENDERED")
+        layout.operator("gscore.show_splats", icon="SHADING_RENDERED").trained = True
     row = layout.row(align=True)
     if status in (session.RUNNING, session.PAUSED):
         row.operator("gscore.update_splats", icon="FILE_REFRESH")

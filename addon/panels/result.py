@@ -1,6 +1,5 @@
 """The splats of the scene: counts, display, filters, files."""
 
-from itertools import islice
 from typing import ClassVar
 
 import bpy
@@ -9,25 +8,12 @@ from .. import attributes, stored_paths
 from ..interface.flags import error_words
 from ..live import handler
 from ..splats import edit, even_scale, live, mending
-from ..splats.objects import is_native, is_splats, meant
+from ..splats.objects import in_question, is_native, is_splats, meant
 from .histogram_icons import ICONS, OPACITY, SIZE
 from .widgets import TabPanel, job, limit, rows, sentence
 
-_LOOKED_AT = 1000
-"""Objects of a scene in which splats are looked for: panels are drawn often."""
 _HISTOGRAM_SCALE = 4.0
 """Height of a histogram, in buttons."""
-
-
-def shown(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splats that the panel is about: the active object's, or the scene's result, or the first
-    that are found in it."""
-    if is_splats(ob := meant(context)):
-        return ob
-    result, objects = context.scene.gscore.result, context.scene.objects
-    if is_splats(result) and objects.get(result.name) == result:  # else it is deleted
-        return result
-    return next((ob for ob in islice(objects, _LOOKED_AT) if is_splats(ob)), None)
 
 
 class ResultPanel(TabPanel, bpy.types.Panel):
@@ -39,7 +25,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, ob = self.layout, shown(context)
+        layout, ob = self.layout, in_question(context)
         if is_native(context.object):
             draw_native(layout, context)
             return
@@ -120,11 +106,11 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There are splats."""
-        return shown(context) is not None
+        return in_question(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, ob = self.layout, shown(context)
+        layout, ob = self.layout, in_question(context)
         settings = ob.gscore
         draw_limits(layout, ob)
         column = layout.column(align=True)

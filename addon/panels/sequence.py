@@ -4,12 +4,12 @@ from typing import ClassVar
 
 import bpy
 
+from ..splats.objects import in_question
 from ..timeline import follow
 from ..timeline.frames import Series
 from ..timeline.library import LIBRARY
 from ..timeline.moment import moment_of, series_of
 from ..timeline.settings import is_sequence
-from .result import shown
 from .widgets import TabPanel, rows, sentence
 
 
@@ -24,11 +24,11 @@ class SequencePanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """The splats are those of a sequence."""
-        return is_sequence(shown(context))
+        return is_sequence(in_question(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, ob = self.layout, shown(context)
+        layout, ob = self.layout, in_question(context)
         settings = ob.gscore_sequence
         if settings.edited:
             text = "These splats were edited, so the object stands still and keeps them."

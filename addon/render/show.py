@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import bpy
 import numpy as np
+from bpy.props import BoolProperty
 from mathutils import Vector
 
 from .. import stored_paths
@@ -12,7 +13,7 @@ from ..cameras import photos
 from ..interface.operators import Acting, make_active
 from ..splats import places
 from ..splats.error_maps import is_map, show_map, siblings
-from ..splats.objects import is_splats, meant
+from ..splats.objects import in_question, is_splats
 from .operators import use_engine
 
 _MOST = 0.9
@@ -44,14 +45,20 @@ class ShowSplats(Acting, bpy.types.Operator):
     bl_label = "Show Splats"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
+    trained: BoolProperty(
+        name="Trained",
+        description="Those of the last training, whatever is active",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene, and splats that are hidden."""
-        ob = _wanted(context)
+        ob = _wanted(context, trained=self.trained)
         return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
 
     def act(self, context: bpy.types.Context) -> str:
         """Set all of it."""
-        ob = _wanted(context)
+        ob = _wanted(context, trained=self.trained)
         middle, radius = frame_of(ob)
         if any(map(is_map, _of_run(context, ob))):
             show_map(ob, False)
@@ -67,9 +74,10 @@ class ShowSplats(Acting, bpy.types.Operator):
         return ""
 
 
-def _wanted(context: bpy.types.Context) -> bpy.types.Object:
-    """The splats that a user works on, else those of the training."""
-    for ob in (meant(context), context.scene.gscore.result):
+def _wanted(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:
+    """The splats of the training, if these are asked for, else those that panels are about."""
+    result = [context.scene.gscore.result] if trained else []
+    for ob in (*result, in_question(context)):
         if is_splats(ob) and context.view_layer.objects.get(ob.name) == ob:
             splats = (other for other in _of_run(context, ob) if not is_map(other))
             return next(splats, ob) if is_map(ob) else ob

@@ -175,6 +175,17 @@ def meant(context: bpy.types.Context) -> bpy.types.Object | None:
     return next((ob for ob in obs if ob.gscore.crop_object == active), None)
 
 
+def in_question(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The splats that panels are about: those that a user works on, or the scene's result, or the
+    first that are found in it."""
+    if is_splats(ob := meant(context)):
+        return ob
+    result, objects = context.scene.gscore.result, context.scene.objects
+    if is_splats(result) and objects.get(result.name) == result:  # else it is deleted
+        return result
+    return next(filter(is_splats, objects), None)
+
+
 def chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
     """An object, what it hangs from, and so on."""
     found = []

@@ -63,10 +63,10 @@ def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
     """Oracle: Blender's delete, which keeps what a setting names out of the scene."""
     ob = objects.create(NO_SPLATS, "splats")
     scene.gscore.result = ob
-    assert result.shown(bpy.context) == ob
+    assert objects.in_question(bpy.context) == ob
     ob.select_set(True)
     bpy.ops.object.delete()
-    assert scene.gscore.result == ob and result.shown(bpy.context) is None
+    assert scene.gscore.result == ob and objects.in_question(bpy.context) is None
 
 
 def test_whose_colors_soft_splats_have(scene: bpy.types.Scene) -> None:

@@ -28,6 +28,21 @@ def test_one_button_shows_splats(scene: bpy.types.Scene, tmp_path: Path) -> None
     assert bpy.context.object == ob and bpy.context.selected_objects == [ob]
 
 
+def test_after_a_training_it_shows_what_was_trained(scene: bpy.types.Scene) -> None:
+    """Oracle: which is active then, with other splats active before; without a result, or with one
+    that was deleted, those that are there."""
+    trained, other = lab.add(scene, lab.blob()), lab.add(scene, lab.blob())
+    scene.gscore.result = trained
+    bpy.context.view_layer.objects.active = other
+    assert bpy.ops.gscore.show_splats() == {"FINISHED"} and bpy.context.object == other
+    assert bpy.ops.gscore.show_splats(trained=True) == {"FINISHED"}
+    assert bpy.context.object == trained
+    bpy.data.objects.remove(trained)
+    bpy.context.view_layer.objects.active = None
+    assert bpy.ops.gscore.show_splats(trained=True) == {"FINISHED"}
+    assert bpy.context.object == other
+
+
 def test_the_frame_holds_most_splats_and_no_sky(scene: bpy.types.Scene) -> None:
     """Oracle: a ball of known middle and radius, moved and scaled, and one splat far away."""
     rng = np.random.default_rng(0)

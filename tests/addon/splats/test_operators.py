@@ -129,9 +129,9 @@ def test_the_panel_is_about_splats_that_are_there(
     cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
     scene.collection.objects.link(cube)
     bpy.context.view_layer.objects.active = cube
-    assert scene.gscore.result is None and result.shown(bpy.context) == ob
+    assert scene.gscore.result is None and objects.in_question(bpy.context) == ob
     bpy.data.objects.remove(ob)
-    assert result.shown(bpy.context) is None
+    assert objects.in_question(bpy.context) is None
 
 
 def test_an_export_of_the_box_that_crops_is_of_the_splats(
@@ -475,7 +475,7 @@ def test_a_crop_box_stands_upright_and_is_at_hand(ob: bpy.types.Object) -> None:
     np.testing.assert_allclose(turn - np.diag(np.diag(turn)), 0, atol=1e-5)
     assert bpy.context.object == box and bpy.context.selected_objects == [box]
     assert 0.8 * COUNT < visible_mask(ob).sum() < COUNT
-    assert objects.meant(bpy.context) == ob == result.shown(bpy.context)
+    assert objects.meant(bpy.context) == ob == objects.in_question(bpy.context)
     assert "(Delete Hidden Splats)" in drawn(result.FiltersPanel)
     bpy.ops.gscore.select_splats(which="VISIBLE")
     assert bpy.context.object == ob and ob.mode == "EDIT"
