@@ -52,11 +52,13 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     size = float(np.median(distances)) or 1.0
     shortest = gap / 2 * size * np.maximum(distances / size, 1)
     heart = means[np.argmin(distances)]
-    counts = _fill(splats.scales, shortest)
+    reaches = _REACH * np.exp(np.minimum(splats.scales.astype(np.float64), _EXPONENT))
+    counts = _fill(reaches, shortest)
     middles, ends, owners = [], [], []
     for at in range(0, len(means), _BLOCK):
         part = slice(at, at + _BLOCK)
-        places, rows = _reached(splats, part, shortest[part], counts[part], heart)
+        axes = splats.quats[part], reaches[part]
+        places, rows = _reached(means[part], *axes, shortest[part], counts[part], heart)
         found = _keys(_near_and_far((places - middle) / size) / gap)
         further = np.flatnonzero(found != found[rows])
         middles.append(found[: len(shortest[part])])
@@ -93,30 +95,32 @@ def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray
     return found[labels]
 
 
-def _fill(scales: np.ndarray, shortest: np.ndarray) -> np.ndarray:
-    """[N] int: with how many places ellipsoids of `scales` [N, 3] are filled, where an axis counts
-    from a reach of `shortest` [N] on."""
-    reach = _REACH * np.exp(np.minimum(scales.max(axis=1).astype(np.float64), _EXPONENT))
-    ratios = np.minimum(reach / shortest, _MOST)
-    counts = np.minimum((_PLACES * ratios * ratios).astype(int), _MOST)
+def _fill(reaches: np.ndarray, shortest: np.ndarray) -> np.ndarray:
+    """[N] int: with how many places ellipsoids are filled that reach so far [N, 3] along their
+    axes, where an axis counts from a reach of `shortest` [N] on."""
+    ratios = reaches.max(axis=1) / shortest
+    few = np.minimum(ratios, _MOST)
+    counts = np.minimum((_PLACES * few * few).astype(int), _MOST)
     counts[counts < _FEW] = 0
     if counts.sum() > _ALL:
-        order = np.argsort(-reach / shortest, kind="stable")
+        order = np.argsort(-ratios, kind="stable")
         counts[order[np.cumsum(counts[order]) > _ALL]] = 0
     return counts
 
 
 def _reached(
-    splats: Splats, part: slice, shortest: np.ndarray, counts: np.ndarray, heart: np.ndarray
+    means: np.ndarray,
+    quats: np.ndarray,
+    reaches: np.ndarray,
+    shortest: np.ndarray,
+    counts: np.ndarray,
+    heart: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places [M, 3] that some splats join: the middles of all; those along axes that reach farther
     than `shortest` [B]; `counts` [B] all over ellipsoids, and `heart` [3] where a large one holds
     it. And the row [M] in the part that each belongs to."""
-    means = splats.means[part].astype(np.float64)
-    scales = splats.scales[part].astype(np.float64)
-    reaches = _REACH * np.exp(np.minimum(scales, _EXPONENT))
     rows = np.flatnonzero((reaches > shortest[:, None]).any(axis=1))
-    axes = quat_to_rotmat(splats.quats[part][rows].astype(np.float64)) * reaches[rows, None, :]
+    axes = quat_to_rotmat(quats[rows].astype(np.float64)) * reaches[rows, None, :]
     places, owners = [means], [np.arange(len(means))]
     for axis in range(3):
         long = reaches[rows, axis] > shortest[rows]
