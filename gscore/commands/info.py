@@ -137,10 +137,11 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     checkpoints = checkpoints_in(folder)
     facts: dict[str, Any] = {"kind": "run", "path": str(folder), "checkpoints": len(checkpoints)}
     metrics = read_metrics(folder)
-    keys = ("psnr", "ssim", "lpips", "lpips_net", "split", "steps", "train_seconds", "gscore")
+    keys = ("psnr", "ssim", "lpips", "lpips_net", "split")
+    keys += ("steps", "train_seconds", "gscore", "models")
     facts["metrics"] = None
     if metrics:
-        facts["metrics"] = {key: metrics.get(key) for key in (*keys, "models")}
+        facts["metrics"] = {key: metrics.get(key) for key in keys}
         if "psnr_masked" in metrics:
             facts["metrics"] |= {
                 key: metrics[key] for key in ("psnr_masked", MASKED_OF) if key in metrics
