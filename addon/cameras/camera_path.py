@@ -11,13 +11,11 @@ import bpy
 import numpy as np
 
 from ..core import Cameras, atomic_write, given_up_by, write_cameras, write_nerfstudio_path
-from ..process.pieces import Check, Pieces, aside, at_once
+from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
 from . import objects as co
 from .export_transforms import transforms_text
 from .export_views import ExportView, Watched, collect
 
-BUDGET = 0.008
-"""Seconds of a piece in which frames are begun."""
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""
 

@@ -13,14 +13,13 @@ import numpy as np
 from ..compat import curves_of
 from ..core import Cameras, read_camera_path, rotmat_to_quat
 from ..interface import writable
+from ..interface.blocks import with_uid
 from ..interface.flags import panel_words
 from ..interface.temporary import Temporary
-from ..process.pieces import Check, Pieces, aside, at_once
+from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
 from . import formulas as cm
 from . import objects as co
 
-BUDGET = 0.008
-"""Seconds of a piece in which curves are begun."""
 _NUMBER = re.compile(r"(\d+)\D*$")
 _SAME = 1e-6
 """Relative difference below which pictures have one shape."""
@@ -242,7 +241,7 @@ def _fill(curve: bpy.types.FCurve, numbers: list[int], values: np.ndarray) -> No
 
 
 def _there(blocks: bpy.types.bpy_prop_collection, uid: int, what: str) -> Any:
-    found = next((one for one in blocks if one.session_uid == uid), None)
+    found = with_uid(blocks, uid)
     if found is None:
         raise ValueError(
             f"The {what} that a camera path was imported into is gone; import it again."

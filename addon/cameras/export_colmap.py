@@ -23,21 +23,8 @@ from ..core import (
 )
 from ..interface.flags import error_words
 from ..process.pieces import Check, Pieces, aside, at_once
-from .export_sources import (
-    HeldPoints,
-    known_captures,
-    points_to_export,
-    reading_points,
-    source_of,
-)
-from .export_views import (
-    Exported,
-    ExportView,
-    Graph,
-    all_or_none,
-    collecting,
-    kept_lenses,
-)
+from .export_sources import Gathered, gathering, points_to_export
+from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
 
 
 def export_colmap(
@@ -78,25 +65,20 @@ def exporting_colmap(
         ValueError: a camera cannot be written, or the folder is that of a capture of this file.
     """
     folder = Path(path) / "sparse" / "0"
-    source, captures = source_of(root), known_captures()
-    root_uid = None if root is None else root.session_uid
-    views = yield from collecting(cameras, scene, root, depsgraph)
-    held = yield from reading_points(root_uid)
-    write = partial(_write, folder, views, held, source, captures, binary)
+    given = yield from gathering(cameras, scene, root, depsgraph)
+    write = partial(_write, folder, given, binary)
     return (yield from aside(write, f"Writing {folder}"))
 
 
 def _write(
     folder: Path,
-    views: list[ExportView],
-    held: HeldPoints | None,
-    source: Path | None,
-    captures: list[Path],
+    given: Gathered,
     binary: bool,
     check: Check,
 ) -> Exported:
     """What needs no bpy."""
-    for known in captures:
+    views, source = given.views, given.source
+    for known in given.captures:
         if _same(folder, _model_folder(known)):
             raise ValueError(f"{folder} is the own model of {known}. Choose another folder.")
     if not binary and (folder / "cameras.bin").exists():
@@ -106,7 +88,7 @@ def _write(
     model, warnings = _source_model(source)
     check()
     warnings += kept_lenses(views)
-    cloud, more = points_to_export(held, source, model)
+    cloud, more = points_to_export(given.held, source, model)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
     other = _restated(views, model)

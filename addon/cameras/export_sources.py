@@ -1,6 +1,7 @@
 """The captures that an export goes back to, and the points that they and Blender have."""
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +18,12 @@ from ..core import (
     find_capture,
     read_capture,
 )
+from ..interface.blocks import with_uid
 from ..paths import absolute
 from ..process.pieces import Pieces, aside
 from . import objects as co
 from . import sfm_points
+from .export_views import ExportView, Graph, collecting
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""
@@ -56,14 +59,14 @@ def reading_points(root: int | None) -> Pieces[HeldPoints | None]:
     Raises:
         ValueError: they were removed or changed meanwhile.
     """
-    empty = _object(root)
+    empty = with_uid(bpy.data.objects, root)
     ob = None if empty is None else co.points_of(empty)
     if ob is None:
         return None
     uid, name, found = ob.session_uid, ob.name, []
     for read in (sfm_points.positions_of, sfm_points.linear_of, sfm_points.places_of):
         yield f"Reading {name}"
-        ob = _object(uid)
+        ob = with_uid(bpy.data.objects, uid)
         if ob is None:
             raise ValueError(f"{name} was removed while it was exported: export it again.")
         found.append(read(ob))
@@ -72,6 +75,33 @@ def reading_points(root: int | None) -> Pieces[HeldPoints | None]:
         raise ValueError(f"{name} was changed while it was exported: export it again.")
     indices = yield from aside(lambda check: sfm_points.unique_places(places), f"Reading {name}")
     return HeldPoints(positions=positions, indices=indices, linear=linear, name=name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gathered:
+    """All of Blender that an export needs; what comes after needs no bpy."""
+
+    views: list[ExportView]
+    held: HeldPoints | None
+    """Points of the capture whose world is written; None: there are none."""
+    source: Path | None
+    """Files of that capture, if they are there."""
+    captures: list[Path]
+    """What must not be written over."""
+
+
+def gathering(
+    cameras: Sequence[bpy.types.Object],
+    scene: bpy.types.Scene,
+    root: bpy.types.Object | None,
+    depsgraph: Graph,
+) -> Pieces[Gathered]:
+    """Read it; arguments and errors as `collecting` and `reading_points` have them."""
+    source, captures = source_of(root), known_captures()
+    uid = None if root is None else root.session_uid
+    views = yield from collecting(cameras, scene, root, depsgraph)
+    held = yield from reading_points(uid)
+    return Gathered(views=views, held=held, source=source, captures=captures)
 
 
 def points_to_export(
@@ -132,10 +162,6 @@ def known_captures() -> list[Path]:
             with contextlib.suppress(ValueError):  # none is chosen
                 found.append(find_capture(absolute(holder.capture_path, "Capture")))
     return [path for path in dict.fromkeys(found) if path.exists()]
-
-
-def _object(uid: int | None) -> bpy.types.Object | None:
-    return next((ob for ob in bpy.data.objects if ob.session_uid == uid), None)
 
 
 def _points_without_tracks(source: Path | None) -> ColmapPoints | None:

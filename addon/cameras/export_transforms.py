@@ -12,21 +12,8 @@ import numpy as np
 from ..core import ColmapPoints, atomic_write
 from ..process.pieces import Check, Pieces, aside, at_once
 from . import formulas as cm
-from .export_sources import (
-    HeldPoints,
-    known_captures,
-    points_to_export,
-    reading_points,
-    source_of,
-)
-from .export_views import (
-    Exported,
-    ExportView,
-    Graph,
-    all_or_none,
-    collecting,
-    kept_lenses,
-)
+from .export_sources import Gathered, gathering, points_to_export
+from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
 
 POINTS = "sparse_pc.ply"
 """The name nerfstudio gives the points."""
@@ -71,28 +58,23 @@ def exporting_transforms(
         ValueError: a camera cannot be written, or the file is that of a capture of this file.
     """
     path = Path(path)
-    source, captures = source_of(root), known_captures()
-    root_uid = None if root is None else root.session_uid
-    views = yield from collecting(cameras, scene, root, depsgraph)
-    held = yield from reading_points(root_uid)
-    write = partial(_write, path, views, held, source, captures)
+    given = yield from gathering(cameras, scene, root, depsgraph)
+    write = partial(_write, path, given)
     return (yield from aside(write, f"Writing {path}"))
 
 
 def _write(
     path: Path,
-    views: list[ExportView],
-    held: HeldPoints | None,
-    source: Path | None,
-    captures: list[Path],
+    given: Gathered,
     check: Check,
 ) -> Exported:
     """What needs no bpy."""
-    for known in captures:
+    views, source = given.views, given.source
+    for known in given.captures:
         own = known if known.is_file() else known / path.name
         if own.exists() and own.resolve() == path.resolve():
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
-    points, warnings = points_to_export(held, source)
+    points, warnings = points_to_export(given.held, source)
     warnings += kept_lenses(views)
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
     if away:

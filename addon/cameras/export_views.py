@@ -14,13 +14,11 @@ import bpy
 import numpy as np
 
 from ..core import ColmapCamera, given_up_by
-from ..process.pieces import Check, Pieces, at_once
+from ..interface.blocks import first_few
+from ..process.pieces import BUDGET, Check, Pieces, at_once
 from . import formulas as cm
 from . import objects as co
 from .straight import lens_of
-
-BUDGET = 0.008
-"""Seconds of a piece in which cameras are begun."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,9 +164,8 @@ def kept_lenses(views: Sequence[ExportView]) -> list[str]:
     names = [view.name for view in views if view.is_lens_kept]
     if not names:
         return []
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return [
-        f"The lens of {', '.join(names[:3])}{more} was changed in Blender; it is written as the "
+        f"The lens of {first_few(names)} was changed in Blender; it is written as the "
         f"capture states it, for such photos are bent by that lens."
     ]
 

@@ -18,9 +18,10 @@ from mathutils import Matrix
 from .. import attributes, stored_paths
 from ..capture.folders import same_folder
 from ..interface import writable
+from ..interface.blocks import first_few, with_uid
 from ..interface.clearing import clear, clearing
 from ..interface.temporary import Temporary, release
-from ..process.pieces import Pieces, aside
+from ..process.pieces import BUDGET, Pieces, aside
 from . import objects as co
 from . import sfm_points, straightening
 from .backgrounds import KnownImages, set_photo, shows_photo
@@ -28,10 +29,6 @@ from .lookup import roots_of
 from .placing import UP, root_scale, set_root_matrix, size_drawing
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
-BUDGET = 0.008
-"""Seconds of a piece in which cameras are begun."""
-_NAMED = 3
-"""Cameras that a sentence names."""
 _SAMPLES = 20
 """Cameras that are looked at to tell whether the files have the same world as before."""
 
@@ -370,12 +367,10 @@ def _held(cameras: list[bpy.types.Object]) -> tuple[str, ...]:
     names = sorted(ob.name for ob in cameras if not co.is_plain_child(ob))
     if not names:
         return ()
-    few = ", ".join(names[:_NAMED])
-    rest = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return (
         f"Keyframes, drivers or constraints may keep cameras away from where their photos were "
-        f"taken: {few}{rest}. Clear them, else renders and exports have these cameras as they "
-        f"stand.",
+        f"taken: {first_few(names)}. Clear them, else renders and exports have these cameras as "
+        f"they stand.",
     )
 
 
@@ -408,7 +403,7 @@ def _may_change(found: _There) -> bool:
 
 
 def _scene(uid: int) -> bpy.types.Scene:
-    found = next((scene for scene in bpy.data.scenes if scene.session_uid == uid), None)
+    found = with_uid(bpy.data.scenes, uid)
     if found is None:
         raise ValueError("The scene that cameras were imported into is gone; import them again.")
     return found

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator
 import bpy
 from bpy.app.handlers import persistent
 
+from ..process.pieces import BUDGET
+
 _MARK = "gs_temporary"
-BUDGET = 0.008
-"""Seconds of a piece in which removals are begun."""
 _BATCH = 20
 """Objects that are removed together. Each takes longer the more there are in the file."""
 Block = bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Collection

@@ -15,6 +15,7 @@ import numpy as np
 from ..cameras.lookup import panel_root
 from ..compat import matrix_to_numpy
 from ..core import GUIDES, write_mesh
+from ..interface.blocks import first_few
 from ..splats.files import source_matrix
 from ..splats.objects import is_splats
 from ..triangles import WITH_FACES, Triangles, joined, moved, triangles_of
@@ -56,9 +57,13 @@ def left_out(scene: bpy.types.Scene) -> list[str]:
             ob.name for ob in collection.all_objects if ob.visible_get() and not may_guide(ob)
         ]
         if hidden:
-            lines.append(f"Hidden in {collection.name}, so no guides: {_listed(hidden)}.")
+            lines.append(
+                f"Hidden in {collection.name}, so no guides: {first_few(hidden, _MOST_LISTED)}."
+            )
         if others:
-            lines.append(f"No meshes, so no guides: {_listed(others)} in {collection.name}.")
+            lines.append(
+                f"No meshes, so no guides: {first_few(others, _MOST_LISTED)} in {collection.name}."
+            )
     return lines
 
 
@@ -159,8 +164,3 @@ def _shown(collection: bpy.types.Collection) -> Iterator[tuple[str, np.ndarray, 
         if len(found.triangles) and one not in given:
             given.add(one)
             yield ob.name, matrix, found
-
-
-def _listed(names: list[str]) -> str:
-    more = len(names) - _MOST_LISTED
-    return ", ".join(names[:_MOST_LISTED]) + (f" and {more} more" if more > 0 else "")

@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import attributes
 from ..cameras.render_camera import RenderCamera
+from ..interface.blocks import with_uid
 from ..process.pieces import Check, Pieces, aside
 from ..render import copies
 from ..render.frozen import HIDDEN, SELECTED, read_marks
@@ -168,7 +169,7 @@ class PaintedObject:
             copies.SHARED.repaint(self._uid, self._after.copy())
 
     def _write(self, base: np.ndarray, selected: np.ndarray) -> None:
-        mesh = next((m for m in bpy.data.meshes if m.session_uid == self._uid), None)
+        mesh = with_uid(bpy.data.meshes, self._uid)
         if mesh is None or len(mesh.vertices) != len(base):
             raise ValueError(
                 f"The splats of {self._name} were replaced while the stroke was painted: paint it "

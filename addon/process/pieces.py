@@ -8,6 +8,8 @@ from typing import Any, Protocol, TypeVar
 from .background import Task
 
 ResultT = TypeVar("ResultT")
+BUDGET = 0.008
+"""Seconds of a piece in which anything is begun; the last thing may take as long again."""
 Check = Callable[[], None]
 """Raises where the work is no longer wanted."""
 

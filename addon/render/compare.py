@@ -13,6 +13,7 @@ from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr, rgba_png
+from ..interface.blocks import with_uid
 from ..process.background import Cancelled
 from ..process.pieces import Check, Pieces, aside
 from . import picture
@@ -102,7 +103,7 @@ class Comparing:
         finally:
             self._snapshot.drop()
         found = yield from aside(partial(self._drawn, placed, target), "Drawing the splats")
-        camera = next((o for o in bpy.data.objects if o.session_uid == self._camera), None)
+        camera = with_uid(bpy.data.objects, self._camera)
         if camera is None:
             raise ValueError(f"The camera {self._name} was taken away meanwhile.")
         camera[PSNR] = found.psnr

@@ -9,6 +9,7 @@ from mathutils import Vector
 
 from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
+from ..interface.blocks import first_few
 from ..nodes import display
 from ..splats import mending
 from ..splats.objects import is_native, is_splats
@@ -125,8 +126,7 @@ def _others(shown: Shown) -> str:
         if not (may_hide(ob) and is_held_by(shown.layer, ob))
         if not ob.is_shadow_catcher
     ]
-    more = f" and {len(names) - 2} more" if len(names) > 2 else ""
-    return ", ".join(names[:2]) + more
+    return first_few(names, 2)
 
 
 def _catchers(shown: Shown) -> str:

@@ -13,12 +13,14 @@ import numpy as np
 
 from .. import attributes
 from ..core import GsError, collected_warnings
+from ..interface.blocks import with_uid
 from ..interface.flags import error_words
 from ..nodes import display
 from ..process.background import Task
+from ..process.pieces import BUDGET
 from . import files, objects
 from .files import Wanted
-from .filling import BUDGET, Filling
+from .filling import Filling
 
 Columns = Sequence[tuple[str, str, np.ndarray]]
 """As `attributes.columns`."""
@@ -146,12 +148,12 @@ class Arrival:
 
     # Quoted: see ready.py.
     def _finish(self, fillings: "list[Filling[_Read]]") -> list[bpy.types.Object]:
-        scene = next((s for s in bpy.data.scenes if s.session_uid == self._scene), None)
+        scene = with_uid(bpy.data.scenes, self._scene)
         if scene is None:
             self.cancel()
             raise ValueError("The scene that splats were imported into is gone; import them again.")
         within = [scene.collection, *scene.collection.children_recursive]
-        collection = next((c for c in within if c.session_uid == self._collection), within[0])
+        collection = with_uid(within, self._collection) or within[0]
         made = []
         for filling in fillings:
             read = filling.loaded

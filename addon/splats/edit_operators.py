@@ -8,6 +8,7 @@ import bpy
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty
 
 from .. import attributes
+from ..interface.blocks import with_uid
 from ..interface.operators import make_active
 from ..interface.stepping import Stepping
 from ..process.pieces import Check, Pieces, aside
@@ -55,7 +56,7 @@ class Editing(Stepping, OnSplats):
 
 def _edit_again(context: bpy.types.Context, uid: int) -> None:
     """Enter Edit Mode of an object, where it is still there and nothing else was begun."""
-    ob = next((one for one in bpy.data.objects if one.session_uid == uid), None)
+    ob = with_uid(bpy.data.objects, uid)
     if ob is None or context.mode != "OBJECT" or ob.name not in context.view_layer.objects:
         return
     if ob.visible_get():

@@ -12,13 +12,10 @@ import bpy
 
 from .. import attributes
 from ..interface.temporary import Temporary
-from ..process.pieces import Pieces
+from ..process.pieces import BUDGET, Pieces
 from . import objects, succession, texts, weights
 from .carried import GROUP, TEXT
 from .ready import ReadyT
-
-BUDGET = 0.008
-"""Seconds of a beat in which attributes are begun; the last one may take as long again."""
 
 
 def _new() -> bpy.types.Mesh:

@@ -8,6 +8,7 @@ from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from .. import attributes
+from ..interface.blocks import with_uid
 from . import objects, succession
 
 _HELD: "WeakSet[Held]" = WeakSet()
@@ -96,7 +97,7 @@ class Held:
 
     def found(self) -> bpy.types.Object | None:
         """The object, whatever became of it; None: it is gone."""
-        return next((ob for ob in bpy.data.objects if ob.session_uid == self._uid), None)
+        return with_uid(bpy.data.objects, self._uid)
 
     def close(self) -> None:
         """Watch no more."""

@@ -9,12 +9,9 @@ import numpy as np
 
 from .. import attributes
 from ..interface.temporary import Temporary
-from ..process.pieces import Check, Pieces, aside
+from ..process.pieces import BUDGET, Check, Pieces, aside
 from . import carried, objects, texts, weights
 from .carried import TEXT, Column
-
-BUDGET = 0.008
-"""Seconds of a step in which attributes are begun; the last one may take as long again."""
 
 
 class Leaving:

@@ -7,6 +7,7 @@ import numpy as np
 
 from .. import attributes
 from ..interface import writable
+from ..interface.blocks import with_uid
 from ..process.pieces import Check, Pieces, aside
 from . import objects, settings
 from .filling import Filling, filled
@@ -30,7 +31,7 @@ def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
 
 
 def _cloud(uid: int, name: str) -> bpy.types.Object:
-    cloud = next((ob for ob in bpy.data.objects if ob.session_uid == uid), None)
+    cloud = with_uid(bpy.data.objects, uid)
     if cloud is None:
         raise ValueError(f"{name} is gone; its splats were not taken over.")
     return cloud

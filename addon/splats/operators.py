@@ -18,6 +18,7 @@ from .. import compat
 from ..cameras.lookup import root_of_run
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
+from ..interface.blocks import with_uid
 from ..interface.operators import Acting, make_active
 from ..interface.stepping import Stepping
 from ..process.pieces import Pieces
@@ -291,7 +292,7 @@ class ResetDisplay(Stepping, OnSplats, bpy.types.Operator):
         ob = meant(context)
         name, uid = ob.name, ob.session_uid
         yield from settings.building()
-        found = next((ob for ob in bpy.data.objects if ob.session_uid == uid), None)
+        found = with_uid(bpy.data.objects, uid)
         if found is None:
             raise ValueError(f"{name} is gone; its display was not restored.")
         settings.attach(found)

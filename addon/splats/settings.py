@@ -9,12 +9,10 @@ from .. import attributes, compat
 from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
 from ..nodes.graph import is_of_another_blender
-from ..process.pieces import Pieces
+from ..process.pieces import BUDGET, Pieces
 from . import live
 from .filters import BOX, SPHERE
 
-_BUDGET = 0.008
-"""Seconds of a piece in which parts of the display are begun."""
 _RENDERED_AS = "Native Splats" if compat.splat_cloud_type() else "Soft Splats"
 _DISPLAYS = [
     (
@@ -207,12 +205,12 @@ def reset_filters(ob: bpy.types.Object) -> None:
 
 def building() -> Pieces[None]:
     """Build what the first splat object of a file is displayed with, a part a piece."""
-    until = time.perf_counter() + _BUDGET
+    until = time.perf_counter() + BUDGET
     for build in display.builders():
         build()
         if time.perf_counter() > until:
             yield "Making the display of splats ready"
-            until = time.perf_counter() + _BUDGET
+            until = time.perf_counter() + BUDGET
 
 
 def attach(ob: bpy.types.Object) -> bpy.types.NodesModifier:

@@ -14,6 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import GsError
+from ..interface.blocks import with_uid
 from ..interface.flags import error_words
 from ..interface.views import redraw_views
 from ..job.loader import Loaded
@@ -233,7 +234,7 @@ def _go_on() -> bool:
     if made is None:
         return False
     _state.coming = None
-    ob = next((o for o in bpy.data.objects if o.session_uid == coming.owner), None)
+    ob = with_uid(bpy.data.objects, coming.owner)
     if ob is None or not plays(ob) or not _may_follow(ob):
         bpy.data.meshes.remove(made)
         return False

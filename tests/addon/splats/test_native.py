@@ -185,7 +185,7 @@ def test_the_display_is_built_in_parts(
     theirs(scene, make_splats(COUNT))
     for block in [*bpy.data.node_groups, *bpy.data.materials]:
         bpy.data.batch_remove([block])
-    monkeypatch.setattr(settings, "_BUDGET", 0.0)
+    monkeypatch.setattr(settings, "BUDGET", 0.0)
     going = Going(stand_in("take_native_splats").pieces(bpy.context))
     counts = [0]
     while not going.step():
