@@ -128,7 +128,9 @@ def to_train(capture: Path) -> None:
 def begin() -> Iterator[object]:
     """Cameras, and splats that come while they are trained."""
     python = (FOLDER / "python").read_text().strip()
-    bpy.context.preferences.addons["addon"].preferences.python_path = python
+    preferences = bpy.context.preferences.addons["addon"].preferences
+    preferences.python_path = python
+    preferences.live_seconds = 2.0  # by default it is about as long as this training takes
     space().show_region_ui = True
     yield 1.0
     next(r for r in area().regions if r.type == "UI").active_panel_category = "Train Splats"
