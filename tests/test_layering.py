@@ -165,8 +165,10 @@ ROOMS = {
     "render": _OBJECTS | {"timeline"},
     "live": _OBJECTS | {"render"},
     "paint": _OBJECTS | {"timeline", "render"},
+    "histograms": _OBJECTS,
     "panels": _OBJECTS
     | {
+        "histograms",
         "python",
         "job",
         "search",
@@ -191,6 +193,9 @@ WITHOUT_BPY = (
     "capture.inspection",
     "depth.job",
     "depth.registry",
+    "histograms.boxes",
+    "histograms.counting",
+    "histograms.limits",
     "interface.lookup",
     "job.lookups",
     "job.networks",

@@ -5,11 +5,12 @@ from typing import ClassVar
 import bpy
 
 from .. import attributes, stored_paths
+from ..histograms.counting import OPACITY, SIZE
+from ..histograms.icons import ICONS
 from ..interface.flags import error_words
 from ..live import handler
 from ..splats import edit, even_scale, live, mending
 from ..splats.objects import in_question, is_native, is_splats, meant
-from .histogram_icons import ICONS, OPACITY, SIZE
 from .widgets import TabPanel, job, limit, rows, sentence
 
 _HISTOGRAM_SCALE = 4.0
@@ -113,6 +114,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
         layout, ob = self.layout, in_question(context)
         settings = ob.gscore
         draw_limits(layout, ob)
+        draw_handles(layout, context)
         column = layout.column(align=True)
         column.prop(settings, "crop_object", text="Crop")
         if settings.crop_object is not None:
@@ -156,10 +158,7 @@ class MorePanel(TabPanel, bpy.types.Panel):
 def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
     """How many splats there are of which opacity and size; below, as wide as the panel, since their
     names would be cut else, sliders that hide some."""
-    try:
-        icons = {kind: ICONS.update(ob, kind) for kind in (OPACITY, SIZE)}
-    except ValueError:  # the counts above say why
-        icons = {}
+    icons = {kind: ICONS.update(ob, kind) for kind in (OPACITY, SIZE)}
     if any(icons.values()):
         row = layout.row()
         for kind, icon in icons.items():
@@ -169,6 +168,15 @@ def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
     column = layout.column(align=True)
     for name in ("opacity_min", "size_min", "size_max"):
         limit(column, ob.gscore, name)
+
+
+def draw_handles(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The switch of the same histograms in the view, where they can be dragged on."""
+    switch = context.window_manager
+    layout.prop(switch, "gscore_histograms", icon="ARROW_LEFTRIGHT")
+    if switch.gscore_histograms and not context.space_data.show_gizmo:
+        text = "Gizmos are off in this view; the switch is in its header."
+        sentence(layout, context, text, icon="INFO")
 
 
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

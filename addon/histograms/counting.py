@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_BINS = 96
-_SHOWN = (0.3, 0.6, 0.95)
-_HIDDEN = (0.45, 0.45, 0.45)
+OPACITY, SIZE = "opacity", "size"
+"""What is counted."""
+SHOWN = (0.3, 0.6, 0.95)
+HIDDEN = (0.45, 0.45, 0.45)
 """Colours of bars, RGB in [0, 1]."""
+_BINS = 96
 _TAILS = (0.001, 0.999)
 """Shares of the splats between which sizes are drawn; the rest is at the ends."""
 
@@ -31,8 +33,24 @@ class Histogram:
             value = np.log(max(value, 1e-30))
         return float(np.clip((value - self.low) / (self.high - self.low), 0, 1))
 
+    def value(self, place: float) -> float:
+        """What lies at a place on the axis: the other way round."""
+        value = self.low + place * (self.high - self.low)
+        return float(np.exp(value)) if self.logarithmic else float(value)
+
+    def heights(self) -> np.ndarray:
+        """[bins] in [0, 1]: the bars, whose areas go with the square roots of the counts."""
+        return np.sqrt(self.counts / max(int(self.counts.max(initial=0)), 1))
+
+    def ends(self, smallest: float, largest: float) -> tuple[float, float]:
+        """Places between which a limit each leaves something; a limit of 0 is none."""
+        return (
+            self.place(smallest) if smallest > 0 else 0.0,
+            self.place(largest) if largest > 0 else 1.0,
+        )
+
     def picture(self, width: int, height: int, smallest: float, largest: float) -> np.ndarray:
-        """The counts as bars, whose areas go with the square roots of the counts.
+        """The counts as bars.
 
         Args:
             width: Pixels.
@@ -44,16 +62,14 @@ class Histogram:
             [height, width, 4] float32 RGBA, premultiplied, bottom row first, as icons are.
         """
         column = (np.arange(width) + 0.5) / width
-        tall = np.sqrt(self.counts / max(int(self.counts.max(initial=0)), 1))
+        tall = self.heights()
         bars = tall[np.minimum((column * len(tall)).astype(int), len(tall) - 1)] * height
-        ends = self.place(smallest) if smallest > 0 else 0.0, 1.0
-        if largest > 0:
-            ends = ends[0], self.place(largest)
-        shown = (column >= ends[0]) & (column <= ends[1])
+        low, high = self.ends(smallest, largest)
+        shown = (column >= low) & (column <= high)
         pixels = np.zeros((height, width, 4), np.float32)
         alpha = np.clip(bars - np.arange(height)[:, None], 0, 1) * np.where(shown, 1.0, 0.6)
         pixels[..., 3] = alpha
-        pixels[..., :3] = alpha[..., None] * np.where(shown[:, None], _SHOWN, _HIDDEN)
+        pixels[..., :3] = alpha[..., None] * np.where(shown[:, None], SHOWN, HIDDEN)
         return pixels
 
 

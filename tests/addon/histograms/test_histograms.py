@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.panels import histogram_icons
+from addon.histograms import counted, icons
+from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
 from addon.panels.result import FiltersPanel
-from addon.splats.histogram import of_opacities, of_sizes
 from tests.addon import points
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -49,26 +49,59 @@ def test_odd_splats_have_histograms_too():
         assert np.isfinite(found.picture(20, 20, 0.05, 0.2)).all()
 
 
-def test_meshes_are_counted_when_they_have_changed(scene, monkeypatch):
+def test_a_place_stands_for_a_value():
+    """Oracle: the way back, on an even axis and on a logarithmic one."""
+    for found in (of_opacities(np.array([0.5])), of_sizes(np.geomspace(0.001, 10, 100))):
+        for place in (0.0, 0.3, 1.0):
+            assert found.place(found.value(place)) == pytest.approx(place, abs=1e-6)
+
+
+def test_meshes_are_counted_when_they_have_changed(scene):
     """Oracle: the number of readings, and numpy's counts after an edit."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.update()
-    icons = histogram_icons.ICONS
-    first = icons.histograms(ob)[histogram_icons.OPACITY]
+    of = counted.COUNTED.of
+    first = of(ob)[OPACITY]
     assert first.counts.sum() == 400
-    assert icons.histograms(ob)[histogram_icons.OPACITY] is first
+    assert of(ob)[OPACITY] is first
     points.keep(ob.data, np.arange(400) < 150)
     ob.data.update()
     bpy.context.view_layer.update()
     opacities = attributes.column(ob.data, attributes.BASE)[:, 3]
-    counts = icons.histograms(ob)[histogram_icons.OPACITY].counts
+    counts = of(ob)[OPACITY].counts
     np.testing.assert_array_equal(counts, np.histogram(opacities, 96, (0, 1))[0])
     bpy.context.view_layer.objects.active = ob
     bpy.ops.object.mode_set(mode="EDIT")
-    icons.forget({ob.data.session_uid})
-    assert icons.histograms(ob) == {}
+    counted.COUNTED.forget({ob.data.session_uid})
+    assert of(ob)[OPACITY].counts is counts  # those of before
+    counted.COUNTED.clear()
+    assert of(ob) == {}
     bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_many_are_counted_beside_blender(scene, monkeypatch):
+    """Oracle: numpy's counts; nothing is there until the beat has done all pieces, and a mesh that
+    goes meanwhile leaves nothing."""
+    lab.prepare(scene)
+    monkeypatch.setattr(counted, "MOST", 100)
+    ob = lab.add(scene, lab.blob())
+    of = counted.COUNTED.of
+    assert of(ob) == {} and counted.COUNTED.waits()
+    while counted.COUNTED.waits():
+        assert of(ob) == {}
+        counted.COUNTED.collect()
+    sizes = attributes.column(ob.data, attributes.SCALE)[::4].max(axis=1)
+    np.testing.assert_array_equal(of(ob)[SIZE].counts, of_sizes(sizes).counts)
+    other = lab.add(scene, lab.blob())
+    assert of(other) == {}
+    mesh = other.data
+    bpy.data.objects.remove(other)
+    bpy.data.meshes.remove(mesh)
+    while counted.COUNTED.waits():
+        counted.COUNTED.collect()
+    assert of(ob) == {}  # is asked for anew
+    counted.COUNTED.clear()
 
 
 def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
@@ -77,7 +110,7 @@ def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.objects.active = ob
     assert drawn(FiltersPanel).startswith("<opacity_min>")  # icons have no number here
-    monkeypatch.setattr(histogram_icons.ICONS, "update", lambda ob, kind: 7)
+    monkeypatch.setattr(icons.ICONS, "update", lambda ob, kind: 7)
     wanted = "By opacity [picture] By size [picture] <opacity_min> <size_min> <size_max>"
     assert drawn(FiltersPanel).startswith(wanted)
 
@@ -86,14 +119,22 @@ def test_icons_follow_the_filters(scene):
     """Oracle: the picture that the counts give for the limits."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
-    icons = histogram_icons.ICONS
     for limit in (0.0, 0.5):
         ob.gscore.opacity_min = limit
-        icons.update(ob, "opacity")
-        wanted = icons.histograms(ob)["opacity"].picture(192, 192, limit, 0.0)
-        got = np.array(icons._icons["opacity"].image_pixels_float[:]).reshape(192, 192, 4)
+        icons.ICONS.update(ob, OPACITY)
+        wanted = counted.COUNTED.of(ob)[OPACITY].picture(192, 192, limit, 0.0)
+        got = np.array(icons.ICONS._icons[OPACITY].image_pixels_float[:]).reshape(192, 192, 4)
         np.testing.assert_allclose(got, wanted, atol=1 / 255)
-    ob.data.attributes.remove(ob.data.attributes["scale"])
-    icons.forget({ob.data.session_uid})
+
+
+def test_splats_without_sizes_have_no_histograms(scene):
+    """Oracle: what the panel puts down, of a missing attribute and of a number that is none."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.objects.active = ob
+    ob.data.attributes[attributes.SCALE].data[7].vector.x = np.nan
+    assert counted.COUNTED.of(ob) == {}
+    ob.data.attributes.remove(ob.data.attributes[attributes.SCALE])
+    counted.COUNTED.forget({ob.data.session_uid})
+    assert counted.COUNTED.of(ob) == {}
     assert drawn(FiltersPanel).startswith("<opacity_min>")

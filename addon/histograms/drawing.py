@@ -1,0 +1,106 @@
+"""A histogram with handles, drawn over a 3D view."""
+
+import blf
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+from .boxes import Box
+from .counting import HIDDEN, SHOWN, Histogram
+
+_BACK = (0.1, 0.1, 0.1, 0.75)
+_HANDLE, _BRIGHT = (0.75, 0.75, 0.75, 1.0), (1.0, 1.0, 1.0, 1.0)
+_FONT, _SIZE = 0, 11.0
+_PADDING = 6.0
+_GRIP = 6.0
+"""Half the width of a handle's foot; pixels at the usual scale, as all here."""
+
+
+def draw(
+    box: Box,
+    histogram: Histogram,
+    title: str,
+    limits: tuple[float, float],
+    places: list[float],
+    bright: int | None,
+    scale: float,
+) -> None:
+    """Bars, handles, and what they say, in pixels of the region that is drawn.
+
+    Args:
+        box: That of the bars.
+        histogram: What is counted.
+        title: Of what.
+        limits: Smallest and largest value that shows; 0: no limit.
+        places: Of the handles, in [0, 1].
+        bright: Number of the handle under the mouse.
+        scale: Of Blender's interface.
+    """
+    pad = _PADDING * scale
+    shapes = [(_rectangle(box.x - pad, box.y - pad, box.right + pad, box.top + pad), _BACK)]
+    low, high = histogram.ends(*limits)
+    tall = box.height * histogram.heights()
+    edges = np.linspace(0, 1, len(tall) + 1)
+    for i, height in enumerate(tall):
+        middle = (edges[i] + edges[i + 1]) / 2
+        color = (*SHOWN, 1.0) if low <= middle <= high else (*HIDDEN, 1.0)
+        sides = box.x + box.width * edges[i : i + 2]
+        shapes.append((_rectangle(sides[0], box.y, sides[1], box.y + height), color))
+    for i, place in enumerate(places):
+        color, x = (_BRIGHT if i == bright else _HANDLE), box.x + box.width * place
+        shapes.append((_rectangle(x - scale, box.y, x + scale, box.top), color))
+        shapes.append((_foot(x, box.y, _GRIP * scale), color))
+    _fill(shapes)
+    _write(title, box.x, box.top + 1.5 * pad, scale)
+    said = told(*limits)
+    _write(said, box.right - _width(said, scale), box.top + 1.5 * pad, scale)
+
+
+def told(smallest: float, largest: float) -> str:
+    """Limits in words."""
+    low, high = map(_number, (smallest, largest))
+    if smallest > 0 and largest > 0:
+        return f"{low} to {high}"
+    if smallest > 0:
+        return f"{low} and more"
+    return f"up to {high}" if largest > 0 else "all"
+
+
+def _number(value: float) -> str:
+    return np.format_float_positional(value, precision=2, fractional=False, trim="-")
+
+
+def _rectangle(left: float, low: float, right: float, high: float) -> list[tuple[float, float]]:
+    """Two triangles."""
+    corners = (left, low), (right, low), (right, high), (left, high)
+    return [corners[i] for i in (0, 1, 2, 0, 2, 3)]
+
+
+def _foot(x: float, y: float, size: float) -> list[tuple[float, float]]:
+    """A triangle that points up at a place on the axis."""
+    return [(x - size, y - size), (x + size, y - size), (x, y + size)]
+
+
+def _fill(shapes: list[tuple[list[tuple[float, float]], tuple[float, ...]]]) -> None:
+    """Triangles, each with the color of its shape."""
+    shader = gpu.shader.from_builtin("FLAT_COLOR")
+    places = [(x, y, 0.0) for corners, _ in shapes for x, y in corners]
+    colors = [color for corners, color in shapes for _ in corners]
+    gpu.state.blend_set("ALPHA")
+    batch_for_shader(shader, "TRIS", {"pos": places, "color": colors}).draw(shader)
+    gpu.state.blend_set("NONE")
+
+
+def _width(text: str, scale: float) -> float:
+    blf.size(_FONT, _SIZE * scale)
+    return blf.dimensions(_FONT, text)[0]
+
+
+def _write(text: str, x: float, y: float, scale: float) -> None:
+    blf.size(_FONT, _SIZE * scale)
+    blf.color(_FONT, *_BRIGHT)
+    blf.enable(_FONT, blf.SHADOW)
+    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
+    blf.position(_FONT, x, y, 0)
+    blf.draw(_FONT, text)
+    blf.disable(_FONT, blf.SHADOW)

@@ -1,0 +1,68 @@
+"""Handles of histograms. Oracle: places by hand, and the settings of an object."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from addon.histograms.boxes import Box, placed
+from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
+from addon.histograms.limits import handles, of_object
+
+SIZES = of_sizes(np.geomspace(0.01, 1, 10_001))
+
+
+def thing(**limits: float) -> SimpleNamespace:
+    """What looks like an object with filters."""
+    none = {"opacity_min": 0.0, "size_min": 0.0, "size_max": 0.0}
+    return SimpleNamespace(gscore=SimpleNamespace(**none | limits))
+
+
+def test_a_handle_sets_what_lies_below_it():
+    """Oracle: the even axis of opacities; the decades of sizes."""
+    ob, (only,) = thing(), handles(OPACITY)
+    only.move(of_opacities(np.zeros(3)), ob, 0.25)
+    assert ob.gscore.opacity_min == pytest.approx(0.25)
+    for handle in handles(SIZE):
+        handle.move(SIZES, ob, 0.5 + 0.25 * handle.is_upper)
+    assert ob.gscore.size_min == pytest.approx(0.1, rel=0.02)
+    assert ob.gscore.size_max == pytest.approx(10**-0.5, rel=0.02)
+    assert [handle.place(SIZES, ob) for handle in handles(SIZE)] == pytest.approx([0.5, 0.75])
+    assert of_object(ob, SIZE) == (ob.gscore.size_min, ob.gscore.size_max)
+
+
+def test_at_its_end_a_handle_limits_nothing():
+    """Oracle: 0, and the place of a handle without limit."""
+    ob = thing(size_min=0.1, size_max=0.5)
+    low, high = handles(SIZE)
+    low.move(SIZES, ob, -0.2)
+    high.move(SIZES, ob, 1.3)
+    assert of_object(ob, SIZE) == (0.0, 0.0)
+    assert (low.place(SIZES, ob), high.place(SIZES, ob)) == (0.0, 1.0)
+
+
+def test_handles_do_not_pass_each_other():
+    """Oracle: the other's place."""
+    ob = thing(size_min=0.1, size_max=0.5)
+    low, high = handles(SIZE)
+    low.move(SIZES, ob, 0.99)
+    assert ob.gscore.size_min == pytest.approx(0.5)
+    high.move(SIZES, ob, 0.01)
+    assert ob.gscore.size_max == pytest.approx(0.5)
+
+
+def test_boxes_lie_free():
+    """Oracle: what lies over the view at either side and below."""
+    view = Box(0, 0, 1000, 600)
+    over = [Box(0, 0, 60, 600), Box(760, 0, 240, 600), Box(0, 0, 1000, 40), Box(0, 570, 1000, 30)]
+    first, second = placed(view, over, 2, 1.0)
+    assert 60 < first.x < first.right < second.x < second.right < 760
+    assert first.y == second.y > 40 and first.width == second.width
+    assert first.x - 60 == pytest.approx(760 - second.right)
+
+
+def test_boxes_stand_above_one_another_where_it_is_narrow():
+    """Oracle: no room beside; and none at all."""
+    first, second = placed(Box(0, 0, 330, 600), [], 2, 1.0)
+    assert first.x == second.x and first.top < second.y
+    assert placed(Box(0, 0, 140, 600), [], 2, 1.0) == []

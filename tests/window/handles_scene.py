@@ -1,0 +1,130 @@
+"""Runs inside a Blender with a window: drags the handles of histograms with a simulated mouse.
+
+`blender --factory-startup --enable-event-simulate -P tests/window/handles_scene.py -- FOLDER
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and
+pictures of the screen.
+"""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
+sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
+
+import addon_utils  # noqa: E402 - the path comes first
+import bpy  # noqa: E402
+import numpy as np  # noqa: E402
+
+addon_utils.enable("addon", default_set=True, persistent=True)
+
+from addon.histograms import gizmos  # noqa: E402
+from addon.histograms.counting import OPACITY, SIZE  # noqa: E402
+from tests.addon import splat_scenes as lab  # noqa: E402
+from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
+
+PAUSE = 0.2
+"""Seconds in which Blender has handled an event and drawn what came of it."""
+LIMITS = "opacity_min", "size_min", "size_max"
+seen: dict = {"log": []}
+
+
+def box(kind: str) -> list[float]:
+    """Left, bottom, width and height of a histogram, in the window."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        found = gizmos.box_of(bpy.context, kind)
+    return [found.x + region().x, found.y + region().y, found.width, found.height]
+
+
+def mouse(kind: str, place: float, key: str, value: str, **held: bool) -> Iterator[float]:
+    """An event at a place along a histogram, half way up."""
+    left, bottom, width, height = box(kind)
+    x, y = round(left + place * width), round(bottom + height / 2)
+    bpy.context.window_manager.windows[0].event_simulate(key, value, x=x, y=y, **held)
+    yield PAUSE
+
+
+def take(kind: str, place: float) -> Iterator[float]:
+    """Press the mouse there; Blender looks for gizmos below it when it moves."""
+    for near in (place - 0.01, place):
+        yield from mouse(kind, near, "MOUSEMOVE", "NOTHING")
+    yield from mouse(kind, place, "LEFTMOUSE", "PRESS")
+
+
+def drag(kind: str, start: float, end: float, *, fine: bool = False) -> Iterator[float]:
+    """From place to place, in some moves."""
+    yield from take(kind, start)
+    if fine:
+        yield from mouse(kind, start, "LEFT_SHIFT", "PRESS", shift=True)
+    for place in np.linspace(start, end, 5)[1:]:
+        yield from mouse(kind, place, "MOUSEMOVE", "NOTHING", shift=fine)
+    if fine:
+        yield from mouse(kind, end, "LEFT_SHIFT", "RELEASE")
+    yield from mouse(kind, end, "LEFTMOUSE", "RELEASE")
+
+
+def limits(ob: bpy.types.Object) -> list[float]:
+    """Of its filters."""
+    return [getattr(ob.gscore, name) for name in LIMITS]
+
+
+def undo() -> None:
+    """Take the last step back."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area(), region=region()):
+        bpy.ops.ed.undo()
+
+
+def story() -> Iterator[object]:
+    """What happens; a yield hands over to Blender (`Teller`)."""
+    clear()
+    look_down()
+    splats = lab.wall(0.0, (0.8, 0.4, 0.2))
+    shares = np.linspace(0.02, 0.98, len(splats.opacities))
+    splats.opacities[:] = np.log(shares / (1 - shares))
+    splats.scales[:] = np.log(np.geomspace(0.01, 0.1, len(shares)))[:, None]
+    wall = lab.add(bpy.context.scene, splats, "wall")
+    bpy.context.view_layer.objects.active = wall
+    bpy.ops.ed.undo_push(message="wall")
+    space().show_gizmo = True
+    for switch in ("show_gizmo_navigate", "show_gizmo_tool", "show_gizmo_context"):
+        setattr(space(), switch, False)
+    yield at_rest
+    shoot(FOLDER / "off.png")
+    bpy.context.window_manager.gscore_histograms = True
+    yield at_rest
+    yield 0.5
+    shoot(FOLDER / "on.png")
+    seen["boxes"] = {kind: box(kind) for kind in (OPACITY, SIZE)}
+    yield from drag(OPACITY, 0.0, 0.5)
+    yield at_rest
+    seen["dragged"] = limits(wall)
+    shoot(FOLDER / "dragged.png")
+    yield from drag(OPACITY, 0.5, 0.75, fine=True)
+    seen["fine"] = limits(wall)
+    undo()
+    yield at_rest
+    wall = bpy.data.objects["wall"]
+    seen["undone"] = limits(wall)
+    yield from take(OPACITY, 0.5)
+    yield from mouse(OPACITY, 0.9, "MOUSEMOVE", "NOTHING")
+    seen["while"] = limits(wall)
+    yield from mouse(OPACITY, 0.9, "ESC", "PRESS")
+    yield from mouse(OPACITY, 0.9, "LEFTMOUSE", "RELEASE")
+    seen["cancelled"] = limits(wall)
+    yield from drag(SIZE, 1.0, 0.7)
+    yield from drag(SIZE, 0.2, 0.2)  # a click: the handle that is nearest comes
+    yield at_rest
+    seen["sizes"] = limits(wall)
+    shoot(FOLDER / "sizes.png")
+    yield from drag(SIZE, 0.7, 1.05)
+    yield from drag(SIZE, 0.2, 1.2)
+    seen["ends"] = limits(wall)
+    bpy.context.window_manager.gscore_histograms = False
+    yield 0.5
+    shoot(FOLDER / "off_again.png")
+
+
+Teller(story(), leaving(FOLDER, seen))

@@ -1,0 +1,81 @@
+"""Handles of histograms, dragged in the window of a real Blender by a simulated mouse. Oracles: in
+the tests; what is needed: `test_live.py`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from addon.histograms.counting import OPACITY, SIZE, of_sizes
+from tests.window.scenes import SCREEN, pixels, told
+
+pytestmark = pytest.mark.window
+
+PIXEL = 0.006
+"""Of a histogram's width, and a little more."""
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    """What `handles_scene.py` saw, and the folder of its pictures."""
+    found, folder, output = told(
+        "handles", tmp_path_factory, "--enable-event-simulate", longest=120
+    )
+    assert "Traceback" not in output, output
+    return found, folder
+
+
+def test_opacity_goes_with_the_mouse(seen):
+    """Oracle: the place on an axis from 0 to 1; a tenth of the way with Shift."""
+    found = seen[0]
+    assert found["dragged"] == [pytest.approx(0.5, abs=PIXEL), 0.0, 0.0]
+    assert found["fine"][0] == pytest.approx(found["dragged"][0] + 0.025, abs=PIXEL)
+
+
+def test_each_drag_is_an_undo_step(seen):
+    """Oracle: the limit of before."""
+    assert seen[0]["undone"] == seen[0]["dragged"]
+
+
+def test_escape_gives_a_drag_up(seen):
+    """Oracle: the limit while it is dragged, and that of before."""
+    found = seen[0]
+    assert found["while"][0] == pytest.approx(0.9, abs=PIXEL)
+    assert found["cancelled"] == found["undone"]
+
+
+def test_sizes_have_a_handle_at_each_end(seen):
+    """Oracle: the axis of the scene's sizes; a handle does not pass the other."""
+    found = seen[0]
+    axis = of_sizes(np.geomspace(0.01, 0.1, 41 * 41))
+    _, low, high = found["sizes"]
+    assert axis.place(low) == pytest.approx(0.2, abs=PIXEL)
+    assert axis.place(high) == pytest.approx(0.7, abs=PIXEL)
+    _, low, high = found["ends"]
+    assert high == 0.0 and axis.place(low) == pytest.approx(1.0, abs=PIXEL)
+
+
+def bars(seen: tuple[dict, Path], name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """[W] bool each: which columns of a histogram have blue, and which grey, near the axis."""
+    found, folder = seen
+    left, bottom, width, _ = map(int, found["boxes"][kind])
+    row = pixels(folder, name)[SCREEN[1] - bottom - 4, left : left + width]
+    blue = row[:, 2] - row[:, 0] > 60
+    grey = (np.ptp(row, axis=1) < 12) & (row[:, 0] > 70)
+    return blue, grey
+
+
+def test_what_is_hidden_is_grey(seen):
+    """Oracle: opacities are even, so that there are bars all along: blue above the handle, grey
+    below; the same picture as without when they are switched off."""
+    blue, grey = bars(seen, "on", OPACITY)
+    assert blue.mean() > 0.9 and grey.mean() < 0.05
+    blue, grey = bars(seen, "dragged", OPACITY)
+    half = len(blue) // 2
+    assert blue[half + 8 :].mean() > 0.9 and not blue[: half - 8].any()
+    assert grey[: half - 8].mean() > 0.9
+    folder = seen[1]
+    off = pixels(folder, "off")
+    assert np.abs(off - pixels(folder, "on")).max() > 100
+    blue, _ = bars(seen, "sizes", SIZE)
+    assert 0.3 < blue.mean() < 0.6
