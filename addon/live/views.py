@@ -228,7 +228,9 @@ class View:
         began = time.perf_counter()
         total = sum(len(p.frozen.vertices) for p in placed)
         viewmats = tuple(camera.viewmat @ p.matrix for p in placed)
-        seen = b"".join(m.tobytes() for m in (camera.K, *viewmats))
+        # A filter or a crop that is dragged wants a quick answer as much as a view that is turned.
+        filters = b"".join(p.part[1] for p in placed)
+        seen = b"".join(m.tobytes() for m in (camera.K, *viewmats)) + filters
         detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
         wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
