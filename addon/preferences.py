@@ -87,8 +87,8 @@ class Preferences(bpy.types.AddonPreferences):
         soft_max=500_000,
     )
     sequence_memory: IntProperty(
-        name="Memory for Frames",
-        description="Megabytes of memory for the frames of splat sequences that are read ahead; "
+        name="Memory for Frames (MB)",
+        description="Memory for the frames of splat sequences that are read ahead, megabytes; "
         "100,000 splats in full color take 24",
         default=1000,
         min=50,

@@ -26,6 +26,7 @@ LONGEST = 900
 WHOLE = "capture", "training", "viewport"
 MONTAGES = {
     "region": {"region": "1060x960+0+0"},
+    "handles": {"handles": "1060x780+0+400"},
     "soft": {"part_soft": "240x420+410+350", "part_ellipsoids": "240x420+410+350"},
     "behind": {"part_photo": "620x700+230+230"},
     "frames": {"part_sequence": "345x264+715+775"},

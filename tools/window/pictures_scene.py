@@ -157,7 +157,7 @@ def training() -> Iterator[object]:
 
 
 def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
-    """A crop box, histograms with limits, and what trains the box."""
+    """A crop box, histograms with limits, what trains the box; the histograms in the view."""
     press("gscore.add_crop_box")
     box = bpy.context.object
     box.location.z, box.scale = 1.2, [0.6 * v for v in box.scale]
@@ -167,6 +167,12 @@ def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
     shoot(FOLDER / "region.png")
     bpy.data.objects.remove(box)
     choose(ob)
+    ob.gscore.opacity_min, ob.gscore.size_max = 0.6, 0.025
+    bpy.context.window_manager.gscore_histograms = True
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "handles.png")
+    bpy.context.window_manager.gscore_histograms = False
     press("gscore.reset_filters")
 
 
