@@ -14,8 +14,8 @@ from ..interface.operators import Acting, OnScene, make_active
 from ..interface.stepping import Stepping
 from ..process import beat
 from ..process.pieces import Pieces, stepped
+from ..splats.file_operators import AXIS_ITEMS
 from ..splats.objects import is_splats, meant
-from ..splats.operators import AXIS_ITEMS
 from . import follow, importing
 from .coming import SequenceComing
 from .frames import Series, name_of_file

@@ -20,7 +20,7 @@ import bpy  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.splats import exporting, objects  # noqa: E402
-from addon.splats.operators import ExportSplats  # noqa: E402
+from addon.splats.file_operators import ExportSplats  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import Teller, area, clear, leaving  # noqa: E402
 
