@@ -14,13 +14,13 @@ from ..nodes import display as display_nodes
 from ..paths import absolute, output_folder
 from ..splats.error_maps import drop_maps
 from ..splats.filling import Filling, replace
+from ..splats.objects import hide_points
 from . import registry, session
 from .job import Job
 from .loader import Loaded
 from .results import (
     Place,
     capture_of,
-    hide_points,
     is_own,
     note_filled,
     result_object,
@@ -113,7 +113,7 @@ def _remove_discarded(job: Job, place: Place) -> bool:
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
     if (root := capture_of(place.scene, job.source)) is not None:
-        hide_points(place.scene, root, False)
+        hide_points(place.scene, root, hidden=False)
     undo.push("Discard Training")
     return True
 
@@ -157,7 +157,7 @@ def _update_splats(job: Job, place: Place) -> bool:
             if filling.loaded.final:
                 note_moves(root, filling.loaded.moves)
             if ob != before:
-                hide_points(place.scene, root, True)
+                hide_points(place.scene, root)
         if filling.loaded.final:
             drop_maps(ob)  # of what it showed before
         if filling.loaded.final or ob != before:

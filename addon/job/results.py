@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import stored_paths
 from ..attributes import NO_SPLATS
-from ..cameras.objects import is_kind, points_of
+from ..cameras.objects import is_kind
 from ..capture.folders import same_folder
 from ..interface import writable
 from ..splats import files, objects
@@ -159,7 +159,7 @@ def adopt(
             for collection in ob.users_collection:
                 collection.objects.unlink(ob)
             writable.link_beside(ob, root)
-            hide_points(scene, root, True)
+            objects.hide_points(scene, root)
     ob[_FILLED], ob[_CONTENT] = signature(ob), run.content
     return ob
 
@@ -188,13 +188,6 @@ def signature(ob: bpy.types.Object) -> str:
     positions = np.empty(3 * len(ob.data.vertices), np.float32)
     ob.data.attributes["position"].data.foreach_get("vector", positions)
     return f"{len(positions) // 3}-{zlib.crc32(positions):08x}"
-
-
-def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, hide: bool) -> None:
-    """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
-    shows them again."""
-    if (points := points_of(root)) is not None:
-        objects.hide(points, scene, hidden=hide)
 
 
 def capture_of(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:

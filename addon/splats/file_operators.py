@@ -21,7 +21,7 @@ from ..interface.stepping import Stepping
 from ..process.pieces import Pieces
 from . import exporting, files
 from .arriving import Arriving
-from .objects import can_export, is_splats, meant
+from .objects import can_export, hide_points, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
 _ENDINGS = [
@@ -136,6 +136,8 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
             make_active(context, here[-1])
             for ob in here:
                 ob.select_set(True)
+        for root in {root_of(ob) for ob in made} - {None}:
+            hide_points(context.scene, root)
         total = sum(len(ob.data.vertices) for ob in made)
         return f"Imported {total:,} splats from {len(made)} file(s)."
 

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from .. import attributes, compat
+from ..cameras.objects import points_of
 from ..core import Splats, transform_splats
 from ..interface import writable
 from . import lag, live, settings, succession
@@ -211,6 +212,13 @@ def hide(ob: bpy.types.Object, scene: bpy.types.Scene, *, hidden: bool = True) -
     for layer in scene.view_layers:
         if layer.objects.get(ob.name) == ob:
             ob.hide_set(hidden, view_layer=layer)
+
+
+def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, *, hidden: bool = True) -> None:
+    """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
+    shows them again."""
+    if (points := points_of(root)) is not None:
+        hide(points, scene, hidden=hidden)
 
 
 @contextmanager

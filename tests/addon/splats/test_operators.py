@@ -97,6 +97,22 @@ def test_import_below_the_capture(scene: bpy.types.Scene, ply: Path) -> None:
     np.testing.assert_allclose(ob.matrix_world, root.matrix_world, atol=1e-6)
 
 
+@pytest.mark.parametrize("under", [True, False])
+def test_splats_of_a_capture_hide_its_points(
+    scene: bpy.types.Scene, ply: Path, under: bool
+) -> None:
+    """Oracle: the points' eye; those of a capture that the splats do not hang from stay."""
+    root = bpy.data.objects.new("Capture", None)
+    dots = bpy.data.objects.new("Points", bpy.data.meshes.new("Points"))
+    root["gs_kind"], dots["gs_kind"] = "capture", "points"
+    for ob in (root, dots):
+        scene.collection.objects.link(ob)
+    dots.parent = root
+    bpy.context.view_layer.objects.active = root
+    bpy.ops.gscore.import_splats(filepath=str(ply), under_capture=under)
+    assert dots.hide_get() == under
+
+
 @pytest.mark.parametrize("wanted", [True, False])
 def test_splats_of_a_run_come_under_the_capture_it_was_trained_on(
     scene: bpy.types.Scene, ply: Path, wanted: bool
