@@ -6,7 +6,7 @@ from .. import compat
 from . import held_passes
 
 GROUP = "Combine by Depth"
-_FORM, _OF_NOW = "gs_form", 2
+_FORM, _OF_NOW = "gs_form", 3
 """Custom property of the group: which form of the formula it has; those before 2 have none."""
 _ROWS = 4
 """Of the nodes in the group."""
@@ -18,22 +18,29 @@ def group() -> bpy.types.NodeTree:
 
     Of each pixel meshes, splats that are shown and splats that are held out have one depth each.
     With M and a the picture and alpha of the meshes, S and s those of the splats, which are cut
-    where others are held out before them, W the world, h the alpha of all that are held out by
-    themselves, and A that of all splats if none were, light that goes from back to front gives
+    where others are held out before them, W the world, V how much of it shows, h the alpha of all
+    that are held out by themselves, and A that of all splats if none were, light that goes from
+    back to front gives
 
         splats  held out
-        before  before    S + (1 - A) M + (1 - A) (1 - a) W
-        before  behind    S + (1 - s) M + (1 - A) (1 - a) W
-        behind  before    (1 - a) S + (1 - h) M + (1 - A) (1 - a) W
-        behind  behind    (1 - a) S +         M + (1 - A) (1 - a) W
+        before  before    S + (1 - A) M + V W
+        before  behind    S + (1 - s) M + V W
+        behind  before    (1 - a) S + (1 - h) M + V W
+        behind  behind    (1 - a) S +         M + V W
 
-    the meshes, for color and alpha alike. The world shows where the meshes let it through, never
-    where they are cut. Depths know no part of a pixel: with p and q for "before" of the two, 1 or
-    0, smoothed where that changes, and the picture between the four,
+    the meshes, for color and alpha alike. Depths know no part of a pixel: with p and q for "before"
+    of the two, 1 or 0, smoothed where that changes, and the picture between the four,
 
-        (1 - a (1 - p)) S + (1 - p s - q (p (A - s) + (1 - p) h)) M + (1 - A) (1 - a) W
+        (1 - a (1 - p)) S + (1 - p s - q (p (A - s) + (1 - p) h)) M + V W
 
-    What is opaque before and after such an edge so is opaque along it.
+    What is opaque before and after such an edge so is opaque along it. The world shows where splats
+    and meshes let it through, never where the meshes are cut. With g how much of a pixel are meshes
+    that are held out, seen through the splats, and M and S cut there,
+
+        V = max((1 - A) (1 - a) - g, 0)
+
+    Along the edge of such a mesh nothing then is left for the world where what is beside it covers
+    the rest, as it would be of (1 - A) (1 - a) (1 - g).
     """
     for tree in bpy.data.node_groups:
         ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
@@ -62,7 +69,7 @@ def _fill(tree: bpy.types.NodeTree) -> None:
     """The formula, with its names."""
     given = _placed(tree.nodes.new("NodeGroupInput"), tree)
     meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    h, gone, held_depth = (given.outputs[name] for name in held_passes.NAMES)
+    h, gone, held_depth, g = (given.outputs[name] for name in held_passes.NAMES)
     pictures = [_channels(tree, one) for one in (splats, meshes, world)]
     s, a = pictures[0][3], pictures[1][3]
     p = _before(tree, splat_depth, mesh_depth)
@@ -74,10 +81,11 @@ def _fill(tree: bpy.types.NodeTree) -> None:
     covered = _math(tree, "MULTIPLY", a, _math(tree, "SUBTRACT", 1.0, p))
     cut = _math(tree, "MULTIPLY_ADD", p, _math(tree, "SUBTRACT", more, h), h)
     hidden = _math(tree, "MULTIPLY_ADD", q, cut, _math(tree, "MULTIPLY", p, s))
+    through = _math(tree, "SUBTRACT", _math(tree, "MULTIPLY", light, past), g)
     shares = (
         _math(tree, "SUBTRACT", 1.0, covered),
         _math(tree, "SUBTRACT", 1.0, hidden),
-        _math(tree, "MULTIPLY", light, past),
+        _math(tree, "MAXIMUM", through, 0.0),
     )
     totals: list[Value] = [0.0] * 4
     for picture, share in zip(pictures, shares, strict=True):

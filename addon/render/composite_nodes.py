@@ -16,6 +16,12 @@ def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
     return None if tree is None else tree.nodes.get(COMBINE_NODE)
 
 
+def is_older(scene: bpy.types.Scene) -> bool:
+    """Whether an earlier version has put that node there, which takes less into account."""
+    node = combine_node(scene)
+    return node is not None and not _is_renewed(node)
+
+
 def insert(
     tree: bpy.types.NodeTree,
     scene: bpy.types.Scene,
@@ -39,10 +45,14 @@ def insert(
     _show_world(tree, combine, world)
 
 
+def _is_renewed(combine: bpy.types.Node) -> bool:
+    return combine.node_tree is not None and is_of_now(combine.node_tree)
+
+
 def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node, layers: bpy.types.Node) -> None:
     """Give the node the group of today; that of older files knows neither of worlds nor of what is
     held out, or shows what is behind meshes where these are cut."""
-    if combine.node_tree is not None and is_of_now(combine.node_tree):
+    if _is_renewed(combine):
         return
     # The new group's result is another socket to Blender, so that its links would go.
     targets = [link.to_socket for link in combine.outputs[0].links]

@@ -65,6 +65,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     Raises:
         ValueError: nothing to composite, or no camera.
     """
+    scene.view_layers[0].update()  # knows nothing yet of what a script has just added
     splats = [ob for ob in scene.objects if is_splats(ob)]
     if not splats:
         raise ValueError(f"Scene {scene.name} has no splat objects: import a splat PLY first.")

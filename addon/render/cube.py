@@ -82,9 +82,10 @@ def unfold(
         draw: Gives the passes of a part of a picture, their bottom rows first.
 
     Returns:
-        "Combined" [h, w, 4], the mean of four looks a pixel between the four nearest pixels of a
-        patch; "Depth" [h, w], where it was drawn, the distance along the middle of the pixel. The
-        bottom rows first; nothing where the panorama sees nothing.
+        "Combined" [h, w, 4] and what else was drawn [h, w, 1], the mean of four looks a pixel
+        between the four nearest pixels of a patch; "Depth" [h, w], where it was drawn, the distance
+        along the middle of the pixel. The bottom rows first; nothing where the panorama sees
+        nothing.
     """
     window = window or (0, 0, panorama.width, panorama.height)
     half = min(int(np.ceil(panorama.density * _DETAIL * _REACH)), _LARGEST // 2 - _EDGE)
@@ -102,9 +103,12 @@ def unfold(
         )
         drawn = draw(camera, part)
         pictures[patch] = part, {name: values[::-1] for name, values in drawn.items()}
-    passes = {"Combined": _resampled(panorama, window, focal, side, pictures)}
-    if any("Depth" in drawn for _, drawn in pictures.values()):
-        passes["Depth"] = _distances(panorama, window, focal, side, pictures)
+    passes = {}
+    for name in {"Combined"}.union(*(drawn for _, drawn in pictures.values())):
+        if name == "Depth":
+            passes[name] = _distances(panorama, window, focal, side, pictures)
+        else:
+            passes[name] = _resampled(panorama, window, focal, side, pictures, name)
     return {name: np.ascontiguousarray(values[::-1]) for name, values in passes.items()}
 
 
@@ -196,14 +200,14 @@ def _parts(panorama: Panorama, window: Window, focal: float, side: int) -> dict[
 
 
 def _resampled(
-    panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures
+    panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures, name: str
 ) -> np.ndarray:
-    out = np.zeros((window[3], window[2], 4), np.float32)
+    out = np.zeros((window[3], window[2], 4 if name == "Combined" else 1), np.float32)
     for rows, inside in _every_look(window):
         band = out[rows]
         for patch, where, x, y, _ in _looks(panorama, window, rows, inside, focal, side):
             part, drawn = pictures[patch]
-            band[where] += _between(drawn["Combined"], x - part[0], y - part[1])
+            band[where] += _between(drawn[name], x - part[0], y - part[1])
     return out / np.float32(len(_INSIDE) ** 2)
 
 

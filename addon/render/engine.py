@@ -16,7 +16,7 @@ from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
 from . import copies, held_meshes, held_passes, ignored, picture
 from .apart import main_scene
-from .film import Film
+from .film import MESHES, Film
 from .model import SplatCache
 from .passes import Asked, asked_of
 from .regions import border_corner, border_window, camera_of, drawn_window
@@ -218,17 +218,19 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if stage.blurs:
-            # Of the frame itself, through the lens's middle: means of depths are of no use.
-            passes = film.shoot(still, self.test_break) if asked.depth else {}
-            mean = self._mean(film, stage, asked, scene.gscore_render.blur_samples)
-            passes["Combined"], covered, held = mean
+            count = scene.gscore_render.blur_samples
+            passes, covered, held = self._mean(film, stage, asked, count)
+            if asked.depth:  # of the frame itself, through the lens's middle: means are of no use
+                passes["Depth"] = film.shoot(still, self.test_break)["Depth"]
         else:
             passes = film.shoot(still, self.test_break)
             covered = film.coverage(still, self.test_break) if asked.mattes else {}
             held = held_passes.blocked(film, still, self.test_break) if asked.held else {}
         if asked.held:
             held |= held_passes.depths(film, still, self.test_break)
-            passes |= held_passes.completed(held, passes["Combined"])
+            passes |= held_passes.completed(held, passes)
+        else:
+            passes.pop(MESHES, None)
         passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
         self._deliver(passes, layer.name, view, scene.render, film.options.window)
@@ -248,9 +250,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
 
     def _mean(
         self, film: Film, stage: Stage, asked: Asked, count: int
-    ) -> tuple[np.ndarray, dict[Identity, np.ndarray], dict[str, np.ndarray]]:
-        """The mean of the pictures from all over the lens and the exposure, [H, W, 4] float32; how
-        much each object adds, and what is held out blocks, in the mean, where that is asked for."""
+    ) -> tuple[dict[str, np.ndarray], dict[Identity, np.ndarray], dict[str, np.ndarray]]:
+        """The means of the passes, but depths, from all over the lens and the exposure; how much
+        each object adds, and what is held out blocks, in the mean, where that is asked for."""
         plain, last = film.without_depths(), None
         picture, covered, blocked = Mean(), Mean(), Mean()
         shot, parts, held = {}, {}, {}
@@ -272,7 +274,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 covered.add(parts, row)
                 blocked.add(held, row)
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
-        return picture.result()["Combined"], covered.result(), blocked.result()
+        return picture.result(), covered.result(), blocked.result()
 
     def _warn(self, shown: ignored.Shown) -> None:
         """Say what has no effect or is missing; of an animation with its first frame."""

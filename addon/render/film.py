@@ -17,6 +17,9 @@ from .picture import Window
 from .scene import Identity
 from .stage import View
 
+MESHES = "Holdout Meshes"
+"""Pass of how much of a pixel are meshes that are held out, as they would show through all splats;
+there is none without such meshes."""
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
 
@@ -39,7 +42,8 @@ class Film:
     def shoot(
         self, view: View, stop: Callable[[], bool], cancel: CancelFlag | None = None
     ) -> dict[str, np.ndarray]:
-        """The passes by name, [H, W, 4] and [H, W] float32, the bottom row first.
+        """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W]
+        and `MESHES` [H, W, 1].
 
         Raises:
             As `picture.draw`.
@@ -68,6 +72,8 @@ class Film:
         else:
             made = color.combined(rendered.rgb, share, to_scene=self.to_scene)
         passes = {"Combined": made}
+        if light is not None:
+            passes[MESHES] = (1 - rendered.alpha - light)[::-1, :, None].copy()
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
         return passes

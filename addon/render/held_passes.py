@@ -1,8 +1,9 @@
-"""Passes by which the compositor cuts meshes, and the world, where splats are held out before them.
+"""Passes by which the compositor cuts meshes, and the world, where something is held out.
 
 `HOLDOUT` is how much of the light the splats that are held out block by themselves, `BEHIND` how
 much of what lies behind all splats is to go, beyond what the picture's alpha says, and `HELD_DEPTH`
-where those that are held out are. *Depth* is that of the others then.
+where those that are held out are. *Depth* is that of the others then. The film's own `MESHES` is
+of meshes that are held out.
 """
 
 from collections.abc import Callable
@@ -11,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from .color import NOTHING
-from .film import Film
+from .film import MESHES, Film
 from .stage import View
 
 HOLDOUT, BEHIND, HELD_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
-NAMES = HOLDOUT, BEHIND, HELD_DEPTH
+NAMES = HOLDOUT, BEHIND, HELD_DEPTH, MESHES
 """Of the passes, in their order."""
 _FULL = 1e-4
 """Share of a pixel below which nothing behind the splats shows."""
@@ -48,16 +49,19 @@ def depths(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
     return {name: film.shoot(v, stop)["Depth"] for name, v in shown.items()}
 
 
-def completed(found: dict[str, np.ndarray], picture: np.ndarray) -> dict[str, np.ndarray]:
+def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """All passes.
 
     Args:
         found: Of `blocked`, or means of such, and of `depths`.
-        picture: [H, W, 4] float32, Combined.
+        shot: Of the film, or means of such.
     """
+    picture = shot["Combined"]
+    nothing = np.zeros(picture.shape[:2], np.float32)
+    found = {MESHES: shot.get(MESHES, nothing), **found}
     if HOLDOUT not in found:
-        nothing = np.zeros(picture.shape[:2], np.float32)
-        return {HOLDOUT: nothing, BEHIND: nothing, HELD_DEPTH: nothing + np.float32(NOTHING)}
+        far = np.full_like(nothing, NOTHING)
+        return {**found, HOLDOUT: nothing, BEHIND: nothing, HELD_DEPTH: far}
     light, left = 1 - found[BEHIND], 1 - picture[..., 3]
     kept = np.divide(light, left, out=np.zeros_like(light), where=left > _FULL)
     return {**found, BEHIND: 1 - np.clip(kept, 0, 1)}

@@ -192,7 +192,7 @@ class Stage:
         return lens
 
     def _empty(self) -> View:
-        return View(model=_nothing(), camera=self._lens()[0])
+        return View(model=_nothing(), camera=self._lens()[0], held=self._held())
 
     def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size

@@ -9,32 +9,9 @@ from addon.panels.render import RenderPanel
 from addon.render import composite_group, composite_nodes, compositor, held_passes, ignored, stage
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
+from tests.addon.mesh_scenes import emitter, glass, paint_world, plane
 
 RED, SIZE = (0.9, 0.1, 0.1), (64, 48)
-
-
-def emitter(name: str, color: tuple[float, float, float]) -> bpy.types.Material:
-    """A material of one scene-linear colour."""
-    material = bpy.data.materials.new(name)
-    compat.use_nodes(material)
-    tree = material.node_tree
-    tree.nodes.clear()
-    shader = tree.nodes.new("ShaderNodeEmission")
-    shader.inputs["Color"].default_value = (*color, 1)
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    return material
-
-
-def plane(scene, z: float, color, left: float, right: float, name: str) -> bpy.types.Object:
-    """A rectangle across the z axis, from x = left to right."""
-    mesh = bpy.data.meshes.new(name)
-    corners = [(left, -0.6, z), (right, -0.6, z), (right, 0.6, z), (left, 0.6, z)]
-    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-    mesh.materials.append(emitter(name, color))
-    ob = bpy.data.objects.new(name, mesh)
-    scene.collection.objects.link(ob)
-    return ob
 
 
 @pytest.fixture
@@ -364,21 +341,6 @@ def test_soft_splats_that_are_held_out_cut_softly(mixed, tmp_path, lens):
     assert soft.mean() > 0.02 and got[..., 3].min() < 0.3
 
 
-def glass(scene, z: float, color, alpha: float) -> bpy.types.Object:
-    """A plane that fills the picture, and lets through what its alpha leaves."""
-    ob = plane(scene, z, color, -9.0, 9.0, "glass")
-    ob.scale.y = 20.0
-    tree = ob.data.materials[0].node_tree
-    shader = next(n for n in tree.nodes if n.type == "EMISSION")
-    mix, clear = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("MixShader", "BsdfTransparent"))
-    mix.inputs[0].default_value = alpha
-    tree.links.new(clear.outputs[0], mix.inputs[1])
-    tree.links.new(shader.outputs[0], mix.inputs[2])
-    output = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
-    tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    return ob
-
-
 @pytest.mark.parametrize("alpha", [1.0, 0.6])
 @pytest.mark.parametrize("shown", [2.2, -2.2])
 @pytest.mark.parametrize("held", [1.1, -1.1])
@@ -467,17 +429,6 @@ def test_views_of_several_cameras_are_refused_by_name(mixed, capfd):
     assert "Views of several cameras are not rendered" in capfd.readouterr().out
 
 
-def paint_world(scene: bpy.types.Scene, *color: float) -> None:
-    """A world of one color, seen behind the meshes."""
-    if scene.world is None:
-        scene.world = bpy.data.worlds.new("World")
-    if compat.world_nodes(scene.world) is None:
-        scene.world.use_nodes = True
-    node = next(n for n in scene.world.node_tree.nodes if n.type == "BACKGROUND")
-    node.inputs[0].default_value = (*color, 1)
-    scene.render.film_transparent = False
-
-
 def test_the_world_stays_behind_everything(mixed, tmp_path):
     """Oracle: the meshes' own picture where no splats are, before and after; it follows the world;
     the splats are where they are without one."""
@@ -534,12 +485,16 @@ def test_an_engine_that_is_gone_is_replaced(mixed):
     assert mixed.render.engine in ("BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")
 
 
-@pytest.mark.parametrize("lacking", [(), held_passes.NAMES, ("World", *held_passes.NAMES)])
+@pytest.mark.parametrize(
+    "lacking",
+    [(), held_passes.NAMES[3:], held_passes.NAMES, ("World", *held_passes.NAMES)],
+)
 def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
-    """Oracle: the picture of a new set-up, in which splats are held out, and one group, though the
-    file has an older one."""
+    """Oracle: the picture of a new set-up, in which splats and a mesh are held out, and one group,
+    though the file has an older one."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.3), "cut").is_holdout = True
+    mixed.objects["behind"].is_holdout = True
     compositor.set_up(mixed)
     want = lab.render_exr(tmp_path, "new")
     tree = compat.compositor_tree(mixed)
