@@ -5,7 +5,7 @@ import bpy
 from ..cameras.objects import is_camera
 from ..render import see_through
 from ..render.apart import SPLAT_SCENE
-from ..render.composite_nodes import combine_node
+from ..render.composite_nodes import combine_node, is_older
 from ..render.engine import NAME
 from ..render.held_meshes import not_taken_over
 from ..render.ignored import NOT_TAKEN_OVER
@@ -58,6 +58,9 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     if there and scene.render.engine == NAME:
         text = "Compositing with meshes rests: this engine draws the splats already. The button "
         sentence(layout, context, f"{text}brings it back with the engine of before.", icon="INFO")
+    elif is_older(scene):
+        text = "An earlier version has set compositing up: press the button again to renew it."
+        sentence(layout, context, text, icon="INFO")
     elif names := not_taken_over(scene, scene.get(SPLAT_SCENE)):
         sentence(layout, context, NOT_TAKEN_OVER.format(names), icon="INFO")
     row = layout.row(align=True)
