@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ..core import Cameras, atomic_write, given_up_by, write_cameras, write_nerfstudio_path
+from ..process import garbage
 from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
 from . import objects as co
 from .export_transforms import transforms_text
@@ -68,8 +69,9 @@ def exporting_path(
     """
     path = Path(path)
     pace = scene.render.fps / scene.render.fps_base / scene.frame_step
-    views = yield from _reading(camera, scene, root)
-    yield from aside(partial(_write, path, views, kind, pace), f"Writing {path}")
+    with garbage.put_off():
+        views = yield from _reading(camera, scene, root)
+        yield from aside(partial(_write, path, views, kind, pace), f"Writing {path}")
     return len(views)
 
 

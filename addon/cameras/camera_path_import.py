@@ -16,6 +16,7 @@ from ..interface import writable
 from ..interface.blocks import with_uid
 from ..interface.flags import panel_words
 from ..interface.temporary import Temporary
+from ..process import garbage
 from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
 from . import formulas as cm
 from . import objects as co
@@ -75,26 +76,27 @@ def importing_path(
     """
     path, uid = Path(path), scene.session_uid
     root_uid = None if root is None else root.session_uid
-    found = yield from aside(partial(_read, path, start, numbered), f"Reading {path}")
-    while True:
-        coming = _Coming(found)
-        try:
-            yield from coming.fill()
-            scene = _there(bpy.data.scenes, uid, "scene")
-            above = None if root_uid is None else _there(bpy.data.objects, root_uid, "capture")
-            camera = coming.arrive(scene, above)
-        finally:
-            coming.drop()
-        if camera is not None:
-            return ImportedPath(
-                scene=scene,
-                camera=camera,
-                frames=(found.numbers[0], found.numbers[-1]),
-                count=len(found.numbers),
-                frame=found.frame,
-                fps=found.fps,
-                warnings=found.warnings,
-            )
+    with garbage.put_off():
+        found = yield from aside(partial(_read, path, start, numbered), f"Reading {path}")
+        while True:
+            coming = _Coming(found)
+            try:
+                yield from coming.fill()
+                scene = _there(bpy.data.scenes, uid, "scene")
+                above = None if root_uid is None else _there(bpy.data.objects, root_uid, "capture")
+                camera = coming.arrive(scene, above)
+            finally:
+                coming.drop()
+            if camera is not None:
+                return ImportedPath(
+                    scene=scene,
+                    camera=camera,
+                    frames=(found.numbers[0], found.numbers[-1]),
+                    count=len(found.numbers),
+                    frame=found.frame,
+                    fps=found.fps,
+                    warnings=found.warnings,
+                )
 
 
 def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:

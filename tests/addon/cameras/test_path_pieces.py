@@ -1,6 +1,7 @@
 """Camera paths that are exported and imported bit by bit. Oracle: the same at once, and what was
 there before."""
 
+import gc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -85,8 +86,10 @@ def test_export_given_up(scene, camera, tmp_path: Path, late: bool) -> None:  # 
     scene.frame_set(4)
     if not late:
         work = exporting(tmp_path / "a")
-        assert not until(work, half(work))
+        before = gc.get_threshold()
+        assert not until(work, half(work)) and gc.get_threshold()[2] > before[2]
         work.cancel()
+        assert gc.get_threshold() == before
     else:
         file = str(tmp_path / "a")
         pieces = stand_in("export_camera_path", filepath=file, world="BLENDER").pieces(bpy.context)
@@ -281,11 +284,12 @@ def test_import_as_at_once(file: Path) -> None:
 @pytest.mark.parametrize("number", [0, 1, 8])
 def test_import_given_up(file: Path, number: int) -> None:
     """Oracle: the counts of all data before, while it is read and while curves are made."""
-    before, work = counts(), importing(file)
+    before, work, searched = counts(), importing(file), gc.get_threshold()
     assert not until(work, at_curve(work, number) if number else lambda: True)
     assert (counts() == before) == (number == 0)
+    assert (gc.get_threshold() == searched) == (number == 0)
     work.cancel()
-    assert counts() == before
+    assert counts() == before and gc.get_threshold() == searched
 
 
 @pytest.mark.parametrize("what", ["scene", "capture"])
