@@ -21,6 +21,7 @@ from ..interface import writable
 from ..interface.blocks import first_few, with_uid
 from ..interface.clearing import clear, clearing
 from ..interface.temporary import Temporary, release
+from ..process import garbage
 from ..process.pieces import BUDGET, Pieces, aside
 from . import objects as co
 from . import sfm_points, straightening
@@ -84,20 +85,21 @@ def importing(
     uid, place = scene.session_uid, Path(bpy.path.abspath(str(path)))
     there = 0 if into is None else into.session_uid
     wanted = {"images": images, "photos": photos, "points": points, "align": align}
-    found = yield from aside(partial(read, place, **wanted), f"Reading {place}")
-    while True:
-        yield from clearing()
-        known = KnownImages()
-        coming = _Coming(found, known, there)
-        try:
-            yield from coming.fill(_there(_scene(uid), found.source, there))
-            made = coming.arrive(_scene(uid))
-        finally:
-            clear(chain(coming.dropping(), known.dropping()))
-        if made is not None:
-            if not bpy.app.background:
-                straightening.begin(found.copies)
-            return made
+    with garbage.put_off():
+        found = yield from aside(partial(read, place, **wanted), f"Reading {place}")
+        while True:
+            yield from clearing()
+            known = KnownImages()
+            coming = _Coming(found, known, there)
+            try:
+                yield from coming.fill(_there(_scene(uid), found.source, there))
+                made = coming.arrive(_scene(uid))
+            finally:
+                clear(chain(coming.dropping(), known.dropping()))
+            if made is not None:
+                if not bpy.app.background:
+                    straightening.begin(found.copies)
+                return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +120,8 @@ class _Coming:
         self._found, self._known, self._into = found, known, into
         self._there = 0
         """Session number of the capture's empty in the scene, when cameras were begun."""
-        self._same: set[str] = set()
-        """Images whose cameras are as the files say."""
+        self._lacking: dict[str, co.Lacking | None] = {}
+        """What cameras of images have otherwise than the files say; None: nothing."""
         self._same_photos: set[str] = set()
         outer = bpy.data.collections.new(found.name)
         self._temporary = Temporary(outer)
@@ -163,27 +165,27 @@ class _Coming:
         outer, found = self._temporary.found(), self._found
         if outer is None:
             return None
-        there, warnings = _there(scene, found.source, self._into), found.warnings
-        if self._there != _uid(there):
+        before, warnings = _there(scene, found.source, self._into), found.warnings
+        if self._there != _uid(before):
             return None
-        if there is None:
-            root = self._bring(outer, scene)
+        if before is None:
+            there = self._bring(outer, scene)
         else:
-            root = there.root
-            warnings += self._renew(there, outer, scene)
+            there, said = self._renew(before, outer, scene)
+            warnings += said
+        root = there.root
         root["gs_images"] = found.images
         root.pop(UP, None)
         if found.up is not None:
             root[UP] = found.up.tolist()
         stored_paths.write(root, stored_paths.SOURCE, found.source)
-        cameras, points = co.parts_of(root)
         return ImportedCapture(
             scene=scene,
             root=root,
             collection=root.users_collection[0],
-            cameras=cameras,
-            points=points,
-            renewed=there is not None,
+            cameras=there.cameras,
+            points=there.points,
+            renewed=before is not None,
             warnings=warnings,
         )
 
@@ -205,10 +207,9 @@ class _Coming:
             stored_paths.write(ob, stored_paths.PHOTO, one.setup.own.photo)
 
     def _compare(self, one: ReadCamera, ob: bpy.types.Object) -> None:
-        """Note what need not be done when all arrives, which is one piece."""
-        image = one.setup.own.image
-        if co.is_as_stated(ob, one.setup):
-            self._same.add(image)
+        """Note what is to be written when all arrives, which is one piece."""
+        image, same = one.setup.own.image, co.is_as_stated(ob, one.setup)
+        self._lacking[image] = None if same else co.lacking(ob, one.setup)
         if one.photo is not None and shows_photo(ob, one.photo):
             self._same_photos.add(image)
 
@@ -225,22 +226,25 @@ class _Coming:
             yield f"Importing {found.count:,} points"
             if (outer := self._temporary.found()) is None:
                 return
-            step(_points_in(outer))
+            step(co.points_among(outer.objects))
 
-    def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> bpy.types.Object:
-        """Have the scene show the collection; the empty."""
+    def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> _There:
+        """Have the scene show the collection."""
         root = next(ob for ob in outer.objects if co.is_kind(ob, "capture"))
         for ob in outer.all_objects:
             if ob != root:
                 ob.parent = root
         self._temporary.take()
         scene.collection.children.link(outer)
-        return root
+        cameras = co.by_image(outer.children[0].objects)
+        return _There(root=root, cameras=cameras, points=co.points_among(outer.objects))
 
     def _restate(self, one: ReadCamera, ob: bpy.types.Object, root: bpy.types.Object) -> None:
         image = one.setup.own.image
-        if image not in self._same:
-            co.state(ob, one.setup)
+        if image not in self._lacking:
+            self._compare(one, ob)
+        if (lacking := self._lacking[image]) is not None:
+            co.give(ob, lacking)
             _hang(ob, root)
         if image not in self._same_photos:
             self._hand_photo(ob, one)
@@ -258,10 +262,10 @@ class _Coming:
 
     def _renew(
         self, capture: _There, outer: bpy.types.Collection, scene: bpy.types.Scene
-    ) -> tuple[str, ...]:
-        """Have a capture be what was read; what to tell the user."""
+    ) -> tuple[_There, tuple[str, ...]]:
+        """Have a capture be what was read; what it is then, and what to tell the user."""
         root, cameras = capture.root, capture.cameras
-        old, new = capture.points, _points_in(outer)
+        old, new = capture.points, co.points_among(outer.objects)
         if new is not None and old is not None and old.mode == "EDIT":
             raise ValueError(
                 f"{old.name} is in Edit Mode: leave it before its capture is imported."
@@ -270,7 +274,7 @@ class _Coming:
         place = _beside(cameras[0] if cameras else root, scene)
         made = _by_image(outer.children[0].objects)
         others = _in_another_world(self._found.cameras, there)
-        scale = root_scale(root)
+        scale, come = root_scale(root), []
         for one in self._found.cameras:
             image = one.setup.own.image
             ob = there.get(image)
@@ -279,6 +283,7 @@ class _Coming:
                 _move(ob, outer.children[0], place)
                 _hang(ob, root)
                 size_drawing(ob.data, self._found.drawing, scale)
+                come.append(ob)
             else:
                 self._restate(one, ob, root)
                 if others:  # else the user may have sized it
@@ -292,7 +297,12 @@ class _Coming:
         elif new is not None:
             _move(new, outer, _beside(root, scene))
             _hang(new, root)
-        return others + _held([there[image] for image in wanted if image in there])
+        now = _There(
+            root=root,
+            cameras=co.by_image([*(ob for ob in cameras if ob not in gone), *come]),
+            points=old or new,
+        )
+        return now, others + _held([there[image] for image in wanted if image in there])
 
 
 def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
@@ -307,10 +317,6 @@ def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
         yield lambda ob, given=(name, kind, values): attributes.fill(ob.data, *given)
     yield lambda ob: sfm_points.complete(ob.data)
     yield lambda ob: sfm_points.display(ob, found.radius)
-
-
-def _points_in(outer: bpy.types.Collection) -> bpy.types.Object | None:
-    return next((ob for ob in outer.objects if co.is_kind(ob, "points")), None)
 
 
 def _beside(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
@@ -335,12 +341,12 @@ def _hang(ob: bpy.types.Object, root: bpy.types.Object) -> None:
 
 
 def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
-    """Give an object of points the points of another one; how it is shown stays."""
-    mesh = old.data
-    name = mesh.name
-    old.data = new.data
-    if not mesh.users:
-        bpy.data.meshes.remove(mesh)
+    """Give an object of points the points of another one, which has its own then and goes; how it
+    is shown stays."""
+    mesh, name = old.data, old.data.name
+    old.data, new.data = new.data, mesh
+    if mesh.users == 1:
+        mesh.name = new.name  # removed later, for which Blender looks through the whole file
     old.data.name = name
 
 

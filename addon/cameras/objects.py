@@ -1,7 +1,8 @@
 """Blender cameras that stand for photos: how they are marked, made and read back."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -18,13 +19,14 @@ TURNED, MOVED = "gs_turned_degrees", "gs_moved"
 _TURN, _MOVE, _LENS = 1e-5, 1e-6, 1e-6
 """What Blender's single precision does to a camera that nobody touched: radians, and relative."""
 
-_DELTAS = {
+_PLAIN = {
+    "scale": (1.0, 1.0, 1.0),
     "delta_location": (0.0, 0.0, 0.0),
     "delta_rotation_euler": (0.0, 0.0, 0.0),
     "delta_rotation_quaternion": (1.0, 0.0, 0.0, 0.0),
     "delta_scale": (1.0, 1.0, 1.0),
 }
-"""What does not move an object."""
+"""What leaves an object where location and rotation put it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,12 +78,17 @@ def root_of(ob: bpy.types.Object | None) -> bpy.types.Object | None:
 
 def cameras_of(root: bpy.types.Object) -> list[bpy.types.Object]:
     """The photos' cameras below a capture's empty, by image name."""
-    return _cameras_among(root.children_recursive)
+    return by_image(filter(is_camera, root.children_recursive))
+
+
+def by_image(cameras: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Photos' cameras in the order of their images."""
+    return sorted(cameras, key=lambda ob: (str(ob.get("gs_image", "")), ob.name))
 
 
 def points_of(root: bpy.types.Object) -> bpy.types.Object | None:
     """The object of a capture's points, or None."""
-    return _points_among(root.children)
+    return points_among(root.children)
 
 
 def parts_of(
@@ -90,15 +97,12 @@ def parts_of(
     """As `cameras_of` and `points_of`. To find what is below an object Blender looks through all
     that there are, which is done once here."""
     below = root.children_recursive
-    return _cameras_among(below), _points_among([ob for ob in below if ob.parent == root])
+    points = points_among(ob for ob in below if ob.parent == root)
+    return by_image(filter(is_camera, below)), points
 
 
-def _cameras_among(obs: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
-    found = [ob for ob in obs if is_camera(ob)]
-    return sorted(found, key=lambda ob: (str(ob.get("gs_image", "")), ob.name))
-
-
-def _points_among(obs: Sequence[bpy.types.Object]) -> bpy.types.Object | None:
+def points_among(obs: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
+    """The first object of a capture's points, or None."""
     return next((ob for ob in obs if is_kind(ob, "points") and ob.type == "MESH"), None)
 
 
@@ -132,18 +136,55 @@ def make(setup: Setup, name: str, collection: bpy.types.Collection) -> bpy.types
 
 def state(ob: bpy.types.Object, setup: Setup) -> None:
     """Give a camera a photo's pose, intrinsics and custom properties, but `gs_photo`."""
-    own = setup.own
-    set_lens(ob.data, setup.lens)
-    _put(ob, setup.location, setup.rotation)
-    ob[KIND] = "camera"
-    ob["gs_image"] = own.image
-    ob["gs_K"] = own.K.ravel().tolist()
-    ob["gs_viewmat"] = own.viewmat.ravel().tolist()
-    ob["gs_size"] = [own.width, own.height]
-    ob["gs_model"], ob["gs_params"] = own.model, list(own.params)
-    ob.pop("gs_photo_size", None)
-    if own.photo_size is not None:
-        ob["gs_photo_size"] = list(own.photo_size)
+    give(ob, lacking(ob, setup))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lacking:
+    """What is to be written to a camera; needs no bpy any more."""
+
+    lens: dict[str, Any]
+    """Of its datablock."""
+    place: dict[str, Any]
+    """Of the object."""
+    properties: dict[str, Any]
+    """Custom ones; None: it has one too many."""
+
+
+def lacking(ob: bpy.types.Object, setup: Setup) -> Lacking:
+    """What `state` has to write. To write takes Blender several times as long as to compare."""
+    own, size = setup.own, setup.own.photo_size
+    properties = {
+        KIND: "camera",
+        "gs_image": own.image,
+        "gs_K": own.K.ravel().tolist(),
+        "gs_viewmat": own.viewmat.ravel().tolist(),
+        "gs_size": [own.width, own.height],
+        "gs_model": own.model,
+        "gs_params": list(own.params),
+        "gs_photo_size": None if size is None else list(size),
+    }
+    return Lacking(
+        lens=_lacking_lens(ob.data, setup.lens),
+        place=_lacking_place(ob, setup.location, setup.rotation),
+        properties={key: v for key, v in properties.items() if _as_list(ob.get(key)) != v},
+    )
+
+
+def give(ob: bpy.types.Object, found: Lacking) -> None:
+    """Write it."""
+    for owner, values in ((ob.data, found.lens), (ob, found.place)):
+        for name, value in values.items():
+            setattr(owner, name, value)
+    for name, value in found.properties.items():
+        if value is None:
+            ob.pop(name, None)
+        else:
+            ob[name] = value
+
+
+def _as_list(value: Any) -> Any:
+    return value.to_list() if hasattr(value, "to_list") else value
 
 
 def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
@@ -203,9 +244,14 @@ def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]])
 
 def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
     """Give a camera datablock a lens."""
-    for name, value in (("lens_unit", "MILLIMETERS"), *vars(lens).items()):
-        if getattr(data, name) != value:  # to write takes Blender ten times as long
-            setattr(data, name, value)
+    for name, value in _lacking_lens(data, lens).items():
+        setattr(data, name, value)
+
+
+def _lacking_lens(data: bpy.types.Camera, lens: cm.Lens) -> dict[str, Any]:
+    wanted = {"lens_unit": "MILLIMETERS", **vars(lens)}
+    single = {k: float(np.float32(v)) if isinstance(v, float) else v for k, v in wanted.items()}
+    return {name: value for name, value in single.items() if getattr(data, name) != value}
 
 
 def lens_of(data: bpy.types.Camera) -> cm.Lens:
@@ -309,16 +355,24 @@ def _pose(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return matrix[:3, 3], rotmat_to_quat(matrix[:3, :3])
 
 
-def _put(ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray) -> None:
-    """Give an object a pose as exactly as Blender can."""
-    if ob.rotation_mode != "QUATERNION":  # Euler angles lose up to 5e-6 rad
-        ob.rotation_mode = "QUATERNION"
-    ob.location, ob.rotation_quaternion = location.tolist(), rotation.tolist()
-    if tuple(ob.scale) != (1.0, 1.0, 1.0):
-        ob.scale = 1.0, 1.0, 1.0
-    for name, none in _DELTAS.items():
-        if tuple(getattr(ob, name)) != none:
-            setattr(ob, name, none)
+def _lacking_place(
+    ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray
+) -> dict[str, Any]:
+    """What gives an object a pose as exactly as Blender can, as far as it has another."""
+    wanted = {
+        "rotation_mode": "QUATERNION",  # Euler angles lose up to 5e-6 rad
+        "location": tuple(location.astype(np.float32).tolist()),
+        "rotation_quaternion": tuple(rotation.astype(np.float32).tolist()),
+        **_PLAIN,
+    }
+    found = {name: value for name, value in wanted.items() if _differs(ob, name, value)}
+    if "rotation_mode" in found:  # with which Blender writes the quaternion anew
+        found["rotation_quaternion"] = wanted["rotation_quaternion"]
+    return found
+
+
+def _differs(ob: bpy.types.Object, name: str, value: Any) -> bool:
+    return tuple(getattr(ob, name)) != tuple(value)
 
 
 def is_plain_child(ob: bpy.types.Object) -> bool:

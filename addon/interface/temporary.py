@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 from ..process.pieces import BUDGET
 
 _MARK = "gs_temporary"
-_BATCH = 20
+_BATCH = 10
 """Objects that are removed together. Each takes longer the more there are in the file."""
 Block = bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Collection
 

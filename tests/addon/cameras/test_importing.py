@@ -1,5 +1,6 @@
 """Cameras that come bit by bit, and anew. Oracle: the files, and the same import at once."""
 
+import gc
 import shutil
 import threading
 from collections.abc import Callable
@@ -393,6 +394,65 @@ def test_what_else_moves_cameras(scene, folder: Path) -> None:
         ob.animation_data_clear()
         ob.constraints.clear()
     assert not captures.import_capture(scene, folder).warnings
+
+
+def test_what_is_written_anew(scene, folder: Path) -> None:
+    """Whatever a camera has otherwise, and nothing else. Oracle: the scene as it was."""
+    listed = captures.import_capture(scene, folder).cameras
+    before = state()
+    listed[0].rotation_mode, listed[0].location.x = "XYZ", 5.0
+    listed[1].rotation_mode, listed[1].rotation_axis_angle = "AXIS_ANGLE", (1.0, 0.0, 0.0, 1.0)
+    listed[2].scale.x, listed[3].rotation_quaternion.w = 2.0, 0.5
+    listed[4].data.type, listed[5].data.shift_y = "ORTHO", 0.3
+    listed[6]["gs_photo_size"], listed[7]["gs_size"] = [4, 3], "large"
+    listed[8]["gs_K"] = [*listed[8]["gs_K"][:8], 2.0]
+    listed[9].matrix_parent_inverse[0][3] = 5.0
+    listed[10].data.passepartout_alpha = 0.25
+    assert state() != before
+    captures.import_capture(scene, folder)
+    assert state() == before and listed[10].data.passepartout_alpha == 0.25
+    assert {ob.rotation_mode for ob in listed} == {"QUATERNION"}
+
+
+def test_a_camera_that_is_renamed_meanwhile(scene, folder: Path) -> None:
+    """It is not found when it is compared. Oracle: it becomes what the files say all the same."""
+    captures.import_capture(scene, folder)
+    work = going(directory=str(folder))
+    until(work, _begun)
+    late = cameras_of(bpy.data.objects["studio"])[-1]
+    late.name, late.location.x = "late", 99.0
+    assert until(work, lambda: False)
+    assert len(bpy.data.cameras) == 60 and not co.is_moved(late, co.stated(late))
+
+
+def test_points_that_another_object_shows_too(scene, folder: Path) -> None:
+    """Oracle: it keeps those of before, also when all is removed that is no longer needed."""
+    made = captures.import_capture(scene, folder)
+    twin = made.points.copy()
+    scene.collection.objects.link(twin)
+    made.points.data.vertices.add(3)
+    assert captures.import_capture(scene, folder).points == made.points
+    assert len(twin.data.vertices) == len(made.points.data.vertices) + 3
+    assert len(bpy.data.meshes) == 2 and not _begun()
+
+
+@pytest.mark.parametrize("ends", ["done", "esc", "fails"])
+def test_python_searches_for_garbage_again(scene, folder: Path, ends: str) -> None:
+    """Not while cameras come, when it takes long. Oracle: the threshold of the whole search."""
+    before = gc.get_threshold()
+    work = going(directory=str(folder))
+    assert not until(work, half) and gc.get_threshold()[2] > before[2]
+    if ends == "esc":
+        work.cancel()
+    elif ends == "fails":
+        bpy.ops.scene.new()
+        bpy.data.scenes.remove(scene)
+        with pytest.raises(ValueError, match="is gone"):
+            until(work, lambda: False)
+    else:
+        until(work, lambda: False)
+    assert gc.get_threshold() == before
+    clearing.finish()
 
 
 def test_points_that_are_edited(scene, folder: Path) -> None:
