@@ -3,12 +3,13 @@
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..cameras.objects import PhotoCamera, cameras_of, root_of, stated
+from ..cameras.objects import PhotoCamera, cameras_of, is_camera, root_of, stated
 from ..cameras.pictures import Decoded, decode, levels_of
 from ..cameras.straight import undistortion_of
 from ..core import Folder, Undistortion, are_mattes, downscale
@@ -56,8 +57,10 @@ def load_target(
     """
     own = stated(camera)
     place = None if mask_mode == "none" else mask_folder(camera)
-    file = None if place is None else Folder(place).find_mask(own.image)
-    masks = _masks_of(camera) if file is not None and mask_mode == "auto" else []
+    file, masks = None, []
+    if place is not None:
+        listed = _listed(camera) if mask_mode == "auto" else []
+        file, masks = yield from aside(partial(_find_masks, place, own.image, listed), _READING)
     wanted = _Wanted(
         own=own,
         size=(width, height),
@@ -69,7 +72,7 @@ def load_target(
     yield _READING
     mask = None
     if file is not None:
-        mask = decode(str(file))
+        mask = decode(file)
         yield _READING
     if masks:
         cut_out = yield from _cut_out(masks, invert_masks)
@@ -153,28 +156,51 @@ def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
     return 1 - opacity if inverted else opacity
 
 
-def _masks_of(camera: bpy.types.Object) -> list[tuple[str, PhotoCamera]]:
-    """The files of masks of a camera's capture, and their cameras."""
+class _Masked(NamedTuple):
+    """A camera of a capture, to be looked up again: undo replaces objects."""
+
+    name: str
+    """Of the object."""
+    image: str
+    file: str = ""
+    """Its mask."""
+
+
+def _listed(camera: bpy.types.Object) -> list[_Masked]:
+    """All cameras of a camera's capture."""
     root = root_of(camera)
-    place = mask_folder(camera)
-    if root is None or place is None:
-        return []
+    found = [] if root is None else cameras_of(root)
+    return [_Masked(ob.name, str(ob.get("gs_image", ""))) for ob in found]
+
+
+def _find_masks(
+    place: Path, image: str, listed: list[_Masked], check: Check
+) -> tuple[str | None, list[_Masked]]:
+    """The mask of an image in a folder, and, where there is one, the cameras that have one too."""
     folder = Folder(place)
-    own = [stated(other) for other in cameras_of(root)]
-    return [(str(f), one) for one in own if (f := folder.find_mask(one.image)) is not None]
+    file = folder.find_mask(image)
+    if file is None:
+        return None, []
+    found = [one._replace(file=str(folder.find_mask(one.image) or "")) for one in listed]
+    return str(file), [one for one in found if one.file]
 
 
-def _cut_out(masks: list[tuple[str, PhotoCamera]], inverted: bool) -> Pieces[bool]:
+def _cut_out(masks: list[_Masked], inverted: bool) -> Pieces[bool]:
     """Whether masks cut a subject out, as training sees that."""
     asked: list[int] = []
     blank = np.zeros((8, 8), np.uint8)
     are_mattes(len(masks), lambda i: (asked.append(i), blank)[1])  # which it will look at
     levels = {}
     for done, i in enumerate(asked):
-        file, own = masks[i]
-        mask = decode(file)
+        one = masks[i]
+        ob = bpy.data.objects.get(one.name)
+        if not is_camera(ob) or ob.get("gs_image") != one.image:
+            raise ValueError(
+                f"The camera {one.name} was taken away while masks were read: compare again."
+            )
         levels[i] = yield from aside(
-            partial(_levels, mask, own, inverted), f"Reading masks: {done / len(asked):.0%}"
+            partial(_levels, decode(one.file), stated(ob), inverted),
+            f"Reading masks: {done / len(asked):.0%}",
         )
     return are_mattes(len(masks), levels.__getitem__)
 
