@@ -1,5 +1,6 @@
 """Which capture and which camera a user means."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -40,14 +41,15 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
     One that was imported from a folder of the same name that is not there any more counts where
     there is no better one: the capture has moved.
     """
-    roots, settings = roots_of(scene), getattr(scene, "gscore", None)
+    settings = getattr(scene, "gscore", None)
     if settings is None or not settings.capture_path.strip():
         return None
     try:
         chosen = absolute(settings.capture_path, "Capture")
     except ValueError:
         return None
-    exact = root_from(scene, chosen)
+    roots = roots_of(scene)
+    exact = _from(roots, chosen)
     if exact is not None:
         return exact
     for root in roots:
@@ -59,7 +61,11 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
 
 def root_from(scene: bpy.types.Scene, chosen: Path) -> bpy.types.Object | None:
     """The empty of the capture in a folder, or of one that the folder is in, if it was imported."""
-    for root in roots_of(scene):
+    return _from(roots_of(scene), chosen)
+
+
+def _from(roots: Sequence[bpy.types.Object], chosen: Path) -> bpy.types.Object | None:
+    for root in roots:
         if means_capture(chosen, Path(stored_paths.read(root, stored_paths.SOURCE))):
             return root
     return None
