@@ -1,7 +1,7 @@
 """How long Import Cameras, the same anew, Export Cameras, and both of camera paths take, and hold
 Blender.
 
-    python tools/measure/cameras.py [--others N] [CAPTURE...]    (a Python with bpy)
+    python tools/measure/cameras.py [CAPTURE...] [--others N] [--frames N...]    (a Python with bpy)
 
 Each operator goes on bit by bit as in a window, to its end or to Esc, and so does the removal of
 what is no longer needed then. Prints, of each capture and each path: the seconds to its end, the
@@ -21,8 +21,6 @@ import bpy
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
-FRAMES = 250, 2500
-"""Of camera paths."""
 
 from tools.measure.stand_in import stand_in, steps  # noqa: E402 - the path comes first
 
@@ -32,6 +30,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
     parser.add_argument("--others", type=int, default=0, help="other objects in the scene")
+    parser.add_argument("--frames", type=int, nargs="*", default=(250, 2500), help="of paths")
     return parser.parse_args()
 
 
@@ -78,6 +77,18 @@ def given_up(folder: str) -> None:
     printed("  removed afterwards", removal())
 
 
+def have_moved() -> None:
+    """All cameras have other poses and lenses than the files say."""
+    from addon.cameras.objects import is_camera
+
+    for ob in filter(is_camera, bpy.data.objects):
+        viewmat = ob["gs_viewmat"].to_list()
+        viewmat[3] += 0.01
+        ob["gs_viewmat"] = viewmat
+        ob.location.x += 0.01
+        ob.data.lens += 3
+
+
 def have_gone() -> None:
     """Half of the photos are others than those that the files have."""
     for ob in bpy.data.objects:
@@ -119,6 +130,8 @@ def main() -> None:
             print(folder)
             measured("Import Cameras", "import_cameras", directory=folder)
             measured("Import Cameras, anew", "import_cameras", directory=folder)
+            have_moved()
+            measured("the same, all differ", "import_cameras", directory=folder)
             have_gone()
             measured("the same, half is gone", "import_cameras", directory=folder)
             measured("Export Cameras", "export_cameras", directory=tempfile.mkdtemp())
@@ -127,7 +140,7 @@ def main() -> None:
                 "Export, transforms.json", "export_cameras", directory=target, kind="TRANSFORMS"
             )
             given_up(folder)
-        for frames in FRAMES:
+        for frames in options.frames:
             bpy.ops.wm.read_homefile(use_empty=True)
             print(f"{frames} frames")
             measured_path(frames)

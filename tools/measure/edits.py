@@ -1,6 +1,7 @@
 """How long the buttons that edit and judge splats take, and hold Blender, of a million splats.
 
-    python tools/measure/edits.py [--capture CAPTURE] [--splats N]    (a Python with bpy)
+    python tools/measure/edits.py [--capture CAPTURE] [--splats N] [--group] [--text]
+                                                                    (a Python with bpy)
 
 Splats of SH degree 3 lie on spheres, as those of captures lie on surfaces, with some floating
 around. Each operator goes on bit by bit as in a window. Prints, of two calls of each: the seconds
@@ -40,6 +41,8 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "studio")
     parser.add_argument("--splats", type=int, default=1_000_000)
+    parser.add_argument("--group", action="store_true", help="all are in a vertex group")
+    parser.add_argument("--text", action="store_true", help="all have an attribute of text")
     return parser.parse_args()
 
 
@@ -83,6 +86,23 @@ class Blenders:
                 self.spent += time.thread_time() - began
 
         return timed
+
+
+def carry(ob: bpy.types.Object, *, group: bool, text: bool) -> None:
+    """Give all splats what is asked for."""
+    from addon.splats import texts, weights
+    from addon.splats.carried import Column, blocks
+
+    count = len(ob.data.vertices)
+    if group:
+        values = np.linspace(0.25, 0.75, count, dtype=np.float32)[:, None]
+        for name, _, entries in blocks(Column("group", "GROUP", values)):
+            weights.write(ob.data, name, entries)
+    if text:
+        ob.data.attributes.new("text", "STRING", "POINT")
+        words = np.array([b"text"] * count, np.object_)[:, None]
+        for name, _, entries in blocks(Column("text", "STRING", words)):
+            texts.write(ob.data, name, entries)
 
 
 def timed(name: str, operator: str, **settings: Any) -> None:
@@ -161,6 +181,7 @@ def main() -> None:
         for _ in range(2):
             ob = objects.create(splats, "splats", collection=scene.collection)
             ob.parent = root_of(camera)
+            carry(ob, group=options.group, text=options.text)
             bpy.context.view_layer.objects.active = ob
             measured("Nothing", nothing())
             timed("Compare with Photo", "compare_photo", camera=camera.name)

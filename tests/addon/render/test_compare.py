@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,9 @@ from addon import stored_paths
 from addon.cameras import captures
 from addon.cameras.objects import stated
 from addon.cameras.straight import lens_of
-from addon.core import downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
+from addon.core import Folder, downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
-from addon.process.pieces import at_once
+from addon.process.pieces import Going, at_once
 from addon.render import compare
 from addon.render import photo as photo_module
 from addon.splats import objects
@@ -112,6 +113,61 @@ def test_masks_of_the_capture_count(studio, scene):
         assert composite.psnr_masked is None and "gs_psnr_masked" not in camera
         corner = pixels(composite.images["Photo"])[mask[..., 0] == 0]
         np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
+
+
+def target_of(camera) -> Going:
+    """What the camera's picture is compared with, on its way."""
+    own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
+    return Going(photo_module.load_target(camera, own.width, own.height, **options))
+
+
+def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
+    """Of all photos. Oracle: the thread that asks for each; the same target as at once."""
+    threads = {}
+
+    class Noted(Folder):
+        def find_mask(self, name: str) -> Path | None:
+            threads[name] = threading.current_thread()
+            return super().find_mask(name)
+
+    camera = studio[0].cameras[9]
+    own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
+    at = at_once(photo_module.load_target(camera, own.width, own.height, **options))
+    monkeypatch.setattr(photo_module, "Folder", Noted)
+    work = target_of(camera)
+    while not work.step():
+        threading.Event().wait(0.0005)
+    assert len(threads) == 60 and threading.main_thread() not in threads.values()
+    np.testing.assert_array_equal(work.result.pixels, at.pixels)
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_cameras_that_go_while_masks_are_read(studio, scene, gone):
+    """Oracle: a sentence; those that come from undo, which are others in memory, do."""
+    bpy.ops.ed.undo_push(message="before")
+    name = studio[0].cameras[9].name
+    work = target_of(studio[0].cameras[9])
+    while not work.sentence.startswith("Reading masks"):
+        work.step()
+        threading.Event().wait(0.0005)
+    if gone:
+        for ob in studio[0].cameras:
+            bpy.data.objects.remove(ob)
+    else:
+        bpy.data.objects[name].location.x += 1
+        bpy.ops.ed.undo_push(message="moved")
+        bpy.ops.ed.undo()
+
+    def rest() -> None:
+        while not work.step():
+            threading.Event().wait(0.0005)
+
+    if gone:
+        with pytest.raises(ValueError, match="was taken away while masks were read"):
+            rest()
+    else:
+        rest()
+        assert work.result.weight is None and work.result.pixels.size
 
 
 def test_operator_reports_and_stores(studio, scene, capfd):
