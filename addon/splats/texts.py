@@ -13,7 +13,7 @@ def read(mesh: Any, name: str, begin: int, values: np.ndarray, known: dict[bytes
 
     Args:
         mesh: Not in Edit Mode. One that shares memory with another gets its own with the first of
-            its points, which takes 0.1 to 0.2 s of a million splats: 256 bytes each.
+            its points, in one call: of a million splats 256 MB, 0.05 to 0.7 s.
         name: Of the attribute.
         begin: The first of the points.
         values: [N, 1], what `carried.empty_values` made.

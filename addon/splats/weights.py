@@ -20,7 +20,12 @@ def made(names: list[str], count: int) -> np.ndarray:
 
 def read(mesh: bpy.types.Mesh, begin: int, weights: np.ndarray) -> None:
     """Read those of `BLOCK` vertices from one on into what `made` made; the mesh is not in Edit
-    Mode."""
+    Mode.
+
+    A mesh that shares its weights with another gets its own with the first vertex, in one call: of
+    a million 0.05 to 0.12 s. `VertexGroup.weight` does without, but where a vertex is in no group
+    it fails, which Blender 4.2 prints.
+    """
     vertices = mesh.vertices
     found: list[float] = []
     # One by one: as many Python objects at once as a slice has would start garbage collection.
