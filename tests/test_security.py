@@ -57,6 +57,8 @@ LISTENS = ROOT / "gscore" / "live" / "server.py"
 """The only file that opens a port."""
 SPEAKS = ROOT / "gscore" / "trainer" / "ranks" / "team.py"
 """The only file that speaks with other processes of one training, through torch's own sockets."""
+COLLECTS = ROOT / "addon" / "process" / "garbage.py"
+"""The only file that tells Python when to look for garbage."""
 SPOKEN = {"all_gather", "all_to_all_single", "broadcast", "gather"}
 """What it calls of torch.distributed besides meeting and parting: none that passes pickles, as
 those whose names end in `_object` and torch's RPC do."""
@@ -199,6 +201,7 @@ ALLOWED = {
         "names torch.distributed.rendezvous",
         "names torch.distributed.PrefixStore",
     },
+    COLLECTS: {"imports gc"},  # its thresholds alone
 }
 """All that looks dangerous in what is shipped, by file."""
 
