@@ -12,13 +12,11 @@ from itertools import chain
 from pathlib import Path
 
 import bpy
-import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, stored_paths
-from ..capture.folders import same_folder
 from ..interface import writable
-from ..interface.blocks import first_few, with_uid
+from ..interface.blocks import with_uid
 from ..interface.clearing import clear, clearing
 from ..interface.temporary import Temporary, release
 from ..process import garbage
@@ -26,12 +24,9 @@ from ..process.pieces import BUDGET, Pieces, aside
 from . import objects as co
 from . import sfm_points, straightening
 from .backgrounds import KnownImages, set_photo, shows_photo
-from .lookup import roots_of
 from .placing import UP, root_scale, set_root_matrix, size_drawing
+from .present import Present, find_present, held_elsewhere, in_another_world, uid_of
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
-
-_SAMPLES = 20
-"""Cameras that are looked at to tell whether the files have the same world as before."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +87,7 @@ def importing(
             known = KnownImages()
             coming = _Coming(found, known, there)
             try:
-                yield from coming.fill(_there(_scene(uid), found.source, there))
+                yield from coming.fill(find_present(_scene(uid), found.source, there))
                 made = coming.arrive(_scene(uid))
             finally:
                 clear(chain(coming.dropping(), known.dropping()))
@@ -100,16 +95,6 @@ def importing(
                 if not bpy.app.background:
                     straightening.begin(found.copies)
                 return made
-
-
-@dataclass(frozen=True, kw_only=True)
-class _There:
-    """A capture that the scene has."""
-
-    root: bpy.types.Object
-    cameras: list[bpy.types.Object]
-    """By image name."""
-    points: bpy.types.Object | None
 
 
 class _Coming:
@@ -135,9 +120,9 @@ class _Coming:
         for one in (inner, root):
             self._temporary.hold(one)
 
-    def fill(self, there: _There | None) -> Pieces[None]:
+    def fill(self, there: Present | None) -> Pieces[None]:
         """Make what is not `there`."""
-        self._there = _uid(there)
+        self._there = uid_of(there)
         have = {} if there is None else _by_image(there.cameras)
         known = {image: (ob.name, ob.session_uid) for image, ob in have.items()}
         until = time.perf_counter() + BUDGET
@@ -165,8 +150,8 @@ class _Coming:
         outer, found = self._temporary.found(), self._found
         if outer is None:
             return None
-        before, warnings = _there(scene, found.source, self._into), found.warnings
-        if self._there != _uid(before):
+        before, warnings = find_present(scene, found.source, self._into), found.warnings
+        if self._there != uid_of(before):
             return None
         if before is None:
             there = self._bring(outer, scene)
@@ -228,7 +213,7 @@ class _Coming:
                 return
             step(co.points_among(outer.objects))
 
-    def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> _There:
+    def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> Present:
         """Have the scene show the collection."""
         root = next(ob for ob in outer.objects if co.is_kind(ob, "capture"))
         for ob in outer.all_objects:
@@ -237,7 +222,7 @@ class _Coming:
         self._temporary.take()
         scene.collection.children.link(outer)
         cameras = co.by_image(outer.children[0].objects)
-        return _There(root=root, cameras=cameras, points=co.points_among(outer.objects))
+        return Present(root=root, cameras=cameras, points=co.points_among(outer.objects))
 
     def _restate(self, one: ReadCamera, ob: bpy.types.Object, root: bpy.types.Object) -> None:
         image = one.setup.own.image
@@ -261,8 +246,8 @@ class _Coming:
             self._temporary.hold(ob)
 
     def _renew(
-        self, capture: _There, outer: bpy.types.Collection, scene: bpy.types.Scene
-    ) -> tuple[_There, tuple[str, ...]]:
+        self, capture: Present, outer: bpy.types.Collection, scene: bpy.types.Scene
+    ) -> tuple[Present, tuple[str, ...]]:
         """Have a capture be what was read; what it is then, and what to tell the user."""
         root, cameras = capture.root, capture.cameras
         old, new = capture.points, co.points_among(outer.objects)
@@ -273,7 +258,7 @@ class _Coming:
         there = _by_image(cameras)
         place = _beside(cameras[0] if cameras else root, scene)
         made = _by_image(outer.children[0].objects)
-        others = _in_another_world(self._found.cameras, there)
+        others = in_another_world(self._found.cameras, there)
         scale, come = root_scale(root), []
         for one in self._found.cameras:
             image = one.setup.own.image
@@ -297,12 +282,12 @@ class _Coming:
         elif new is not None:
             _move(new, outer, _beside(root, scene))
             _hang(new, root)
-        now = _There(
+        now = Present(
             root=root,
             cameras=co.by_image([*(ob for ob in cameras if ob not in gone), *come]),
             points=old or new,
         )
-        return now, others + _held([there[image] for image in wanted if image in there])
+        return now, others + held_elsewhere([there[image] for image in wanted if image in there])
 
 
 def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
@@ -348,64 +333,6 @@ def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
     if mesh.users == 1:
         mesh.name = new.name  # removed later, for which Blender looks through the whole file
     old.data.name = name
-
-
-def _in_another_world(
-    cameras: Sequence[ReadCamera], there: dict[str, bpy.types.Object]
-) -> tuple[str, ...]:
-    """A sentence where most photos were taken from elsewhere than it was stated before."""
-    known = [one.setup.own for one in cameras if one.setup.own.image in there]
-    some = known[:: max(1, len(known) // _SAMPLES)]
-    moved = 0
-    for own in some:
-        before = np.array(there[own.image].get("gs_viewmat", ()), np.float64)
-        moved += before.shape != (16,) or not np.allclose(before, own.viewmat.ravel(), atol=1e-4)
-    if 2 * moved <= len(some):
-        return ()
-    return (
-        "The files have the photos elsewhere than before. Align to Ground turns the capture anew; "
-        "splats that were trained before may no longer fit.",
-    )
-
-
-def _held(cameras: list[bpy.types.Object]) -> tuple[str, ...]:
-    """A sentence where something besides its own place says where a camera stands."""
-    names = sorted(ob.name for ob in cameras if not co.is_plain_child(ob))
-    if not names:
-        return ()
-    return (
-        f"Keyframes, drivers or constraints may keep cameras away from where their photos were "
-        f"taken: {first_few(names)}. Clear them, else renders and exports have these cameras as "
-        f"they stand.",
-    )
-
-
-def _there(scene: bpy.types.Scene, source: Path, into: int) -> _There | None:
-    """A capture that the scene has, and that may be changed."""
-    roots = roots_of(scene)
-    asked = [root for root in roots if root.session_uid == into]
-    for root in chain(asked, (root for root in roots if _is_of(root, source))):
-        cameras, points = co.parts_of(root)
-        found = _There(root=root, cameras=cameras, points=points)
-        if _may_change(found):
-            return found
-    return None
-
-
-def _uid(there: _There | None) -> int:
-    return 0 if there is None else there.root.session_uid
-
-
-def _is_of(root: bpy.types.Object, source: Path) -> bool:
-    own = stored_paths.read(root, stored_paths.SOURCE)
-    return bool(own) and same_folder(Path(own), source)
-
-
-def _may_change(found: _There) -> bool:
-    """Whether a capture is all of this file, and no override."""
-    obs = [found.root, *found.cameras, *filter(None, [found.points])]
-    blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
-    return all(block.library is None and block.override_library is None for block in blocks)
 
 
 def _scene(uid: int) -> bpy.types.Scene:
