@@ -147,6 +147,17 @@ def turn(steps: int) -> Iterator[object]:
         yield 0.0
 
 
+def drag(steps: int) -> Iterator[object]:
+    """A filter's limit, a redraw a step, with the histograms in the view."""
+    bpy.context.window_manager.gscore_histograms = desk.space().show_gizmo = True
+    ob = bpy.data.objects["splats"]
+    for k in range(steps):
+        ob.gscore.opacity_min = 0.5 * (k + 1) / steps
+        desk.area().tag_redraw()
+        yield 0.0
+    bpy.context.window_manager.gscore_histograms = desk.space().show_gizmo = False
+
+
 def redraw() -> Iterator[object]:
     """Again and again the same."""
     for _ in range(STILL_REDRAWS):
@@ -170,6 +181,11 @@ def story() -> Iterator[object]:
     add_splats()
     yield 0.5
     yield from measured("Solid", meter, desk.at_rest)
+    meter.redraws.clear()
+    yield from drag(ASKED["steps"])
+    note("Solid, filter dragged", meter)
+    bpy.data.objects["splats"].gscore.opacity_min = 0.0
+    yield desk.at_rest
     bpy.context.scene.render.engine = "GSCORE_SPLATS"
     bpy.context.scene.view_settings.view_transform = "Standard"  # others are not drawn live
     desk.space().shading.type = "RENDERED"
