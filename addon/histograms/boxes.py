@@ -1,13 +1,13 @@
 """Where histograms lie in a view; pixels from its lower left. No bpy."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 _WIDTH, _HEIGHT = 260.0, 70.0
 _LEAST = 120.0
 """Width below which there is none."""
 _GAP = 28.0
-"""Between two, and to the view's lower end: room for what is written above each."""
+"""Between two, and to what is above and below: room for what is written above each."""
 _MARGIN = 16.0
 """To what lies over the view at its sides."""
 
@@ -31,34 +31,56 @@ class Box:
         """Its upper end."""
         return self.y + self.height
 
+    def meets(self, other: "Box") -> bool:
+        """Whether the two have a place in common."""
+        across = self.x < other.right and other.x < self.right
+        return across and self.y < other.top and other.y < self.top
 
-def placed(view: Box, over: Iterable[Box], count: int, scale: float) -> list[Box]:
+
+@dataclass(frozen=True, kw_only=True)
+class Over:
+    """What lies over a view."""
+
+    left: Sequence[Box] = ()
+    right: Sequence[Box] = ()
+    above: Sequence[Box] = ()
+    below: Sequence[Box] = ()
+    floating: Sequence[Box] = ()
+
+
+def placed(view: Box, over: Over, count: int, scale: float) -> list[Box]:
     """Boxes of one size at the view's lower end, in its middle: side by side where there is room,
-    else one above the other; none where there is none.
+    else one above the other, as many as there is room for; above what floats in their way.
 
     Args:
         view: All of it.
-        over: What lies over it: toolbars, sidebars, and at its lower end, shelves.
+        over: What lies over it.
         count: How many.
         scale: Of Blender's interface.
     """
-    left, right, bottom = view.x, view.right, view.y
-    for one in over:
-        if one.width > 0.8 * view.width:  # all along the view
-            if one.top < view.y + view.height / 2:
-                bottom = max(bottom, one.top)
-        elif one.x + one.right < view.x + view.right:
-            left = max(left, one.right)
-        else:
-            right = min(right, one.x)
+    left = max([view.x, *(one.right for one in over.left)])
+    right = min([view.right, *(one.x for one in over.right)])
+    top = min([view.top, *(one.y for one in over.above)])
+    bottom = max([view.y, *(one.top for one in over.below)])
+    free = Box(left, bottom, right - left, top - bottom)
+    boxes = _filled(free, count, scale)
+    in_the_way = [one for one in over.floating if any(map(one.meets, boxes))]
+    if in_the_way:
+        bottom = max(one.top for one in in_the_way)
+        boxes = _filled(Box(left, bottom, right - left, top - bottom), count, scale)
+    return boxes
+
+
+def _filled(free: Box, count: int, scale: float) -> list[Box]:
     margin, gap = _MARGIN * scale, _GAP * scale
-    room = right - left - 2 * margin
+    room = free.width - 2 * margin
     width, height = min(_WIDTH * scale, room), _HEIGHT * scale
     if width < _LEAST * scale:
         return []
     beside = count if count * (width + gap) - gap <= room else 1
-    start = (left + right - beside * (width + gap) + gap) / 2
-    return [
-        Box(start + column * (width + gap), bottom + gap + row * (height + gap), width, height)
+    start = (free.x + free.right - beside * (width + gap) + gap) / 2
+    boxes = [
+        Box(start + column * (width + gap), free.y + gap + row * (height + gap), width, height)
         for row, column in (divmod(number, beside) for number in range(count))
     ]
+    return [box for box in boxes if box.top + gap <= free.top]

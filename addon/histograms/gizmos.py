@@ -4,10 +4,11 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface import writable
+from ..interface import undo, writable
+from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..splats.objects import in_question
-from .boxes import Box, placed
+from .boxes import Box, Over, placed
 from .counted import COUNTED
 from .counting import OPACITY, SIZE, Histogram
 from .drawing import draw
@@ -21,70 +22,103 @@ _FINE = 0.1
 """Share of the mouse's way that a handle goes while Shift is held."""
 
 
-def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, dict[str, Histogram]] | None:
-    """The splats whose histograms a view shows, and these; None: it shows none."""
+def problem(context: bpy.types.Context, view: bpy.types.Region) -> str:
+    """Why a view shows no histograms though they are wanted, a sentence; empty where it does.
+
+    Args:
+        context: Of the view's area.
+        view: Its main region.
+    """
+    ob = in_question(context)
+    if not context.space_data.show_gizmo:
+        return "Gizmos are off in this view; the switch is in its header."
+    if ob is not None and (kept := writable.problem(ob)):
+        return kept
+    if len(_boxes(context, view)) < len(_KINDS):
+        return "This view is too small for all histograms."
+    return ""
+
+
+def shown(context: bpy.types.Context, kind: str) -> tuple[bpy.types.Object, Histogram, Box] | None:
+    """The splats whose histogram of a kind the context's view shows, the histogram, and where;
+    None: it shows none."""
     ob = in_question(context) if context.window_manager.gscore_histograms else None
     if ob is None or not writable.keeps(ob):
         return None
-    found = COUNTED.of(ob)
-    return (ob, found) if found else None
+    found, box = COUNTED.of(ob).get(kind), box_of(context, kind)
+    return None if found is None or box is None else (ob, found, box)
 
 
 def box_of(context: bpy.types.Context, kind: str) -> Box | None:
     """Where the histogram of a kind lies in the context's region; None: there is no room."""
-    region, scale = context.region, context.preferences.system.ui_scale
-    over = [
-        Box(one.x - region.x, one.y - region.y, one.width, one.height)
-        for one in context.area.regions
-        if one != region and min(one.width, one.height) > 1  # others are closed
-    ]
-    view = Box(0, 0, region.width, region.height)
-    boxes = placed(view, over, len(_KINDS), scale)
-    return boxes[_KINDS.index(kind)] if boxes else None
+    boxes, number = _boxes(context, context.region), _KINDS.index(kind)
+    return boxes[number] if number < len(boxes) else None
+
+
+def _boxes(context: bpy.types.Context, view: bpy.types.Region) -> list[Box]:
+    over: dict[str, list[Box]] = {}
+    for one in context.area.regions:
+        if one.type != "WINDOW" and min(one.width, one.height) > 1:  # others are closed
+            box = Box(one.x - view.x, one.y - view.y, one.width, one.height)
+            over.setdefault(one.alignment, []).append(box)
+    return placed(
+        Box(0, 0, view.width, view.height),
+        Over(
+            left=over.get("LEFT", ()),
+            right=over.get("RIGHT", ()),
+            above=over.get("TOP", ()),
+            below=over.get("BOTTOM", ()),
+            floating=[box for name in ("FLOAT", "NONE") for box in over.get(name, ())],
+        ),
+        len(_KINDS),
+        context.preferences.system.ui_scale,
+    )
 
 
 class HistogramGizmo(bpy.types.Gizmo):
     """One histogram and its handles."""
 
     bl_idname = "GSCORE_GT_histogram"
-    __slots__ = ("before", "held", "hovered", "kind", "place", "x")
+    __slots__ = ("before", "held", "histogram", "hovered", "kind", "place", "uid", "x")
 
     def setup(self) -> None:
         """Nothing is held."""
         self.kind: str = OPACITY
-        self.held: Handle | None = None
         self.hovered: Handle | None = None
+        self.held: Handle | None = None
+        self.uid = 0
+        """Session number of the object whose limit is dragged."""
+        self.histogram: Histogram | None = None
+        """What it is dragged along, whatever is counted meanwhile."""
         self.before, self.place, self.x = 0.0, 0.0, 0.0
         self.use_draw_modal = True
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw it, if there is something to show and room for it."""
-        found, box = shown(context), box_of(context, self.kind)
-        if found is None or box is None:
+        if (there := shown(context, self.kind)) is None:
             return
-        ob, histogram = found[0], found[1][self.kind]
-        there = handles(self.kind)
+        ob, histogram, box = there
+        own = handles(self.kind)
         near = self.held or (self.hovered if self.is_highlight else None)
         draw(
             box,
             histogram,
             self.kind.capitalize(),
             of_object(ob, self.kind),
-            [handle.place(histogram, ob) for handle in there],
-            there.index(near) if near else None,
+            [handle.place(histogram, ob) for handle in own],
+            own.index(near) if near else None,
             context.preferences.system.ui_scale,
         )
 
     def test_select(self, context: bpy.types.Context, location: tuple[float, float]) -> int:
         """0 where the mouse takes a handle, else -1."""
-        found, box = shown(context), box_of(context, self.kind)
-        if found is None or box is None:
+        if (there := shown(context, self.kind)) is None:
             return -1
+        ob, histogram, box = there
         x, y = location
         reach = _REACH * context.preferences.system.ui_scale
         if not (box.x - reach <= x <= box.right + reach and box.y - reach <= y <= box.top):
             return -1
-        ob, histogram = found[0], found[1][self.kind]
         place = (x - box.x) / box.width
         # Of two at one place, the one that has somewhere to go.
         self.hovered = min(
@@ -98,46 +132,47 @@ class HistogramGizmo(bpy.types.Gizmo):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Take the handle that is nearest; it comes to a mouse that is far from it."""
-        found, box = shown(context), box_of(context, self.kind)
-        if found is None or box is None or self.hovered is None:
+        if (there := shown(context, self.kind)) is None or self.hovered is None:
             return {"CANCELLED"}
-        ob, histogram = found[0], found[1][self.kind]
-        self.held = self.hovered
+        ob, self.histogram, box = there
+        self.held, self.uid = self.hovered, ob.session_uid
         self.before = getattr(ob.gscore, self.held.setting)
-        self.place, self.x = self.held.place(histogram, ob), event.mouse_region_x
-        there = (self.x - box.x) / box.width
-        if abs(there - self.place) * box.width > _REACH * context.preferences.system.ui_scale:
-            self._go(ob, histogram, there)
+        self.place, self.x = self.held.place(self.histogram, ob), event.mouse_region_x
+        place = (self.x - box.x) / box.width
+        if abs(place - self.place) * box.width > _REACH * context.preferences.system.ui_scale:
+            self._go(ob, place)
         return {"RUNNING_MODAL"}
 
     def modal(
         self, context: bpy.types.Context, event: bpy.types.Event, tweak: set[str]
     ) -> set[str]:
-        """Follow the mouse."""
-        found, box = shown(context), box_of(context, self.kind)
-        if found is not None and box is not None and event.mouse_region_x != self.x:
-            way = (event.mouse_region_x - self.x) / box.width
+        """Follow the mouse, as long as the view is about the same splats."""
+        there = shown(context, self.kind)
+        if (
+            there is not None
+            and there[0].session_uid == self.uid
+            and event.mouse_region_x != self.x
+        ):
+            way = (event.mouse_region_x - self.x) / there[2].width
             self.x = event.mouse_region_x
-            place = self.place + way * (_FINE if "PRECISE" in tweak else 1.0)
-            self._go(found[0], found[1][self.kind], place)
+            self._go(there[0], self.place + way * (_FINE if "PRECISE" in tweak else 1.0))
         return {"RUNNING_MODAL"}
 
     def exit(self, context: bpy.types.Context, cancel: bool) -> None:
         """Let go: an undo step, or as it was before."""
-        found, held = shown(context), self.held
+        ob, held = with_uid(bpy.data.objects, self.uid), self.held
         self.held = None
-        if found is None or held is None:
+        if ob is None or held is None:
             return
         if cancel:
-            setattr(found[0].gscore, held.setting, self.before)
-        elif getattr(found[0].gscore, held.setting) != self.before:
-            name = found[0].gscore.bl_rna.properties[held.setting].name
-            bpy.ops.ed.undo_push(message=name)
+            setattr(ob.gscore, held.setting, self.before)
+        elif getattr(ob.gscore, held.setting) != self.before:
+            undo.push(ob.gscore.bl_rna.properties[held.setting].name)
 
-    def _go(self, ob: bpy.types.Object, histogram: Histogram, place: float) -> None:
-        assert self.held is not None
+    def _go(self, ob: bpy.types.Object, place: float) -> None:
+        assert self.held is not None and self.histogram is not None
         self.place = place
-        self.held.move(histogram, ob, place)
+        self.held.move(self.histogram, ob, place)
 
 
 class HistogramGizmos(bpy.types.GizmoGroup):
@@ -151,8 +186,8 @@ class HistogramGizmos(bpy.types.GizmoGroup):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """They are wanted, and there are splats whose limits can be changed."""
-        return shown(context) is not None
+        """They are wanted, and there are splats."""
+        return context.window_manager.gscore_histograms and in_question(context) is not None
 
     def setup(self, context: bpy.types.Context) -> None:
         """One gizmo a histogram."""

@@ -5,6 +5,7 @@ from typing import ClassVar
 import bpy
 
 from .. import attributes, stored_paths
+from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
 from ..histograms.icons import ICONS
 from ..interface.flags import error_words
@@ -174,15 +175,17 @@ def draw_handles(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     """The switch of the same histograms in the view, where they can be dragged on."""
     switch = context.window_manager
     layout.prop(switch, "gscore_histograms", icon="ARROW_LEFTRIGHT")
-    if switch.gscore_histograms and not context.space_data.show_gizmo:
-        text = "Gizmos are off in this view; the switch is in its header."
+    if switch.gscore_histograms and (text := gizmos.problem(context, _main_region(context))):
         sentence(layout, context, text, icon="INFO")
+
+
+def _main_region(context: bpy.types.Context) -> bpy.types.Region:
+    return next(one for one in context.area.regions if one.type == "WINDOW")
 
 
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Why splats are not drawn live, or how many are."""
-    region = next(r for r in context.area.regions if r.type == "WINDOW")
-    if problem := handler.problem_of(region):
+    if problem := handler.problem_of(_main_region(context)):
         sentence(layout, context, problem, icon="ERROR")
     elif not live.SESSION.works:
         sentence(layout, context, "Splats are drawn live where Blender has a window.", icon="INFO")

@@ -77,6 +77,39 @@ def undo() -> None:
         bpy.ops.ed.undo()
 
 
+def meanwhile(wall: bpy.types.Object) -> Iterator[object]:
+    """Other splats, another mesh, and nothing more are there in the middle of a drag."""
+    other = lab.add(bpy.context.scene, lab.wall(-5.0, (0.1, 0.1, 0.1)), "other")
+    other.gscore.opacity_min = 0.7
+    bpy.context.view_layer.objects.active = wall
+    yield at_rest
+    yield from take(OPACITY, 0.0)
+    yield from mouse(OPACITY, 0.3, "MOUSEMOVE", "NOTHING")
+    bpy.context.view_layer.objects.active = other
+    yield PAUSE
+    yield from mouse(OPACITY, 0.5, "MOUSEMOVE", "NOTHING")
+    seen["two"] = [wall.gscore.opacity_min, other.gscore.opacity_min]
+    yield from mouse(OPACITY, 0.5, "ESC", "PRESS")
+    yield from mouse(OPACITY, 0.5, "LEFTMOUSE", "RELEASE")
+    seen["two_after"] = [wall.gscore.opacity_min, other.gscore.opacity_min]
+    yield from take(OPACITY, 0.7)
+    yield from mouse(OPACITY, 0.6, "MOUSEMOVE", "NOTHING")
+    bpy.context.window_manager.gscore_histograms = False
+    yield PAUSE
+    yield from mouse(OPACITY, 0.6, "ESC", "PRESS")
+    yield from mouse(OPACITY, 0.6, "LEFTMOUSE", "RELEASE")
+    seen["switched_off"] = other.gscore.opacity_min
+    bpy.context.window_manager.gscore_histograms = True
+    yield 0.5
+    yield from take(OPACITY, 0.7)
+    yield from mouse(OPACITY, 0.6, "MOUSEMOVE", "NOTHING")
+    bpy.data.objects.remove(other)
+    yield PAUSE
+    yield from mouse(OPACITY, 0.4, "MOUSEMOVE", "NOTHING")
+    yield from mouse(OPACITY, 0.4, "LEFTMOUSE", "RELEASE")
+    seen["deleted"] = limits(wall)
+
+
 def story() -> Iterator[object]:
     """What happens; a yield hands over to Blender (`Teller`)."""
     clear()
@@ -122,7 +155,11 @@ def story() -> Iterator[object]:
     yield from drag(SIZE, 0.7, 1.05)
     yield from drag(SIZE, 0.2, 1.2)
     seen["ends"] = limits(wall)
+    bpy.ops.gscore.reset_filters()
+    yield from meanwhile(wall)
     bpy.context.window_manager.gscore_histograms = False
+    bpy.context.view_layer.objects.active = wall
+    yield at_rest
     yield 0.5
     shoot(FOLDER / "off_again.png")
 

@@ -55,6 +55,16 @@ def test_sizes_have_a_handle_at_each_end(seen):
     assert high == 0.0 and axis.place(low) == pytest.approx(1.0, abs=PIXEL)
 
 
+def test_a_drag_is_of_the_splats_that_it_was_begun_on(seen):
+    """Oracle: the limits by hand; other splats that become active keep theirs, Esc gives the first
+    theirs back, also where the histograms went meanwhile, or the splats."""
+    found = seen[0]
+    assert found["two"] == [pytest.approx(0.3, abs=PIXEL), pytest.approx(0.7)]
+    assert found["two_after"] == [0.0, pytest.approx(0.7)]
+    assert found["switched_off"] == pytest.approx(0.7)
+    assert found["deleted"] == [0.0, 0.0, 0.0]
+
+
 def bars(seen: tuple[dict, Path], name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
     """[W] bool each: which columns of a histogram have blue, and which grey, near the axis."""
     found, folder = seen
@@ -74,8 +84,8 @@ def test_what_is_hidden_is_grey(seen):
     half = len(blue) // 2
     assert blue[half + 8 :].mean() > 0.9 and not blue[: half - 8].any()
     assert grey[: half - 8].mean() > 0.9
-    folder = seen[1]
-    off = pixels(folder, "off")
-    assert np.abs(off - pixels(folder, "on")).max() > 100
+    view = (slice(100, 610), slice(40, 780))  # without the toolbars around it
+    off, on, again = (pixels(seen[1], name)[view] for name in ("off", "on", "off_again"))
+    assert np.abs(off - on).max() > 100 and np.abs(off - again).max() <= 2
     blue, _ = bars(seen, "sizes", SIZE)
     assert 0.3 < blue.mean() < 0.6

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from addon.histograms.boxes import Box, placed
+from addon.histograms.boxes import Box, Over, placed
 from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
 from addon.histograms.limits import handles, of_object
 
@@ -52,17 +52,39 @@ def test_handles_do_not_pass_each_other():
 
 
 def test_boxes_lie_free():
-    """Oracle: what lies over the view at either side and below."""
-    view = Box(0, 0, 1000, 600)
-    over = [Box(0, 0, 60, 600), Box(760, 0, 240, 600), Box(0, 0, 1000, 40), Box(0, 570, 1000, 30)]
-    first, second = placed(view, over, 2, 1.0)
+    """Oracle: what lies over the view at either side, above and below."""
+    over = Over(
+        left=[Box(0, 0, 60, 600)],
+        right=[Box(760, 0, 240, 600)],
+        above=[Box(0, 570, 1000, 30)],
+        below=[Box(0, 0, 1000, 40)],
+        floating=[Box(70, 40, 30, 300)],
+    )
+    first, second = placed(Box(0, 0, 1000, 600), over, 2, 1.0)
     assert 60 < first.x < first.right < second.x < second.right < 760
     assert first.y == second.y > 40 and first.width == second.width
     assert first.x - 60 == pytest.approx(760 - second.right)
 
 
-def test_boxes_stand_above_one_another_where_it_is_narrow():
-    """Oracle: no room beside; and none at all."""
-    first, second = placed(Box(0, 0, 330, 600), [], 2, 1.0)
-    assert first.x == second.x and first.top < second.y
-    assert placed(Box(0, 0, 140, 600), [], 2, 1.0) == []
+def test_boxes_stand_above_what_floats_in_their_way():
+    """Oracle: its upper end, of what is in the way."""
+    view = Box(0, 0, 800, 600)
+    plain = placed(view, Over(), 2, 1.0)
+    panel = Box(20, 20, 90, 25)
+    assert placed(view, Over(floating=[panel]), 2, 1.0) == plain
+    raised = placed(view, Over(floating=[panel, Box(100, 20, 170, 40)]), 2, 1.0)
+    assert all(box.y > 60 for box in raised)
+    assert [box.x for box in raised] == [box.x for box in plain]
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "count"),
+    [(330, 600, 2), (330, 230, 2), (330, 220, 1), (330, 120, 0), (140, 600, 0), (800, 130, 2)],
+)
+def test_there_are_as_many_boxes_as_there_is_room_for(width, height, count):
+    """Oracle: heights by hand: 28 + 70 + 28 for one, 98 more for a second above it."""
+    view = Box(0, 0, width, height)
+    found = placed(view, Over(), 2, 1.0)
+    assert len(found) == count and all(box.top + 28 <= height for box in found)
+    if count == 2 and width < 500:
+        assert found[0].x == found[1].x and found[0].top < found[1].y

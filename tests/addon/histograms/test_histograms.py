@@ -1,5 +1,8 @@
 """Histograms of splats. Oracle: numpy's counts, and the filters that hide splats."""
 
+import time
+from collections.abc import Iterator
+
 import bpy
 import numpy as np
 import pytest
@@ -56,52 +59,136 @@ def test_a_place_stands_for_a_value():
             assert found.place(found.value(place)) == pytest.approx(place, abs=1e-6)
 
 
-def test_meshes_are_counted_when_they_have_changed(scene):
-    """Oracle: the number of readings, and numpy's counts after an edit."""
+@pytest.fixture
+def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[counted.Counted]:
+    """What is known of objects, which need not be quiet here."""
+    monkeypatch.setattr(counted, "QUIET", 0.0)
+    yield counted.COUNTED
+    counted.COUNTED.clear()
+
+
+def settle(kept: counted.Counted) -> int:
+    """Beats until all is counted; how many had something new to show."""
+    new = 0
+    while kept.waits():
+        new += kept.collect()
+    return new
+
+
+def changed(ob: bpy.types.Object) -> None:
+    """Blender hears of other values."""
+    ob.data.update()
+    bpy.context.view_layer.update()
+
+
+def numbers(kept: counted.Counted, ob: bpy.types.Object) -> list[int]:
+    """How many splats each histogram has."""
+    return [int(found.counts.sum()) for found in kept.of(ob).values()]
+
+
+def test_meshes_are_counted_when_they_have_changed(scene, kept):
+    """Oracle: numpy's counts after an edit; those of before until then, and in Edit Mode."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.update()
-    of = counted.COUNTED.of
-    first = of(ob)[OPACITY]
+    first = kept.of(ob)[OPACITY]
     assert first.counts.sum() == 400
-    assert of(ob)[OPACITY] is first
+    assert kept.of(ob)[OPACITY] is first and not kept.waits()
     points.keep(ob.data, np.arange(400) < 150)
-    ob.data.update()
-    bpy.context.view_layer.update()
+    changed(ob)
+    assert kept.of(ob)[OPACITY] is first
+    assert settle(kept) == 1
     opacities = attributes.column(ob.data, attributes.BASE)[:, 3]
-    counts = of(ob)[OPACITY].counts
+    counts = kept.of(ob)[OPACITY].counts
     np.testing.assert_array_equal(counts, np.histogram(opacities, 96, (0, 1))[0])
     bpy.context.view_layer.objects.active = ob
     bpy.ops.object.mode_set(mode="EDIT")
-    counted.COUNTED.forget({ob.data.session_uid})
-    assert of(ob)[OPACITY].counts is counts  # those of before
-    counted.COUNTED.clear()
-    assert of(ob) == {}
+    kept.forget({ob.data.session_uid})
+    assert kept.of(ob)[OPACITY].counts is counts
+    kept.clear()
+    assert kept.of(ob) == {}
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
-def test_many_are_counted_beside_blender(scene, monkeypatch):
-    """Oracle: numpy's counts; nothing is there until the beat has done all pieces, and a mesh that
-    goes meanwhile leaves nothing."""
+def test_a_limit_makes_no_new_histogram(scene, kept, monkeypatch):
+    """Oracle: the very histogram of before, once Blender has called the mesh changed; nothing is
+    looked at before the mesh is quiet."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    bpy.context.view_layer.update()
+    first = kept.of(ob)[SIZE]
+    ob.gscore.opacity_min = 0.3
+    changed(ob)
+    monkeypatch.setattr(counted, "QUIET", 60.0)
+    assert kept.of(ob)[SIZE] is first and kept.waits()
+    for _ in range(5):
+        assert not kept.collect()
+    assert not any(entry.going for entry in kept._entries.values())
+    monkeypatch.setattr(counted, "QUIET", 0.0)
+    assert settle(kept) == 0
+    assert kept.of(ob)[SIZE] is first
+
+
+def test_many_are_counted_beside_blender(scene, kept, monkeypatch):
+    """Oracle: numpy's counts of every fourth; there is nothing until the beat has done all pieces;
+    another mesh of the object's leaves the histograms of before until it is counted."""
     lab.prepare(scene)
     monkeypatch.setattr(counted, "MOST", 100)
     ob = lab.add(scene, lab.blob())
-    of = counted.COUNTED.of
-    assert of(ob) == {} and counted.COUNTED.waits()
-    while counted.COUNTED.waits():
-        assert of(ob) == {}
-        counted.COUNTED.collect()
+    assert kept.of(ob) == {} and settle(kept) == 1
     sizes = attributes.column(ob.data, attributes.SCALE)[::4].max(axis=1)
-    np.testing.assert_array_equal(of(ob)[SIZE].counts, of_sizes(sizes).counts)
-    other = lab.add(scene, lab.blob())
-    assert of(other) == {}
-    mesh = other.data
-    bpy.data.objects.remove(other)
+    first = kept.of(ob)[SIZE]
+    np.testing.assert_array_equal(first.counts, of_sizes(sizes).counts)
+    ob.data = lab.add(scene, lab.blob(800)).data
+    assert kept.of(ob)[SIZE] is first and settle(kept) == 1
+    assert numbers(kept, ob) == [100, 100]
+
+
+def test_objects_of_two_windows_are_known_at_once(scene, kept, monkeypatch):
+    """Oracle: both are counted in the end, though each asks between the other's steps."""
+    lab.prepare(scene)
+    monkeypatch.setattr(counted, "MOST", 100)
+    both = [lab.add(scene, lab.blob()), lab.add(scene, lab.blob(300))]
+    for _ in range(50):
+        for ob in both:
+            kept.of(ob)
+        kept.collect()
+        time.sleep(0.01)
+    assert [numbers(kept, ob) for ob in both] == [[100, 100], [100, 100]]
+    assert not kept.waits()
+
+
+def test_without_splats_there_is_no_histogram(scene, kept):
+    """Oracle: an object whose splats were all deleted, or whose mesh goes while it is counted."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    assert numbers(kept, ob) == [400, 400]
+    ob.data.clear_geometry()
+    changed(ob)
+    assert kept.of(ob) == {}
+    ob.data = lab.add(scene, lab.blob()).data
+    kept.of(ob)
+    mesh = ob.data
+    bpy.data.objects.remove(ob)
     bpy.data.meshes.remove(mesh)
-    while counted.COUNTED.waits():
-        counted.COUNTED.collect()
-    assert of(ob) == {}  # is asked for anew
-    counted.COUNTED.clear()
+    settle(kept)
+
+
+def test_a_count_that_fails_leaves_what_was_there(scene, kept, monkeypatch):
+    """Oracle: the histogram of before, after an error in the thread that the beat reports."""
+    lab.prepare(scene)
+    ob = lab.add(scene, lab.blob())
+    first = kept.of(ob)[SIZE]
+
+    def fail(*given: object) -> None:
+        raise MemoryError("no more")
+
+    monkeypatch.setattr(counted, "_count", fail)
+    kept.forget({ob.data.session_uid})
+    kept.of(ob)
+    with pytest.raises(MemoryError):
+        settle(kept)
+    assert kept.of(ob)[SIZE] is first and not kept.waits()
 
 
 def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
@@ -127,14 +214,14 @@ def test_icons_follow_the_filters(scene):
         np.testing.assert_allclose(got, wanted, atol=1 / 255)
 
 
-def test_splats_without_sizes_have_no_histograms(scene):
+def test_splats_without_sizes_have_no_histograms(scene, kept):
     """Oracle: what the panel puts down, of a missing attribute and of a number that is none."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.objects.active = ob
     ob.data.attributes[attributes.SCALE].data[7].vector.x = np.nan
-    assert counted.COUNTED.of(ob) == {}
+    assert kept.of(ob) == {}
     ob.data.attributes.remove(ob.data.attributes[attributes.SCALE])
-    counted.COUNTED.forget({ob.data.session_uid})
-    assert counted.COUNTED.of(ob) == {}
+    kept.forget({ob.data.session_uid})
+    assert kept.of(ob) == {}
     assert drawn(FiltersPanel).startswith("<opacity_min>")
