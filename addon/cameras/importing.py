@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import bpy
 from mathutils import Matrix
@@ -97,6 +98,21 @@ def importing(
                 return made
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Compared:
+    """A camera, with what the files say otherwise."""
+
+    state: tuple[Any, ...]
+    """`_state_of` it."""
+    lacking: co.Lacking | None
+    """None: nothing."""
+
+
+def _state_of(ob: bpy.types.Object) -> tuple[Any, ...]:
+    """Which object it is, and what a user is likely to change of it."""
+    return ob.session_uid, ob.matrix_basis.copy().freeze(), ob.data.lens
+
+
 class _Coming:
     """Cameras and points on their way, in a collection that no scene has."""
 
@@ -105,8 +121,8 @@ class _Coming:
         self._found, self._known, self._into = found, known, into
         self._there = 0
         """Session number of the capture's empty in the scene, when cameras were begun."""
-        self._lacking: dict[str, co.Lacking | None] = {}
-        """What cameras of images have otherwise than the files say; None: nothing."""
+        self._compared: dict[str, _Compared] = {}
+        """Cameras that are there, by image."""
         self._same_photos: set[str] = set()
         outer = bpy.data.collections.new(found.name)
         self._temporary = Temporary(outer)
@@ -194,7 +210,8 @@ class _Coming:
     def _compare(self, one: ReadCamera, ob: bpy.types.Object) -> None:
         """Note what is to be written when all arrives, which is one piece."""
         image, same = one.setup.own.image, co.is_as_stated(ob, one.setup)
-        self._lacking[image] = None if same else co.lacking(ob, one.setup)
+        lacking = None if same else co.lacking(ob, one.setup)
+        self._compared[image] = _Compared(state=_state_of(ob), lacking=lacking)
         if one.photo is not None and shows_photo(ob, one.photo):
             self._same_photos.add(image)
 
@@ -226,9 +243,11 @@ class _Coming:
 
     def _restate(self, one: ReadCamera, ob: bpy.types.Object, root: bpy.types.Object) -> None:
         image = one.setup.own.image
-        if image not in self._lacking:
+        seen = self._compared.get(image)
+        if seen is None or seen.state != _state_of(ob):  # somebody has changed it meanwhile
+            self._same_photos.discard(image)
             self._compare(one, ob)
-        if (lacking := self._lacking[image]) is not None:
+        if (lacking := self._compared[image].lacking) is not None:
             co.give(ob, lacking)
             _hang(ob, root)
         if image not in self._same_photos:

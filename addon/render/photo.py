@@ -13,6 +13,7 @@ from ..cameras.objects import PhotoCamera, cameras_of, is_camera, root_of, state
 from ..cameras.pictures import Decoded, decode, levels_of
 from ..cameras.straight import undistortion_of
 from ..core import Folder, Undistortion, are_mattes, downscale
+from ..interface.blocks import with_uid
 from ..process.pieces import Check, Pieces, aside
 
 MASKS = "masks"
@@ -159,8 +160,8 @@ def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
 class _Masked(NamedTuple):
     """A camera of a capture, to be looked up again: undo replaces objects."""
 
-    name: str
-    """Of the object."""
+    uid: int
+    """Session number of the object."""
     image: str
     file: str = ""
     """Its mask."""
@@ -170,7 +171,7 @@ def _listed(camera: bpy.types.Object) -> list[_Masked]:
     """All cameras of a camera's capture."""
     root = root_of(camera)
     found = [] if root is None else cameras_of(root)
-    return [_Masked(ob.name, str(ob.get("gs_image", ""))) for ob in found]
+    return [_Masked(ob.session_uid, str(ob.get("gs_image", ""))) for ob in found]
 
 
 def _find_masks(
@@ -193,10 +194,10 @@ def _cut_out(masks: list[_Masked], inverted: bool) -> Pieces[bool]:
     levels = {}
     for done, i in enumerate(asked):
         one = masks[i]
-        ob = bpy.data.objects.get(one.name)
-        if not is_camera(ob) or ob.get("gs_image") != one.image:
+        ob = with_uid(bpy.data.objects, one.uid)
+        if not is_camera(ob):
             raise ValueError(
-                f"The camera {one.name} was taken away while masks were read: compare again."
+                f"The camera of {one.image} was taken away while masks were read: compare again."
             )
         levels[i] = yield from aside(
             partial(_levels, decode(one.file), stated(ob), inverted),

@@ -216,8 +216,9 @@ def hide(ob: bpy.types.Object, scene: bpy.types.Scene, *, hidden: bool = True) -
 
 def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, *, hidden: bool = True) -> None:
     """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
-    shows them again."""
-    if (points := points_of(root)) is not None:
+    shows them again. Those that are being edited stay."""
+    points = points_of(root)
+    if points is not None and points.mode != "EDIT":
         hide(points, scene, hidden=hidden)
 
 

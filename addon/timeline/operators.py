@@ -15,7 +15,7 @@ from ..interface.stepping import Stepping
 from ..process import beat
 from ..process.pieces import Pieces, stepped
 from ..splats.file_operators import AXIS_ITEMS
-from ..splats.objects import is_splats, meant
+from ..splats.objects import hide_points, is_splats, meant
 from . import follow, importing
 from .coming import SequenceComing
 from .frames import Series, name_of_file
@@ -127,6 +127,8 @@ class ImportSequence(Stepping, OnScene, bpy.types.Operator):
         free = context.mode == "OBJECT"  # asked first, it has the view layer know the new object
         if free and ob.name in context.view_layer.objects:
             make_active(context, ob)
+        if (root := root_of(ob)) is not None:
+            hide_points(context.scene, root)
         if self.set_range:
             context.scene.frame_start = max(self.start, 0)
             context.scene.frame_end = max(self.start + series.slots - 1, 0)

@@ -425,6 +425,38 @@ def test_a_camera_that_is_renamed_meanwhile(scene, folder: Path) -> None:
     assert len(bpy.data.cameras) == 60 and not co.is_moved(late, co.stated(late))
 
 
+@pytest.mark.parametrize("what", ["moved", "replaced"])
+def test_a_camera_that_is_changed_after_it_was_compared(
+    scene, folder: Path, monkeypatch, what: str
+) -> None:
+    """Oracle: the import at once: all is as the files say, whoever moved it or stands there now."""
+    camera = captures.import_capture(scene, folder).cameras[0]
+    before = state()
+    camera.data.lens += 3
+    done, compare = [], importing._Coming._compare
+    monkeypatch.setattr(
+        importing._Coming, "_compare", lambda *given: (compare(*given), done.append(given))
+    )
+    work = going(directory=str(folder))
+    assert not until(work, lambda: len(done) >= 30)
+    name = camera.name
+    if what == "replaced":
+        other = camera.copy()
+        other.data = camera.data.copy()
+        scene.collection.objects.link(other)
+        scene.collection.objects.unlink(other)
+        camera.users_collection[0].objects.link(other)
+        data = camera.data
+        bpy.data.objects.remove(camera)
+        data_name = data.name
+        bpy.data.cameras.remove(data)
+        camera = other
+        camera.name, camera.data.name, camera.data.shift_x = name, data_name, 0.5
+    camera.location.x += 99
+    assert until(work, lambda: False)
+    assert state() == before
+
+
 def test_points_that_another_object_shows_too(scene, folder: Path) -> None:
     """Oracle: it keeps those of before, also when all is removed that is no longer needed."""
     made = captures.import_capture(scene, folder)

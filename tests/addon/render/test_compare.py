@@ -17,7 +17,7 @@ from addon.cameras.objects import stated
 from addon.cameras.straight import lens_of
 from addon.core import Folder, downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
-from addon.process.pieces import Going, at_once
+from addon.process.pieces import Going, Pieces, at_once
 from addon.render import compare
 from addon.render import photo as photo_module
 from addon.splats import objects
@@ -115,10 +115,20 @@ def test_masks_of_the_capture_count(studio, scene):
         np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
 
 
-def target_of(camera) -> Going:
-    """What the camera's picture is compared with, on its way."""
+def target_pieces(camera) -> Pieces[photo_module.Target]:
+    """What the camera's picture is compared with."""
     own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
-    return Going(photo_module.load_target(camera, own.width, own.height, **options))
+    return photo_module.load_target(camera, own.width, own.height, **options)
+
+
+def target_of(camera) -> Going:
+    """The same, on its way."""
+    return Going(target_pieces(camera))
+
+
+def at_once_of(camera) -> photo_module.Target:
+    """The same, here and now."""
+    return at_once(target_pieces(camera))
 
 
 def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
@@ -131,8 +141,7 @@ def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
             return super().find_mask(name)
 
     camera = studio[0].cameras[9]
-    own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
-    at = at_once(photo_module.load_target(camera, own.width, own.height, **options))
+    at = at_once_of(camera)
     monkeypatch.setattr(photo_module, "Folder", Noted)
     work = target_of(camera)
     while not work.step():
@@ -168,6 +177,26 @@ def test_cameras_that_go_while_masks_are_read(studio, scene, gone):
     else:
         rest()
         assert work.result.weight is None and work.result.pixels.size
+
+
+def test_masks_of_a_linked_capture_beside_a_local_one(studio, scene, tmp_path):
+    """Whose cameras have the same names. Oracle: the target of the local one, before."""
+    local, file = studio[0], str(tmp_path / "capture.blend")
+    name = local.cameras[9].name
+    before = at_once_of(local.cameras[9])
+    bpy.data.libraries.write(file, {local.root, *local.cameras})
+    names = [local.root.name, *(camera.name for camera in local.cameras)]
+    for camera in local.cameras:
+        camera["gs_image"] = f"other/{camera['gs_image']}"
+    with bpy.data.libraries.load(file, link=True) as (_, wanted):
+        wanted.objects = names
+    linked = [ob for ob in bpy.data.objects if ob.library is not None]
+    for ob in linked:
+        scene.collection.objects.link(ob)
+    work = target_of(next(ob for ob in linked if ob.name == name))
+    while not work.step():
+        threading.Event().wait(0.0005)
+    np.testing.assert_array_equal(work.result.pixels, before.pixels)
 
 
 def test_operator_reports_and_stores(studio, scene, capfd):

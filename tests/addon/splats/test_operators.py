@@ -98,10 +98,12 @@ def test_import_below_the_capture(scene: bpy.types.Scene, ply: Path) -> None:
 
 
 @pytest.mark.parametrize("under", [True, False])
+@pytest.mark.parametrize("what", ["splats", "sequence", "edited"])
 def test_splats_of_a_capture_hide_its_points(
-    scene: bpy.types.Scene, ply: Path, under: bool
+    scene: bpy.types.Scene, ply: Path, under: bool, what: str
 ) -> None:
-    """Oracle: the points' eye; those of a capture that the splats do not hang from stay."""
+    """Oracle: the points' eye; those of a capture that the splats do not hang from stay, and those
+    that are being edited."""
     root = bpy.data.objects.new("Capture", None)
     dots = bpy.data.objects.new("Points", bpy.data.meshes.new("Points"))
     root["gs_kind"], dots["gs_kind"] = "capture", "points"
@@ -109,8 +111,17 @@ def test_splats_of_a_capture_hide_its_points(
         scene.collection.objects.link(ob)
     dots.parent = root
     bpy.context.view_layer.objects.active = root
-    bpy.ops.gscore.import_splats(filepath=str(ply), under_capture=under)
-    assert dots.hide_get() == under
+    if what == "edited":
+        bpy.context.view_layer.objects.active = dots
+        bpy.ops.object.mode_set(mode="EDIT")
+    if what == "sequence":
+        ply.rename(ply.with_name("1.ply"))
+        bpy.ops.gscore.import_sequence(directory=str(ply.parent), under_capture=under)
+    else:
+        bpy.ops.gscore.import_splats(filepath=str(ply), under_capture=under)
+    assert dots.hide_get() == (under and what != "edited")
+    if what == "edited":
+        bpy.ops.object.mode_set(mode="OBJECT")
 
 
 @pytest.mark.parametrize("wanted", [True, False])
