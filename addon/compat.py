@@ -143,6 +143,16 @@ def new_math_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
     return tree.nodes.new("CompositorNodeMath" if compositing else "ShaderNodeMath")
 
 
+def new_dilate_node(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
+    """A node that lets a mask grow so far; since 5.0 a socket says how far."""
+    node = tree.nodes.new("CompositorNodeDilateErode")
+    if hasattr(node, "distance"):
+        node.distance = pixels
+    else:
+        node.inputs["Size"].default_value = pixels
+    return node
+
+
 def tool_settings(context: bpy.types.Context) -> bpy.types.ToolSettings:
     """Those of the scene. Asked for them itself, the context of Blender 4.2 takes the scene for its
     owner for good: in the next file what it gives, as its window, points to freed memory."""

@@ -4,10 +4,13 @@ import bpy
 
 from .. import compat
 from . import held_passes
+from .color import NOTHING
 
 GROUP = "Combine by Depth"
 _FORM, _OF_NOW = "gs_form", 3
 """Custom property of the group: which form of the formula it has; those before 2 have none."""
+_GROW = 2
+"""Pixels by which the order of depths grows into what meshes cut; the smoothing looks so far."""
 _ROWS = 4
 """Of the nodes in the group."""
 Value = bpy.types.NodeSocket | float
@@ -20,18 +23,18 @@ def group() -> bpy.types.NodeTree:
     With M and a the picture and alpha of the meshes, S and s those of the splats, which are cut
     where others are held out before them, W the world, V how much of it shows, h the alpha of all
     that are held out by themselves, and A that of all splats if none were, light that goes from
-    back to front gives
+    back to front gives, with t = s and B = A but where meshes are held out,
 
         splats  held out
-        before  before    S + (1 - A) M + V W
-        before  behind    S + (1 - s) M + V W
+        before  before    S + (1 - B) M + V W
+        before  behind    S + (1 - t) M + V W
         behind  before    (1 - a) S + (1 - h) M + V W
         behind  behind    (1 - a) S +         M + V W
 
     the meshes, for color and alpha alike. Depths know no part of a pixel: with p and q for "before"
     of the two, 1 or 0, smoothed where that changes, and the picture between the four,
 
-        (1 - a (1 - p)) S + (1 - p s - q (p (A - s) + (1 - p) h)) M + V W
+        (1 - a (1 - p)) S + (1 - p t - q (p (B - t) + (1 - p) h)) M + V W
 
     What is opaque before and after such an edge so is opaque along it. The world shows where splats
     and meshes let it through, never where the meshes are cut. With g how much of a pixel are meshes
@@ -40,7 +43,11 @@ def group() -> bpy.types.NodeTree:
         V = max((1 - A) (1 - a) - g, 0)
 
     Along the edge of such a mesh nothing then is left for the world where what is beside it covers
-    the rest, as it would be of (1 - A) (1 - a) (1 - g).
+    the rest, as it would be of (1 - A) (1 - a) (1 - g). Nor does M show there
+    through splats that are opaque beside it. Both are cut, so that of what is left of M splats
+    cover more than s: t, their alpha in the part of the pixel beside such meshes, with
+    1 - B = (1 - t) (1 - A) / (1 - s). Where these hide all there are no depths, and p and q are
+    those of what is next to it.
     """
     for tree in bpy.data.node_groups:
         ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
@@ -69,18 +76,18 @@ def _fill(tree: bpy.types.NodeTree) -> None:
     """The formula, with its names."""
     given = _placed(tree.nodes.new("NodeGroupInput"), tree)
     meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    h, gone, held_depth, g = (given.outputs[name] for name in held_passes.NAMES)
+    h, gone, held_depth, g, t = (given.outputs[name] for name in held_passes.NAMES)
     pictures = [_channels(tree, one) for one in (splats, meshes, world)]
     s, a = pictures[0][3], pictures[1][3]
-    p = _before(tree, splat_depth, mesh_depth)
-    q = _before(tree, held_depth, mesh_depth)
-    beside = _math(tree, "SUBTRACT", 1.0, s)
-    more = _math(tree, "MULTIPLY", beside, gone)  # A - s
-    light = _math(tree, "SUBTRACT", beside, more)  # 1 - A
+    p = _before(tree, splat_depth, mesh_depth, g)
+    q = _before(tree, held_depth, mesh_depth, g)
+    light = _math(tree, "SUBTRACT", 1.0, s)
+    light = _math(tree, "SUBTRACT", light, _math(tree, "MULTIPLY", light, gone))  # 1 - A
+    more = _math(tree, "MULTIPLY", _math(tree, "SUBTRACT", 1.0, t), gone)  # B - t
     past = _math(tree, "SUBTRACT", 1.0, a)
     covered = _math(tree, "MULTIPLY", a, _math(tree, "SUBTRACT", 1.0, p))
     cut = _math(tree, "MULTIPLY_ADD", p, _math(tree, "SUBTRACT", more, h), h)
-    hidden = _math(tree, "MULTIPLY_ADD", q, cut, _math(tree, "MULTIPLY", p, s))
+    hidden = _math(tree, "MULTIPLY_ADD", q, cut, _math(tree, "MULTIPLY", p, t))
     through = _math(tree, "SUBTRACT", _math(tree, "MULTIPLY", light, past), g)
     shares = (
         _math(tree, "SUBTRACT", 1.0, covered),
@@ -117,10 +124,19 @@ def _channels(
 
 
 def _before(
-    tree: bpy.types.NodeTree, depth: bpy.types.NodeSocket, other: bpy.types.NodeSocket
+    tree: bpy.types.NodeTree,
+    depth: bpy.types.NodeSocket,
+    other: bpy.types.NodeSocket,
+    cut: bpy.types.NodeSocket,
 ) -> bpy.types.NodeSocket:
-    """1 where a depth is less than another, smoothed where that changes."""
-    nearer = _math(tree, "LESS_THAN", depth, other)
+    """1 where a depth is less than another, smoothed where that changes. Where one is missing since
+    all is cut, what is next to it counts."""
+    lacking = _math(tree, "MULTIPLY", _math(tree, "ADD", depth, other), cut)
+    known = _math(tree, "LESS_THAN", lacking, NOTHING / 100)
+    nearer = _math(tree, "MULTIPLY", _math(tree, "LESS_THAN", depth, other), known)
+    grown = _placed(compat.new_dilate_node(tree, _GROW), tree)
+    tree.links.new(nearer, grown.inputs[0])
+    nearer = _math(tree, "MAXIMUM", nearer, _math(tree, "SUBTRACT", grown.outputs[0], known))
     smooth = _placed(tree.nodes.new("CompositorNodeAntiAliasing"), tree)
     tree.links.new(nearer, smooth.inputs[0])
     return smooth.outputs[0]

@@ -16,7 +16,7 @@ from ..timeline.moment import gap_sentence
 from ..timeline.settings import plays
 from . import copies, held_meshes, held_passes, ignored, picture
 from .apart import main_scene
-from .film import MESHES, Film
+from .film import MESHES, SHARE, Film
 from .model import SplatCache
 from .passes import Asked, asked_of
 from .regions import border_corner, border_window, camera_of, drawn_window
@@ -231,6 +231,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             passes |= held_passes.completed(held, passes)
         else:
             passes.pop(MESHES, None)
+        passes.pop(SHARE, None)  # no pass of Blender's
         passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
         self._deliver(passes, layer.name, view, scene.render, film.options.window)

@@ -20,6 +20,8 @@ from .stage import View
 MESHES = "Holdout Meshes"
 """Pass of how much of a pixel are meshes that are held out, as they would show through all splats;
 there is none without such meshes."""
+SHARE = "Holdout Meshes Share"
+"""How much of a pixel they are by themselves; there where `MESHES` is, and no pass of Blender's."""
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
 
@@ -42,8 +44,8 @@ class Film:
     def shoot(
         self, view: View, stop: Callable[[], bool], cancel: CancelFlag | None = None
     ) -> dict[str, np.ndarray]:
-        """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W]
-        and `MESHES` [H, W, 1].
+        """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W],
+        `MESHES` and `SHARE` [H, W, 1].
 
         Raises:
             As `picture.draw`.
@@ -74,6 +76,7 @@ class Film:
         passes = {"Combined": made}
         if light is not None:
             passes[MESHES] = (1 - rendered.alpha - light)[::-1, :, None].copy()
+            passes[SHARE] = at.inside(self.options.window).share[::-1, :, None].copy()
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
         return passes

@@ -3,7 +3,8 @@
 `HOLDOUT` is how much of the light the splats that are held out block by themselves, `BEHIND` how
 much of what lies behind all splats is to go, beyond what the picture's alpha says, and `HELD_DEPTH`
 where those that are held out are. *Depth* is that of the others then. The film's own `MESHES` is
-of meshes that are held out.
+of meshes that are held out, and `BESIDE` the picture's alpha in the part of a pixel that they
+leave.
 """
 
 from collections.abc import Callable
@@ -12,14 +13,17 @@ from dataclasses import replace
 import numpy as np
 
 from .color import NOTHING
-from .film import MESHES, Film
+from .film import MESHES, SHARE, Film
 from .stage import View
 
 HOLDOUT, BEHIND, HELD_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
-NAMES = HOLDOUT, BEHIND, HELD_DEPTH, MESHES
+BESIDE = "Holdout Beside"
+NAMES = HOLDOUT, BEHIND, HELD_DEPTH, MESHES, BESIDE
 """Of the passes, in their order."""
 _FULL = 1e-4
 """Share of a pixel below which nothing behind the splats shows."""
+_PART = 1 / 16
+"""Least part of a pixel that is judged by itself; in means over a lens smaller ones say little."""
 
 Stop = Callable[[], bool]
 
@@ -58,13 +62,21 @@ def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict
     """
     picture = shot["Combined"]
     nothing = np.zeros(picture.shape[:2], np.float32)
-    found = {MESHES: shot.get(MESHES, nothing), **found}
+    meshes, share = (shot.get(n, nothing).reshape(nothing.shape) for n in (MESHES, SHARE))
+    found = {MESHES: meshes, BESIDE: _beside(picture[..., 3], meshes, share), **found}
     if HOLDOUT not in found:
         far = np.full_like(nothing, NOTHING)
         return {**found, HOLDOUT: nothing, BEHIND: nothing, HELD_DEPTH: far}
     light, left = 1 - found[BEHIND], 1 - picture[..., 3]
     kept = np.divide(light, left, out=np.zeros_like(light), where=left > _FULL)
     return {**found, BEHIND: 1 - np.clip(kept, 0, 1)}
+
+
+def _beside(alpha: np.ndarray, meshes: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Alpha beside the meshes that are held out, in all of the pixel where they leave nothing. They
+    hide what is behind them, so that it is at least what the whole pixel has."""
+    more = (meshes - share * (1 - alpha)) / np.maximum(1 - share, _PART)
+    return np.clip(alpha + more, alpha, np.maximum(alpha, 1))
 
 
 def _only(view: View, *, held: bool) -> View:

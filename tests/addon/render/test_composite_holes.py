@@ -196,6 +196,44 @@ def test_edges_of_holes_in_opaque_things_show_no_world(lit, tmp_path, what):
     assert np.percentile(got[..., :3], 99) < 0.03 * 9
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.3, 1.2])
+@pytest.mark.parametrize("lens", [False, True])
+def test_edges_of_holes_show_no_mesh_through_splats(lit, tmp_path, turned, lens):
+    """Oracle: by construction: a plane that is held out before opaque black splats, so that nothing
+    of a bright mesh behind these shows along its edge, wherever in a pixel that is."""
+    glass(lit, -0.5, (1, 1, 1), 1.0)
+    lab.add(lit, lab.wall(0.0, (0, 0, 0), half=1.5))
+    held = hole(lit)
+    held.rotation_euler.z = turned
+    if lens:
+        lit.camera.data.dof.use_dof, lit.camera.data.dof.aperture_fstop = True, 0.3
+        lit.camera.data.dof.focus_distance = 4.2
+    compositor.set_up(lit)
+    for at in (0.0, 0.01, 0.03):
+        held.location.x = at
+        got = lab.render_exr(tmp_path)[8:40, 12:52]
+        assert got[..., 3].min() < 1e-3 and got[..., 3].max() > 0.999
+        assert ((got[..., 3] > 0.2) & (got[..., 3] < 0.8)).sum() > 10
+        assert got[..., :3].max() < 0.1
+
+
+def test_a_hole_behind_meshes_changes_nothing(lit, tmp_path):
+    """Oracle: the picture without it, all over and along its edge: soft splats before an opaque
+    mesh before the hole."""
+    glass(lit, 0.5, (0, 0, 1), 1.0)
+    soft = lab.add(lit, lab.blob(60, center=(0, 0, 1.5), size=0.6))
+    held = hole(lit, z=-0.5)
+    held.scale.y = 20.0
+    compositor.set_up(lit)
+    got = lab.render_exr(tmp_path, "held")
+    held.hide_render = True
+    # Where the splats fade out, what is smoothed are their last thousandths.
+    np.testing.assert_allclose(got, lab.render_exr(tmp_path, "want"), atol=8e-3)
+    bpy.context.window.scene = compositor.set_up(lit)
+    alpha = only(lit, soft, tmp_path)[:, : SIZE[0] // 2, 3]
+    assert ((alpha > 0.2) & (alpha < 0.8)).sum() > 100
+
+
 @pytest.mark.parametrize("lens", ["blurred", "equirectangular", "fisheye", "orthographic"])
 def test_holes_are_cut_through_every_lens(lit, tmp_path, lens):
     """Oracle: Cycles' own picture; splats are not rendered."""
