@@ -42,12 +42,11 @@ def group() -> bpy.types.NodeTree:
 
         V = max((1 - A) (1 - a) - g, 0)
 
-    Along the edge of such a mesh nothing then is left for the world where what is beside it covers
-    the rest, as it would be of (1 - A) (1 - a) (1 - g). Nor does M show there
-    through splats that are opaque beside it. Both are cut, so that of what is left of M splats
-    cover more than s: t, their alpha in the part of the pixel beside such meshes, with
-    1 - B = (1 - t) (1 - A) / (1 - s). Where these hide all there are no depths, and p and q are
-    those of what is next to it.
+    Along the edge of such a mesh no world is left then where what is beside it covers the rest; a
+    product with 1 - g would leave a part. Nor does M show there through splats that are opaque
+    beside the edge: both are cut, so that splats cover more than s of what is left of M. That is t,
+    their alpha in the part of the pixel beside such meshes, with 1 - B = (1 - t) (1 - A) / (1 - s).
+    Where these meshes hide all there are no depths, and p and q are those of what is next to it.
     """
     for tree in bpy.data.node_groups:
         ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
