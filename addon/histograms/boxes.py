@@ -49,8 +49,9 @@ class Over:
 
 
 def placed(view: Box, over: Over, count: int, scale: float) -> list[Box]:
-    """Boxes of one size at the view's lower end, in its middle: side by side where there is room,
-    else one above the other, as many as there is room for; above what floats in their way.
+    """Boxes of one size at the view's lower right, away from the settings of the last operator:
+    side by side where there is room, else one above the other, as many as there is room for; above
+    what floats in their way.
 
     Args:
         view: All of it.
@@ -78,7 +79,7 @@ def _filled(free: Box, count: int, scale: float) -> list[Box]:
     if width < _LEAST * scale:
         return []
     beside = count if count * (width + gap) - gap <= room else 1
-    start = (free.x + free.right - beside * (width + gap) + gap) / 2
+    start = free.right - margin - beside * (width + gap) + gap
     boxes = [
         Box(start + column * (width + gap), free.y + gap + row * (height + gap), width, height)
         for row, column in (divmod(number, beside) for number in range(count))

@@ -79,13 +79,15 @@ class HistogramGizmo(bpy.types.Gizmo):
     """One histogram and its handles."""
 
     bl_idname = "GSCORE_GT_histogram"
-    __slots__ = ("before", "held", "histogram", "hovered", "kind", "place", "uid", "x")
+    __slots__ = ("before", "begins", "held", "histogram", "hovered", "kind", "place", "uid", "x")
 
     def setup(self) -> None:
         """Nothing is held."""
         self.kind: str = OPACITY
         self.hovered: Handle | None = None
         self.held: Handle | None = None
+        self.begins = False
+        """Whether the mouse has not moved yet."""
         self.uid = 0
         """Session number of the object whose limit is dragged."""
         self.histogram: Histogram | None = None
@@ -120,7 +122,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         if not (box.x - reach <= x <= box.right + reach and box.y - reach <= y <= box.top):
             return -1
         place = (x - box.x) / box.width
-        # Of two at one place, the one that has somewhere to go.
+        # Of two at one place, the one that can go to where the mouse is.
         self.hovered = min(
             handles(self.kind),
             key=lambda one: (
@@ -135,9 +137,8 @@ class HistogramGizmo(bpy.types.Gizmo):
         if (there := shown(context, self.kind)) is None or self.hovered is None:
             return {"CANCELLED"}
         ob, self.histogram, box = there
-        self.held, self.uid = self.hovered, ob.session_uid
-        self.before = getattr(ob.gscore, self.held.setting)
-        self.place, self.x = self.held.place(self.histogram, ob), event.mouse_region_x
+        self.uid, self.x, self.begins = ob.session_uid, event.mouse_region_x, True
+        self._take(self.hovered, ob)
         place = (self.x - box.x) / box.width
         if abs(place - self.place) * box.width > _REACH * context.preferences.system.ui_scale:
             self._go(ob, place)
@@ -147,15 +148,15 @@ class HistogramGizmo(bpy.types.Gizmo):
         self, context: bpy.types.Context, event: bpy.types.Event, tweak: set[str]
     ) -> set[str]:
         """Follow the mouse, as long as the view is about the same splats."""
-        there = shown(context, self.kind)
-        if (
-            there is not None
-            and there[0].session_uid == self.uid
-            and event.mouse_region_x != self.x
-        ):
-            way = (event.mouse_region_x - self.x) / there[2].width
-            self.x = event.mouse_region_x
-            self._go(there[0], self.place + way * (_FINE if "PRECISE" in tweak else 1.0))
+        there, x = shown(context, self.kind), event.mouse_region_x
+        if there is None or there[0].session_uid != self.uid or x == self.x:
+            return {"RUNNING_MODAL"}
+        ob, _, box = there
+        way, self.x = (x - self.x) / box.width, x
+        if self.begins and (twin := self._twin(ob, box.width, up=way > 0)):
+            self._take(twin, ob)
+        self.begins = False
+        self._go(ob, self.place + way * (_FINE if "PRECISE" in tweak else 1.0))
         return {"RUNNING_MODAL"}
 
     def exit(self, context: bpy.types.Context, cancel: bool) -> None:
@@ -168,6 +169,21 @@ class HistogramGizmo(bpy.types.Gizmo):
             setattr(ob.gscore, held.setting, self.before)
         elif getattr(ob.gscore, held.setting) != self.before:
             undo.push(ob.gscore.bl_rna.properties[held.setting].name)
+
+    def _take(self, handle: Handle, ob: bpy.types.Object) -> None:
+        assert self.histogram is not None
+        self.held, self.before = handle, getattr(ob.gscore, handle.setting)
+        self.place = handle.place(self.histogram, ob)
+
+    def _twin(self, ob: bpy.types.Object, width: float, *, up: bool) -> Handle | None:
+        """The other handle, if it stands within a pixel of the one that is held, and is the one
+        that can go that way."""
+        assert self.held is not None and self.histogram is not None
+        for other in handles(self.kind):
+            apart = abs(other.place(self.histogram, ob) - self.place) * width
+            if other != self.held and other.is_upper == up and apart < 1:
+                return other
+        return None
 
     def _go(self, ob: bpy.types.Object, place: float) -> None:
         assert self.held is not None and self.histogram is not None

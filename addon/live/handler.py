@@ -116,7 +116,8 @@ def _lay_over(exact: viewport.Viewport) -> None:
 def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
-    placed, _ = copies.SHARED.copied(found)
+    # In the engine's own shading a view shows what a render does.
+    placed, _ = copies.SHARED.copied(found, always_filtered=not is_own(context))
     if copies.SHARED.under_way(found):
         _state.copying.add(pointer)
         _ensure()

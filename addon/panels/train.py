@@ -44,6 +44,10 @@ class TrainPanel(TabPanel, bpy.types.Panel):
         layout.row(align=True).prop(settings, "preset", expand=True)
         sentence(layout, context, preset_sentence(settings))
         draw_forecast(layout, context)
+        known = found(context)
+        if settings.use_masks and known is not None and (known.masks or known.alphas):
+            text = "The masks are used: what they hide is not trained. Options has the switch."
+            sentence(layout, context, text, icon="INFO")
         column = layout.column(align=True)
         steps = column.row(align=True)
         steps.active = settings.time_budget == 0

@@ -127,9 +127,11 @@ class Copies:
             for uid in kept.keys() - uids:
                 del kept[uid]
 
-    def copied(self, found: list[Source]) -> tuple[list[Placed], bool]:
+    def copied(
+        self, found: list[Source], *, always_filtered: bool = False
+    ) -> tuple[list[Placed], bool]:
         """Some objects as they are, where their copying is under way as they were, or left out;
-        and whether all are as they are."""
+        and whether all are as they are. Filters as in `place`."""
         until = time.perf_counter() + COPY_BUDGET
         placed, complete = [], True
         for source in found:
@@ -137,7 +139,7 @@ class Copies:
             complete &= frozen is not None
             frozen = frozen or self._stale.get(source.uid)
             if frozen is not None:
-                placed.append(place(source, frozen))
+                placed.append(place(source, frozen, always_filtered=always_filtered))
         return placed, complete
 
     def _frame(self, source: Source) -> Frozen | None:

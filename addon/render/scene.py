@@ -176,12 +176,13 @@ def _source(
     )
 
 
-def place(source: Source, frozen: Frozen | None = None) -> Placed:
+def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool = False) -> Placed:
     """Copy what is needed of an object.
 
     Args:
         source: The object.
         frozen: Its attributes, where they have been copied already.
+        always_filtered: Have its filters apply though it wants renders without them.
 
     Raises:
         ValueError: attributes are missing; they are named.
@@ -189,7 +190,7 @@ def place(source: Source, frozen: Frozen | None = None) -> Placed:
     ob = source.ob
     frozen = source.frozen() if frozen is None else frozen
     settings = getattr(ob, "gscore", None)
-    filtered = settings is not None and settings.apply_filters_to_render
+    filtered = settings is not None and (always_filtered or settings.apply_filters_to_render)
     filters = filters_of(ob) if filtered else None
     if filters is not None and not filters.leave_out_anything:
         filters = None

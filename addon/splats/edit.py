@@ -23,7 +23,7 @@ from .turning import moved
 
 _QUICK = 200_000
 """Splats whose filters run in a few milliseconds."""
-_CROP_QUANTILE = 0.02
+_CROP_QUANTILE = 0.005
 """Share of the splats beyond each side of a new crop box."""
 
 

@@ -77,6 +77,16 @@ def undo() -> None:
         bpy.ops.ed.undo()
 
 
+def together(wall: bpy.types.Object) -> Iterator[object]:
+    """Both handles of the sizes stand at one place, from which they go either way."""
+    seen["together"] = []
+    for end in (0.8, 0.3):
+        wall.gscore.size_min = wall.gscore.size_max = 0.0316
+        yield at_rest
+        yield from drag(SIZE, 0.5, end)
+        seen["together"].append(limits(wall))
+
+
 def meanwhile(wall: bpy.types.Object) -> Iterator[object]:
     """Other splats, another mesh, and nothing more are there in the middle of a drag."""
     other = lab.add(bpy.context.scene, lab.wall(-5.0, (0.1, 0.1, 0.1)), "other")
@@ -135,6 +145,12 @@ def story() -> Iterator[object]:
     yield at_rest
     seen["dragged"] = limits(wall)
     shoot(FOLDER / "dragged.png")
+    wall.gscore.apply_filters_to_render = False  # which is of renders
+    yield 0.5
+    yield at_rest
+    shoot(FOLDER / "not_in_renders.png")
+    wall.gscore.apply_filters_to_render = True
+    yield at_rest
     yield from drag(OPACITY, 0.5, 0.75, fine=True)
     seen["fine"] = limits(wall)
     undo()
@@ -155,6 +171,7 @@ def story() -> Iterator[object]:
     yield from drag(SIZE, 0.7, 1.05)
     yield from drag(SIZE, 0.2, 1.2)
     seen["ends"] = limits(wall)
+    yield from together(wall)
     bpy.ops.gscore.reset_filters()
     yield from meanwhile(wall)
     bpy.context.window_manager.gscore_histograms = False

@@ -55,6 +55,15 @@ def test_sizes_have_a_handle_at_each_end(seen):
     assert high == 0.0 and axis.place(low) == pytest.approx(1.0, abs=PIXEL)
 
 
+def test_handles_that_stand_together_go_either_way(seen):
+    """Oracle: the limit that moved, and the other one, which stayed; 0.0316 is the middle."""
+    axis = of_sizes(np.geomspace(0.01, 0.1, 41 * 41))
+    (_, low, up), (_, down, high) = seen[0]["together"]
+    assert low == high == pytest.approx(0.0316)
+    assert axis.place(up) == pytest.approx(0.8, abs=2 * PIXEL)
+    assert axis.place(down) == pytest.approx(0.3, abs=2 * PIXEL)
+
+
 def test_a_drag_is_of_the_splats_that_it_was_begun_on(seen):
     """Oracle: the limits by hand; other splats that become active keep theirs, Esc gives the first
     theirs back, also where the histograms went meanwhile, or the splats."""
@@ -87,5 +96,7 @@ def test_what_is_hidden_is_grey(seen):
     view = (slice(100, 610), slice(40, 780))  # without the toolbars around it
     off, on, again = (pixels(seen[1], name)[view] for name in ("off", "on", "off_again"))
     assert np.abs(off - on).max() > 100 and np.abs(off - again).max() <= 2
+    dragged, same = (pixels(seen[1], name)[view] for name in ("dragged", "not_in_renders"))
+    assert np.abs(dragged - same).max() <= 2 and np.abs(dragged - off)[:300].max() > 100
     blue, _ = bars(seen, "sizes", SIZE)
     assert 0.3 < blue.mean() < 0.6

@@ -168,3 +168,11 @@ def test_what_is_said_of_cameras(
     read = replace(camera_path_import.read_camera_path(file), warnings=(SAID,))
     monkeypatch.setattr(camera_path_import, "read_camera_path", lambda _: read)
     assert camera_path_import.import_path(file, scene).warnings == (SHOWN,)
+
+
+def test_masks_that_will_be_used_are_named(studio: bpy.types.Scene) -> None:
+    """Once the capture is known; not where they are switched off."""
+    said = "The masks are used"
+    shows(TrainPanel, said)
+    studio.gscore.use_masks = False
+    assert said not in drawn(TrainPanel)
