@@ -52,11 +52,11 @@ def draw(
         shapes.append((_foot(x, box.y, _GRIP * scale), color))
     _fill(shapes)
     _write(title, box.x, box.top + 1.5 * pad, scale)
-    said = told(*limits)
+    said = limit_words(*limits)
     _write(said, box.right - _width(said, scale), box.top + 1.5 * pad, scale)
 
 
-def told(smallest: float, largest: float) -> str:
+def limit_words(smallest: float, largest: float) -> str:
     """Limits in words."""
     low, high = map(_number, (smallest, largest))
     if smallest > 0 and largest > 0:

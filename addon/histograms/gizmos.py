@@ -12,7 +12,7 @@ from .boxes import Box, Over, placed
 from .counted import COUNTED
 from .counting import OPACITY, SIZE, Histogram
 from .drawing import draw
-from .limits import Handle, handles, of_object
+from .limits import Handle, handles, limits_of
 
 _KINDS = OPACITY, SIZE
 """From left to right."""
@@ -39,7 +39,9 @@ def problem(context: bpy.types.Context, view: bpy.types.Region) -> str:
     return ""
 
 
-def shown(context: bpy.types.Context, kind: str) -> tuple[bpy.types.Object, Histogram, Box] | None:
+def in_view(
+    context: bpy.types.Context, kind: str
+) -> tuple[bpy.types.Object, Histogram, Box] | None:
     """The splats whose histogram of a kind the context's view shows, the histogram, and where;
     None: it shows none."""
     ob = in_question(context) if context.window_manager.gscore_histograms else None
@@ -97,7 +99,7 @@ class HistogramGizmo(bpy.types.Gizmo):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw it, if there is something to show and room for it."""
-        if (there := shown(context, self.kind)) is None:
+        if (there := in_view(context, self.kind)) is None:
             return
         ob, histogram, box = there
         own = handles(self.kind)
@@ -106,7 +108,7 @@ class HistogramGizmo(bpy.types.Gizmo):
             box,
             histogram,
             self.kind.capitalize(),
-            of_object(ob, self.kind),
+            limits_of(ob, self.kind),
             [handle.place(histogram, ob) for handle in own],
             own.index(near) if near else None,
             context.preferences.system.ui_scale,
@@ -114,7 +116,7 @@ class HistogramGizmo(bpy.types.Gizmo):
 
     def test_select(self, context: bpy.types.Context, location: tuple[float, float]) -> int:
         """0 where the mouse takes a handle, else -1."""
-        if (there := shown(context, self.kind)) is None:
+        if (there := in_view(context, self.kind)) is None:
             return -1
         ob, histogram, box = there
         x, y = location
@@ -134,7 +136,7 @@ class HistogramGizmo(bpy.types.Gizmo):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Take the handle that is nearest; it comes to a mouse that is far from it."""
-        if (there := shown(context, self.kind)) is None or self.hovered is None:
+        if (there := in_view(context, self.kind)) is None or self.hovered is None:
             return {"CANCELLED"}
         ob, self.histogram, box = there
         self.uid, self.x, self.begins = ob.session_uid, event.mouse_region_x, True
@@ -148,7 +150,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         self, context: bpy.types.Context, event: bpy.types.Event, tweak: set[str]
     ) -> set[str]:
         """Follow the mouse, as long as the view is about the same splats."""
-        there, x = shown(context, self.kind), event.mouse_region_x
+        there, x = in_view(context, self.kind), event.mouse_region_x
         if there is None or there[0].session_uid != self.uid or x == self.x:
             return {"RUNNING_MODAL"}
         ob, _, box = there

@@ -5,7 +5,7 @@ import bpy.utils.previews
 import numpy as np
 
 from .counted import COUNTED
-from .limits import of_object
+from .limits import limits_of
 
 _WIDTH = 192
 _HEIGHT = 192
@@ -35,7 +35,7 @@ class HistogramIcons:
         found = COUNTED.of(ob).get(kind) if self._icons is not None else None
         if found is None:
             return 0
-        limits = of_object(ob, kind)
+        limits = limits_of(ob, kind)
         icon = self._icons.get(kind) or self._icons.new(kind)
         if self._drawn.get(kind) != (found, *limits):
             self._drawn[kind] = found, *limits

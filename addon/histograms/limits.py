@@ -49,7 +49,7 @@ def handles(kind: str) -> list[Handle]:
     return [handle for handle in _ALL if handle.kind == kind]
 
 
-def of_object(ob: Any, kind: str) -> tuple[float, float]:
+def limits_of(ob: Any, kind: str) -> tuple[float, float]:
     """The smallest and the largest value that an object's filters leave of a kind; 0: no limit."""
     ends = {handle.is_upper: getattr(ob.gscore, handle.setting) for handle in handles(kind)}
     return ends.get(False, 0.0), ends.get(True, 0.0)

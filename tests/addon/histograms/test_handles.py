@@ -7,7 +7,7 @@ import pytest
 
 from addon.histograms.boxes import Box, Over, placed
 from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
-from addon.histograms.limits import handles, of_object
+from addon.histograms.limits import handles, limits_of
 
 SIZES = of_sizes(np.geomspace(0.01, 1, 10_001))
 
@@ -28,7 +28,7 @@ def test_a_handle_sets_what_lies_below_it():
     assert ob.gscore.size_min == pytest.approx(0.1, rel=0.02)
     assert ob.gscore.size_max == pytest.approx(10**-0.5, rel=0.02)
     assert [handle.place(SIZES, ob) for handle in handles(SIZE)] == pytest.approx([0.5, 0.75])
-    assert of_object(ob, SIZE) == (ob.gscore.size_min, ob.gscore.size_max)
+    assert limits_of(ob, SIZE) == (ob.gscore.size_min, ob.gscore.size_max)
 
 
 def test_at_its_end_a_handle_limits_nothing():
@@ -37,7 +37,7 @@ def test_at_its_end_a_handle_limits_nothing():
     low, high = handles(SIZE)
     low.move(SIZES, ob, -0.2)
     high.move(SIZES, ob, 1.3)
-    assert of_object(ob, SIZE) == (0.0, 0.0)
+    assert limits_of(ob, SIZE) == (0.0, 0.0)
     assert (low.place(SIZES, ob), high.place(SIZES, ob)) == (0.0, 1.0)
 
 
