@@ -32,7 +32,7 @@ def test_in_world(
         assert 200 < len(found) <= most
     size = np.ptp(everywhere)
     box = edit.add_crop_box(bpy.context, ob)
-    low, high = np.quantile(everywhere, [0.02, 0.98], axis=0)
+    low, high = np.quantile(everywhere, [0.005, 0.995], axis=0)
     np.testing.assert_allclose(box.location, (low + high) / 2, atol=0.05 * size)
     np.testing.assert_allclose(box.scale, (high - low) / 2, atol=0.05 * size)
     middle, radius = frame_of(ob)
