@@ -106,6 +106,8 @@ class _Compared:
     """`_state_of` it."""
     lacking: co.Lacking | None
     """None: nothing."""
+    has_photo: bool
+    """Whether it shows the one of the files."""
 
 
 def _state_of(ob: bpy.types.Object) -> tuple[Any, ...]:
@@ -123,7 +125,6 @@ class _Coming:
         """Session number of the capture's empty in the scene, when cameras were begun."""
         self._compared: dict[str, _Compared] = {}
         """Cameras that are there, by image."""
-        self._same_photos: set[str] = set()
         outer = bpy.data.collections.new(found.name)
         self._temporary = Temporary(outer)
         inner = bpy.data.collections.new(f"{found.name} cameras")
@@ -211,9 +212,11 @@ class _Coming:
         """Note what is to be written when all arrives, which is one piece."""
         image, same = one.setup.own.image, co.is_as_stated(ob, one.setup)
         lacking = None if same else co.lacking(ob, one.setup)
-        self._compared[image] = _Compared(state=_state_of(ob), lacking=lacking)
-        if one.photo is not None and shows_photo(ob, one.photo):
-            self._same_photos.add(image)
+        self._compared[image] = _Compared(
+            state=_state_of(ob),
+            lacking=lacking,
+            has_photo=one.photo is not None and shows_photo(ob, one.photo),
+        )
 
     def _fill_points(self, found: ReadPoints) -> Pieces[None]:
         name = f"{self._found.name} points"
@@ -245,12 +248,12 @@ class _Coming:
         image = one.setup.own.image
         seen = self._compared.get(image)
         if seen is None or seen.state != _state_of(ob):  # somebody has changed it meanwhile
-            self._same_photos.discard(image)
             self._compare(one, ob)
-        if (lacking := self._compared[image].lacking) is not None:
-            co.give(ob, lacking)
+            seen = self._compared[image]
+        if seen.lacking is not None:
+            co.give(ob, seen.lacking)
             _hang(ob, root)
-        if image not in self._same_photos:
+        if not seen.has_photo:
             self._hand_photo(ob, one)
 
     def _take_away(self, gone: set[bpy.types.Object], outer: bpy.types.Collection) -> None:

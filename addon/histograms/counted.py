@@ -12,6 +12,7 @@ from .. import attributes
 from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..process import beat
+from ..process.memory import written
 from ..process.pieces import Check, Going, Pieces, aside, at_once
 from .counting import OPACITY, SIZE, Histogram, of_opacities, of_sizes
 
@@ -137,7 +138,7 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
     for name, width in ((attributes.BASE, 4), (attributes.SCALE, 3)):
         mesh = with_uid(bpy.data.meshes, uid)
         count = 0 if mesh is None else len(mesh.vertices)
-        values = yield from aside(partial(_memory, count * width), "")
+        values = yield from aside(lambda check, size=count * width: written(size), "")
         mesh = with_uid(bpy.data.meshes, uid)
         if mesh is None or mesh.is_editmode or len(mesh.vertices) != count:
             return before  # another count follows, or nobody asks any more
@@ -151,13 +152,6 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
         attribute.data.foreach_get(key, values)
         columns[name] = values.reshape(count, width)
     return (yield from aside(partial(_count, columns, before), ""))
-
-
-def _memory(numbers: int, check: Check) -> np.ndarray:
-    """For so many float32, written to: the system gives it out then, which takes a while."""
-    made = np.empty(numbers, np.float32)
-    made.fill(0)
-    return made
 
 
 def _count(columns: dict[str, np.ndarray], before: _Count, check: Check) -> _Count:

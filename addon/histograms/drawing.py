@@ -1,16 +1,15 @@
 """A histogram with handles, drawn over a 3D view."""
 
-import blf
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from ..interface import lettering
 from .boxes import Box
 from .counting import HIDDEN, SHOWN, Histogram
 
 _BACK = (0.1, 0.1, 0.1, 0.75)
 _HANDLE, _BRIGHT = (0.75, 0.75, 0.75, 1.0), (1.0, 1.0, 1.0, 1.0)
-_FONT, _SIZE = 0, 11.0
 _PADDING = 6.0
 _GRIP = 6.0
 """Half the width of a handle's foot; pixels at the usual scale, as all here."""
@@ -51,9 +50,9 @@ def draw(
         shapes.append((_rectangle(x - scale, box.y, x + scale, box.top), color))
         shapes.append((_foot(x, box.y, _GRIP * scale), color))
     _fill(shapes)
-    _write(title, box.x, box.top + 1.5 * pad, scale)
-    said = limit_words(*limits)
-    _write(said, box.right - _width(said, scale), box.top + 1.5 * pad, scale)
+    said, above = limit_words(*limits), box.top + 1.5 * pad
+    lettering.write(title, box.x, above, scale, _BRIGHT)
+    lettering.write(said, box.right - lettering.width_of(said, scale), above, scale, _BRIGHT)
 
 
 def limit_words(smallest: float, largest: float) -> str:
@@ -89,18 +88,3 @@ def _fill(shapes: list[tuple[list[tuple[float, float]], tuple[float, ...]]]) -> 
     gpu.state.blend_set("ALPHA")
     batch_for_shader(shader, "TRIS", {"pos": places, "color": colors}).draw(shader)
     gpu.state.blend_set("NONE")
-
-
-def _width(text: str, scale: float) -> float:
-    blf.size(_FONT, _SIZE * scale)
-    return blf.dimensions(_FONT, text)[0]
-
-
-def _write(text: str, x: float, y: float, scale: float) -> None:
-    blf.size(_FONT, _SIZE * scale)
-    blf.color(_FONT, *_BRIGHT)
-    blf.enable(_FONT, blf.SHADOW)
-    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
-    blf.position(_FONT, x, y, 0)
-    blf.draw(_FONT, text)
-    blf.disable(_FONT, blf.SHADOW)

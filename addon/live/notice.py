@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 
-import blf
 import bpy
 
+from ..interface import lettering
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
 from . import handler
 
-_FONT, _SIZE = 0, 11.0
 _MARGIN = 12.0
-"""Pixels, for a screen of usual resolution, like the size."""
+"""Pixels, for a screen of usual resolution."""
 _COLOR = 1.0, 0.75, 0.2, 1.0
 
 
@@ -23,12 +22,12 @@ class _State:
 _state = _State()
 
 
-def lines(text: str, width: float) -> list[str]:
-    """A text in lines of at most so many pixels, in the size that was set last."""
+def _lines(text: str, width: float, scale: float) -> list[str]:
+    """A text in lines of at most so many pixels."""
     found: list[str] = []
     for word in text.split():
         longer = f"{found[-1]} {word}" if found else word
-        if found and blf.dimensions(_FONT, longer)[0] <= width:
+        if found and lettering.width_of(longer, scale) <= width:
             found[-1] = longer
         else:
             found.append(word)
@@ -44,17 +43,11 @@ def _draw() -> None:
     if not any(map(is_splats, context.scene.objects)):
         return
     scale = context.preferences.system.ui_scale
-    blf.size(_FONT, _SIZE * scale)
-    blf.color(_FONT, *_COLOR)
-    blf.enable(_FONT, blf.SHADOW)
-    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
     free = [r.width for r in context.area.regions if r.type == "UI"]  # which lies over the view
-    shown = lines(text, context.region.width - sum(free) - 4 * _MARGIN * scale)
+    shown = _lines(text, context.region.width - sum(free) - 4 * _MARGIN * scale, scale)
     for number, line in enumerate(reversed(shown)):
-        height = (_MARGIN + 1.5 * _SIZE * number) * scale
-        blf.position(_FONT, 2 * _MARGIN * scale, height, 0)
-        blf.draw(_FONT, line)
-    blf.disable(_FONT, blf.SHADOW)
+        height = (_MARGIN + 1.5 * lettering.SIZE * number) * scale
+        lettering.write(line, 2 * _MARGIN * scale, height, scale, _COLOR)
 
 
 def on_register() -> None:

@@ -14,6 +14,13 @@ import numpy as np
 from . import threads
 
 
+def written(size: int) -> np.ndarray:
+    """So many float32 of 0, whose memory is there."""
+    array = np.empty(size, np.float32)
+    array.fill(0)
+    return array
+
+
 class Memory:
     """Arrays that a thread makes one after the other, and writes to before anyone else does."""
 
@@ -31,12 +38,9 @@ class Memory:
                 if dropped.is_set():
                     return
                 try:
-                    array = np.empty(size, np.float32)
+                    made.append(written(size))
                 except MemoryError:  # which the owner shall hear of, and not wait for ever
                     made.append(size)
-                else:
-                    array.fill(0)
-                    made.append(array)
 
         self._made = made
         weakref.finalize(self, dropped.set)

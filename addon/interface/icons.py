@@ -1,0 +1,45 @@
+"""Pictures that are drawn here, as icons that panels can show."""
+
+from collections.abc import Callable
+
+import bpy
+import bpy.utils.previews
+import numpy as np
+
+
+class PictureIcons:
+    """Icons by name, kept while Blender has room for them."""
+
+    def __init__(self) -> None:
+        self._icons: bpy.utils.previews.ImagePreviewCollection | None = None
+        self._shown: dict[str, object] = {}
+        """What each shows."""
+
+    def open(self) -> None:
+        """Make room for icons."""
+        self._icons = bpy.utils.previews.new()
+
+    def close(self) -> None:
+        """Give it back."""
+        if self._icons is not None:
+            bpy.utils.previews.remove(self._icons)
+        self._icons = None
+        self._shown.clear()
+
+    def show(self, name: str, what: object, picture: Callable[[], np.ndarray]) -> int:
+        """The number of an icon, drawn anew where it shows something else; 0 without room.
+
+        Args:
+            name: Of the icon.
+            what: Differs where the picture does.
+            picture: Draws it: [H, W, 4] float32 RGBA, premultiplied, bottom row first.
+        """
+        if self._icons is None:
+            return 0
+        icon = self._icons.get(name) or self._icons.new(name)
+        if name not in self._shown or self._shown[name] != what:
+            self._shown[name] = what
+            pixels = picture()
+            icon.image_size = pixels.shape[1::-1]
+            icon.image_pixels_float.foreach_set(pixels.ravel())
+        return icon.icon_id

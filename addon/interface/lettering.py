@@ -1,0 +1,26 @@
+"""Words over a 3D view, with a shadow; pixels of the region that is drawn."""
+
+import blf
+
+SIZE = 11.0
+"""Pixels at the usual scale of Blender's interface."""
+_FONT = 0
+
+
+def width_of(text: str, scale: float) -> float:
+    """How wide it is at a scale of Blender's interface."""
+    blf.size(_FONT, SIZE * scale)
+    return blf.dimensions(_FONT, text)[0]
+
+
+def write(
+    text: str, x: float, y: float, scale: float, color: tuple[float, float, float, float]
+) -> None:
+    """Write it at a place."""
+    blf.size(_FONT, SIZE * scale)
+    blf.color(_FONT, *color)
+    blf.enable(_FONT, blf.SHADOW)
+    blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.8)
+    blf.position(_FONT, x, y, 0)
+    blf.draw(_FONT, text)
+    blf.disable(_FONT, blf.SHADOW)
