@@ -88,6 +88,7 @@ class _Search:
         self._opened = False
         self._forecast: Forecast | None = None
         self._compared: set[Path] = set()
+        self._stamps: list[list[Any]] = []
 
     def run(self) -> Found:
         """The search itself."""
@@ -100,6 +101,7 @@ class _Search:
                 f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "
                 f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
             )
+        self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
         for sentence in photos.check_copies(self._root, names, self._stopping):
             self._warn(sentence)
         read = photos.read_photos(
@@ -110,9 +112,9 @@ class _Search:
             self._warn(sentence)
         folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)
-        resumed = self._space.open(self._state(read, found))
+        resumed = self._space.open(self._state(found))
         self._opened = True
-        self._space.link_photos(read)
+        self._space.link_photos(read, self._stamps)
         self._write_masks(found, read)
         work = Work(
             request=self._request,
@@ -298,7 +300,7 @@ class _Search:
         ):  # fmt: skip
             self._warn(sentence)
 
-    def _state(self, read: list[photos.Photo], found: dict[str, Path]) -> dict[str, Any]:
+    def _state(self, found: dict[str, Path]) -> dict[str, Any]:
         """What a stopped search must have in common with this one to be gone on from."""
         options = asdict(self._request)
         for name in ("output", "apart", "threads", "mapper", "video"):
@@ -306,7 +308,7 @@ class _Search:
         return {
             "pycolmap": colmap().__version__,
             "options": {name: str(value) for name, value in options.items()},
-            "photos": [stamp(photo.name, self._root / photo.name) for photo in read],
+            "photos": self._stamps,
             "masks": [stamp(name, path) for name, path in sorted(found.items())],
         }
 
@@ -322,6 +324,8 @@ class _Search:
         self._adjust(model, database.focal_lengths(work.database(last)))
         if not stands(model):
             raise DatasetError(self._why_none(work, last))
+        for sentence in self._space.check_photos():
+            self._warn(sentence)
         gps = self._by_gps(model, work.database(last))
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
@@ -347,10 +351,9 @@ class _Search:
             warnings=tuple(self._warnings),
         )
         self._tell("writing the capture", 0, 0)
-        read = [stamp(photo.name, self._root / photo.name) for photo in work.photos]
         made_of = (self._request.video or self._request.photos).absolute()
         record = {"gscore": __version__, MADE_OF: str(made_of)} | found.facts()
-        record["photos_read"] = read
+        record["photos_read"] = self._stamps
         self._space.publish(model, work.photos, strict_json(record), up=gps.up)
         self._show(
             SfmDone(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..datasets.capture import listing
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
 from ..io.links import link_or_copy
@@ -16,7 +17,9 @@ from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
 from ..io.world_file import write_up
 from ..json_text import parse_json
+from ..words import count_words
 from .photos import Photo
+from .plain import stamp
 
 _LOCK = "lock"
 _STATE = "state.json"
@@ -40,6 +43,7 @@ class Workspace:
         self.folder = whole / ".sfm" if self._inside else whole.parent / f".{whole.name}.sfm"
         self._in_place = (capture / "images").resolve() == root.resolve()
         self._made_parents = [p for p in whole.parents if not p.exists()]
+        self._searched: dict[Photo, tuple[list[Any], list[Any] | None]] = {}
         self._lock = FolderLock(self.folder, _LOCK, "search for cameras")
         self._check_room()
 
@@ -114,25 +118,75 @@ class Workspace:
         """Folder of their masks, white where features are looked for."""
         return self.folder / "masks"
 
-    def link_photos(self, photos: list[Photo]) -> None:
-        """Make `links`; what is there already stays.
+    def link_photos(self, photos: list[Photo], stamps: list[list[Any]]) -> None:
+        """Make `links`; those of an earlier search stay.
+
+        Args:
+            photos: The photos.
+            stamps: Of each, from before it was read.
 
         Raises:
+            DatasetError: a photo changed since its stamp was taken.
             GsError: it cannot be written.
         """
         with _told(self.links):
             self.links.mkdir(exist_ok=True)
-            for photo in photos:
-                if not (self.links / photo.alias).exists():
-                    link_or_copy(self.root / photo.name, self.links / photo.alias)
+            for photo, known in zip(photos, stamps, strict=True):
+                link = self.links / photo.alias
+                if _stamp(photo, link) != known:
+                    link.unlink(missing_ok=True)
+                    link_or_copy(self.root / photo.name, link)
+        # A copy's own stamp: some file systems keep coarser times.
+        self._searched = {
+            p: (known, _stamp(p, self.links / p.alias))
+            for p, known in zip(photos, stamps, strict=True)
+        }
+        if changed := self._replaced():
+            raise DatasetError(f"{_changed(changed)} Start again once the photos are complete.")
+
+    def check_photos(self) -> list[str]:
+        """A sentence on photos that were replaced while those in `links` were searched.
+
+        Raises:
+            DatasetError: a photo that was searched was written to, so what was found is worthless.
+            GsError: photos of a capture, which get their cameras in place, were replaced; what was
+                found fits once the first ones are back.
+        """
+        written = [
+            photo.name
+            for photo, (_, linked) in self._searched.items()
+            if _stamp(photo, self.links / photo.alias) != linked
+        ]
+        if written:
+            raise DatasetError(f"{_changed(written)} Start again once the photos are complete.")
+        replaced = self._replaced()
+        if replaced and self._in_place:
+            raise GsError(
+                f"{_changed(replaced)} Put the first ones back and start again, which goes on from "
+                "what was found; or start again with the photos as they are."
+            )
+        return [
+            f"{_changed(names)} {self.capture} holds them as they were when the search began."
+            for names in [replaced]
+            if names
+        ]
+
+    def _replaced(self) -> list[str]:
+        """Names of photos that are not what they were when the search began."""
+        return [
+            photo.name
+            for photo, (known, _) in self._searched.items()
+            if _stamp(photo, self.root / photo.name) != known
+        ]
 
     def publish(
         self, model: Any, photos: list[Photo], record: str, *, up: np.ndarray | None = None
     ) -> None:
         """Put the capture in its place with one rename, and remove the rest.
 
-        Photos are linked, which takes no space and holds them even where the first name is removed,
-        and copied where the file system has no such links or is another one.
+        The photos of `links` are linked, which takes no space and holds them even where the first
+        name is removed or given to another file, and copied where the file system has no such
+        links.
 
         Args:
             model: pycolmap's Reconstruction; its images get the names of their photos.
@@ -179,7 +233,7 @@ class Workspace:
 
     def _fill(self, made: Path, photos: list[Photo]) -> None:
         for photo in photos:
-            link_or_copy(self.root / photo.name, made / "images" / photo.name)
+            link_or_copy(self.links / photo.alias, made / "images" / photo.name)
             mask = self.masks / f"{photo.alias}.png"
             if mask.is_file():
                 link_or_copy(mask, made / "masks" / f"{photo.name}.png")
@@ -189,6 +243,21 @@ class Workspace:
             return parse_json(read_bytes(self.folder / _STATE))
         except (DatasetError, ValueError):
             return None
+
+
+def _stamp(photo: Photo, path: Path) -> list[Any] | None:
+    """The stamp of a photo's file; None where it is gone."""
+    try:
+        return stamp(photo.name, path)
+    except OSError:
+        return None
+
+
+def _changed(names: list[str]) -> str:
+    return (
+        f"{count_words(len(names), 'photo')} changed while the cameras were searched: "
+        f"{listing(names, 3)}."
+    )
 
 
 def check_without_cameras(capture: Path) -> None:

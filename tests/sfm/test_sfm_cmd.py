@@ -5,7 +5,9 @@ import shutil
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +17,12 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.control import Control
 from gscore.datasets import load_dataset
-from gscore.errors import Cancelled, GsError
+from gscore.errors import Cancelled, DatasetError, GsError
 from gscore.events import Event, SfmDone, SfmEstimated, SfmProgress
 from gscore.io.colmap.folder import read_model
 from gscore.sfm import Request, database, find_cameras, pairs
+from gscore.sfm.plain import photos_of, same_photos
+from gscore.sfm.verdict import Found
 from gscore.sfm.watch import watched
 
 from .conftest import NEAR, STUDIO, render_cloud
@@ -195,6 +199,59 @@ def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
         find_cameras(request, on_event=stop, control=control)
     (mine / "front/view 000.jpg").touch()
     assert not find_cameras(request).resumed
+
+
+def _replaced(photo: Path) -> None:
+    """Another picture takes the photo's name."""
+    with Image.open(photo) as picture:
+        picture.transpose(Image.Transpose.ROTATE_180).save(photo.with_name("new.tmp"), "JPEG")
+    photo.with_name("new.tmp").replace(photo)
+
+
+def _written_to(photo: Path) -> None:
+    with Image.open(photo) as picture:
+        picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(photo, "JPEG")
+
+
+def _search_while(change: Callable[[Path], object], mine: Path, capture: Path) -> Found:
+    """A search during which a photo is changed as soon as features are found."""
+    changed: list[object] = []
+
+    def at_once(event: Event) -> None:
+        if isinstance(event, SfmProgress) and event.phase == "comparing photos" and not changed:
+            changed.append(change(mine / "front/view 001.jpg"))
+
+    return find_cameras(Request(photos=mine, output=capture), on_event=at_once)
+
+
+@pytest.mark.parametrize("change", [_replaced, Path.unlink])
+def test_photos_replaced_during_a_search(change: Any, photos: Path, tmp_path: Path) -> None:
+    """Oracle: the capture holds the bytes that were searched, and a warning names the photo."""
+    mine, capture = shutil.copytree(photos, tmp_path / "photos"), tmp_path / "capture"
+    found = _search_while(change, mine, capture)
+    for photo in photos.rglob("*.jpg"):
+        assert (capture / "images" / photo.relative_to(photos)).read_bytes() == photo.read_bytes()
+    (said,) = [sentence for sentence in found.warnings if "changed" in sentence]
+    assert "1 photo changed" in said and "front/view 001.jpg" in said
+    assert not same_photos(capture, photos_of(Request(photos=mine, output=capture)))
+
+
+def test_photos_replaced_in_a_capture(photos: Path, tmp_path: Path) -> None:
+    """Oracle: no cameras beside other photos; with the first ones back the search goes on."""
+    mine = shutil.copytree(photos, tmp_path / "capture/images")
+    with pytest.raises(GsError, match=r"1 photo changed .*: front/view 001\.jpg"):
+        _search_while(_replaced, mine, tmp_path / "capture")
+    assert not (tmp_path / "capture/sparse").exists()
+    shutil.copy2(photos / "front/view 001.jpg", mine / "front")
+    assert find_cameras(Request(photos=mine, output=tmp_path / "capture")).resumed
+
+
+def test_a_photo_written_to_during_a_search(photos: Path, tmp_path: Path) -> None:
+    """Oracle: a sentence, no capture, and nothing left of what was found."""
+    mine = shutil.copytree(photos, tmp_path / "photos")
+    with pytest.raises(DatasetError, match=r"1 photo changed .*: front/view 001\.jpg"):
+        _search_while(_written_to, mine, tmp_path / "capture")
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from gscore.errors import ConfigError
 from gscore.io.runs import SEARCH_RECORD
 from gscore.sfm.photos import Photo
+from gscore.sfm.plain import stamp
 from gscore.sfm.workspace import Workspace
 
 
@@ -18,6 +19,7 @@ def published(space: Workspace, photo: Photo) -> None:
     assert space.open({"options": 1}) is False
     model: Any = SimpleNamespace(images={1: SimpleNamespace(name=photo.alias)})
     model.write = lambda folder: (folder / "cameras.bin").write_bytes(b"cameras")
+    space.link_photos([photo], [stamp(photo.name, space.root / photo.name)])
     space.publish(model, [photo], "{}")
     space.close()
 
