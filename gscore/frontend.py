@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from .io.pictures.png import gray_png, rgba_png
     from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
+    from .io.ply.up_axis import UP_NOTE, stated_up
     from .io.poses_json import POSES_FILE, read_moves
     from .io.region_file import write_region
     from .io.runs import GUIDE_FILE, GUIDES, RunInfo, clear_run, read_course, read_run
@@ -146,6 +147,7 @@ _HOME = {
     "StatedDepth": "depth.stated",
     "Stereo": "config",
     "Switch": "config",
+    "UP_NOTE": "io.ply.up_axis",
     "Undistortion": "datasets.undistort",
     "VIDEO_ENDINGS": "video",
     "View": "datasets",
@@ -206,6 +208,7 @@ _HOME = {
     "sh0_to_rgb": "sh",
     "sh_basis": "sh",
     "stated_depth": "depth.stated",
+    "stated_up": "io.ply.up_axis",
     "target_size": "datasets.resolution",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
@@ -223,6 +226,7 @@ __all__ = [
     "NO_PINHOLE",
     "POSES_FILE",
     "SPLAT_ENDINGS",
+    "UP_NOTE",
     "VIDEO_ENDINGS",
     "Capture",
     "CaptureFacts",
@@ -327,6 +331,7 @@ __all__ = [
     "sh0_to_rgb",
     "sh_basis",
     "stated_depth",
+    "stated_up",
     "target_size",
     "write_cameras",
     "write_colmap",

@@ -46,8 +46,8 @@ _UP_ITEMS = [
     (
         files.FROM_FILE,
         "As Exported",
-        "The axis that the Blender export of gscore has noted in the file; -Y Up where it notes "
-        "none, as COLMAP and most trainers write it",
+        "The axis that a comment of the file states, as gscore and nerfstudio write it; -Y Up "
+        "where none does, as COLMAP and most trainers have it",
     ),
     *AXIS_ITEMS,
 ]

@@ -11,10 +11,12 @@ from mathutils import Matrix
 from ..cameras.objects import local_matrix, root_of
 from ..compat import matrix_to_numpy
 from ..core import (
+    UP_NOTE,
     SplatFile,
     is_lod_file,
     read_lod,
     read_splat_file,
+    stated_up,
 )
 from . import objects
 from .filters import crop_matrix, is_cropped
@@ -24,16 +26,19 @@ UP_AXES = {
     "-Y": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
     "Y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
     "Z": np.eye(4),
+    "-Z": np.diag([1.0, -1, -1, 1]),
+    "X": np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
+    "-X": np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]]),
 }
 """[4, 4] that turns the named axis of a file to Blender's +Z."""
 MOST_AT_ONCE = 1_000_000
 """Splats of the level that is read where none is chosen: as many as Blender edits at ease."""
 SOURCE, BLENDER = "SOURCE", "BLENDER"
 FROM_FILE = "FILE"
-"""In place of an axis: what an export has noted in the file; -Y where it notes nothing."""
+"""In place of an axis: the one that the file states; -Y where it states none."""
 _USUAL_UP = "-Y"
-_UP_NOTE = "gscore up "
-"""Begins the comment of a PLY that names an axis other than the usual one."""
+_BLENDER_NOTE = f"{UP_NOTE}Z"
+"""The comment of a PLY whose splats stand in Blender's world."""
 _IMPORT_MATRIX = "gs_import_matrix"
 _NOISE = 1e-12
 
@@ -161,10 +166,10 @@ def settle(
         if wanted.stored:
             ob[_IMPORT_MATRIX] = list(wanted.stored)
         return
-    up = _noted_up(comments) if wanted.up == FROM_FILE else wanted.up
     if ob.parent is None:
-        turn_up(ob, up or _USUAL_UP)
-    elif wanted.up == FROM_FILE and up == "Z":
+        stated = stated_up(comments) if wanted.up == FROM_FILE else wanted.up
+        turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
+    elif wanted.up == FROM_FILE and _BLENDER_NOTE in comments:
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
 
 
@@ -187,18 +192,12 @@ def note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
     """The comment that says which axis of an export points up, so that it lands in place when it is
     imported again; nothing in the world of photos, which their capture's alignment turns."""
     if world == BLENDER:
-        return (f"{_UP_NOTE}Z",)
+        return (_BLENDER_NOTE,)
     if root_of(ob) is not None:
         return ()
     matrix = source_matrix(ob)
     named = (up for up, turn in UP_AXES.items() if np.allclose(matrix, turn, atol=1e-5))
-    return tuple(f"{_UP_NOTE}{up}" for up in named if up != _USUAL_UP)
-
-
-def _noted_up(comments: Sequence[str]) -> str:
-    """The axis, a key of `UP_AXES`, that the comments of a file name; empty: none."""
-    named = (line.removeprefix(_UP_NOTE) for line in comments if line.startswith(_UP_NOTE))
-    return next((up for up in named if up in UP_AXES), "")
+    return tuple(f"{UP_NOTE}{up}" for up in named if up != _USUAL_UP)
 
 
 def source_matrix(ob: bpy.types.Object) -> np.ndarray:

@@ -17,6 +17,7 @@ from ..errors import ConfigError
 from ..formats import WrittenFile, files_of, format_to_write, read_splats, write_splat_file
 from ..io.files import read_bytes
 from ..io.lod_file import is_lod_file
+from ..io.ply.up_axis import UP_NOTE, stated_up
 from ..lod.read import LOD_FORMAT, read_lod
 from ..shown import shown
 from ..splats import Splats
@@ -87,7 +88,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
         _pictured(args, views)
     count = sum(len(model.splats) for model in models)
     request = _with_views(request, args, views, count)
-    write = _writer(models, args.spz_version)
+    write = _writer(models, args.spz_version, keeps_up=not request.moves)
     edited = apply_edits(
         [model.splats for model in models],
         request,
@@ -174,15 +175,18 @@ def _with_views(
 _Write = Callable[[Path, Splats], WrittenFile]
 
 
-def _writer(models: list[GivenModel], spz_version: int) -> _Write:
-    """Writes splats in the format of a file's name."""
+def _writer(models: list[GivenModel], spz_version: int, *, keeps_up: bool) -> _Write:
+    """Writes splats in the format of a file's name, with the axis that the first model states as
+    up where they were not moved."""
+    up = stated_up(models[0].file.comments) if keeps_up else ""
+    comments = (_MARK, f"{UP_NOTE}{up}") if up else (_MARK,)
 
     def write(path: Path, splats: Splats) -> WrittenFile:
         return write_splat_file(
             path,
             splats,
             antialiased=models[0].antialias,
-            comments=(_MARK,),
+            comments=comments,
             spz_version=spz_version,
         )
 

@@ -74,7 +74,8 @@ def _is_ksplat(path: Path, sample: FileSample) -> bool:
         return True
     if sample.size < _HEADER_BYTES + _SECTION_BYTES:
         return False
-    major, minor, room, sections, _, count, level, *_ = _HEADER.unpack_from(sample.head)
+    major, minor, room, stated, _, count, level, *_ = _HEADER.unpack_from(sample.head)
+    sections = stated or room
     plausible = (major, minor) == (0, 1) and 0 < sections <= room <= 1 << 16 and count > 0
     if not plausible or level >= len(_LEVELS):
         return False
@@ -86,7 +87,8 @@ def _read(path: Path) -> Decoded:
     raw = read_bytes(path)
     if len(raw) < _HEADER_BYTES:
         raise _damaged(path, f"it ends within its header of {_HEADER_BYTES} bytes")
-    major, minor, room, sections, _, count, level, *_, low, high = _HEADER.unpack_from(raw)
+    major, minor, room, stated, _, count, level, *_, low, high = _HEADER.unpack_from(raw)
+    sections = stated or room  # programs that write all of them may leave their number out
     if (major, minor) != (0, 1):
         raise FormatError(
             f"{path} is a .ksplat file of version {major}.{minor}; version 0.1 is read. Write it "

@@ -13,7 +13,7 @@ from ..errors import ConfigError, DatasetError, FormatError
 from ..io.file_sample import FileSample, sample_file
 from ..io.files import is_file, reason
 from ..io.foreign import foreign
-from ..io.splat_rows import finite_splats
+from ..io.splat_rows import drawable_rows
 from ..logged import collected_warnings
 from ..sh import MAX_DEGREE
 from ..shown import shown
@@ -168,7 +168,7 @@ def write_splat_file(
 def _drawable(splats: Splats, notes: list[str]) -> Splats:
     """The splats that can be drawn: most formats keep blocks of splats by their extremes, so that
     one number that is not finite would take its neighbours along."""
-    good = finite_splats(splats)
+    good = drawable_rows(splats)
     if left_out := len(splats) - len(good):
         notes.append(
             f"{number(left_out)} of {count_words(len(splats), 'splat')} had numbers that are "

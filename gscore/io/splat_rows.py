@@ -15,8 +15,7 @@ LOGIT_OF_BYTE = np.log(_ALPHAS / (1 - _ALPHAS)).astype(np.float32)
 """[256] opacity of a byte; 0 and 255 stand for the quarter of a step beside them, because a logit
 has to stay finite."""
 _FLAT = 1e-12
-"""World units, for a size of zero, of which there is no logarithm."""
-
+"""World units, for a size of zero, of which there is no finite logarithm."""
 
 _MOST_LOGIT = 20.0
 """Of opacities of 0 and 1, which have none that is finite."""
@@ -98,15 +97,16 @@ def drawable(
 
 
 def drawable_rows(splats: Splats) -> Splats:
-    """As `drawable`, without a word."""
+    """As `drawable`, without a warning; itself where all of them can be drawn as they are."""
     # Programs that store opacity as a byte write +inf for 255; that splat is opaque, not broken.
-    opaque = np.isposinf(splats.opacities)
-    opacities = np.where(opaque, np.float32(_MOST_LOGIT), splats.opacities)
-    return finite_splats(replace(splats, opacities=opacities))
-
-
-def finite_splats(splats: Splats) -> Splats:
-    """Those whose numbers are all finite and whose quaternion is not zero; itself where all are."""
+    # The logarithm of a size of zero is -inf; that splat is flat.
+    opaque, flat = np.isposinf(splats.opacities), np.isneginf(splats.scales)
+    if opaque.any() or flat.any():
+        splats = replace(
+            splats,
+            opacities=np.where(opaque, np.float32(_MOST_LOGIT), splats.opacities),
+            scales=np.where(flat, np.float32(np.log(_FLAT)), splats.scales),
+        )
     good = np.abs(splats.quats).max(axis=1, initial=0) > 0
     for name in PARAMETERS:
         values = getattr(splats, name)

@@ -39,6 +39,16 @@ def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
     same(read_ply(out), splats)
 
 
+@pytest.mark.parametrize("line", ["gscore up Z", "Vertical Axis: z"])
+def test_the_axis_that_points_up_is_kept(gscore, ply, tmp_path, splats, line):
+    """Oracle: the comment of the file that is read; none once the splats were turned."""
+    write_splats(ply, splats, comments=(line,))
+    out = tmp_path / "out.ply"
+    assert gscore("convert", ply, out)[0] == 0 and "gscore up Z" in header_comments(out)
+    assert gscore("convert", ply, out, "--rotate", "90", "0", "0", "--overwrite")[0] == 0
+    assert not any("up" in line for line in header_comments(out))
+
+
 def with_harmonics(splats, rest):
     """The splats with so many random coefficients."""
     rng = np.random.default_rng(3)

@@ -341,6 +341,17 @@ def test_ksplat(level: int, tmp_path: Path) -> None:
     assert not splats.shN[3].any()
 
 
+def test_ksplat_without_the_number_of_its_sections(tmp_path: Path) -> None:
+    """Oracle: the same file that states it; splat-transform's own files have the room alone."""
+    raw = bytearray(ksplat_bytes(1))
+    (tmp_path / "stated").write_bytes(raw)
+    struct.pack_into("<I", raw, 8, 0)
+    (tmp_path / "left_out").write_bytes(raw)
+    stated, found = (read_splat_file(tmp_path / name) for name in ("stated", "left_out"))
+    assert found.format == "ksplat" and len(found.splats) == 4
+    np.testing.assert_array_equal(found.splats.means, stated.splats.means)
+
+
 def _gltf(rows: dict[str, tuple], **primitive: object) -> dict:
     """A file with its buffer within, of attributes as (type, componentType, bytes)."""
     import base64

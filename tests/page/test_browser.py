@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from gscore import Splats, render
+from gscore.commands.given.model import open_model
+from gscore.commands.pictures.page_views import _without_cameras
 from gscore.config import Background
 from gscore.io.ply.splats import MIP_COMMENT, write_splats
 from gscore.page.pack import pack, unpack
@@ -349,6 +351,21 @@ def test_splats_alone_become_a_page(gscore, tmp_path, splats, browser):
     assert browser.value("viewer.scene.antialias") is True
     assert np.ptp(browser.canvas()) > 60
     assert browser.complaints() == []
+
+
+@pytest.mark.parametrize(
+    ("line", "up"),
+    [("Vertical Axis: z", [0, 0, 1]), ("Vertical axis: y", [0, -1, 0]), ("gscore up Y", [0, 1, 0])],
+)
+def test_splats_alone_stand_upright(splats, tmp_path, line, up):
+    """Oracle: the axis that the file states as up, which points to the top of the first picture."""
+    write_splats(tmp_path / "a.ply", splats, comments=(line,))
+    views = _without_cameras(open_model(tmp_path / "a.ply"), [])
+    np.testing.assert_array_equal(views.up, up)
+    right, down = views.first.viewmat[:2, :3]
+    assert down @ up < -0.9 and abs(right @ up) < 1e-6
+    at = views.first.viewmat @ [*views.focus, 1]
+    assert at[2] > 0 and abs(at[:2]).max() < 1e-6
 
 
 def test_a_page_says_what_it_leaves_of_degree_4(gscore, tmp_path, splats):

@@ -190,7 +190,8 @@ class TestDialects:
     def test_broken_rows_are_left_out(
         self, make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
     ) -> None:
-        """Oracle: the rows that were damaged by hand, counted; +inf opacity means opaque."""
+        """Oracle: the rows that were damaged by hand, counted; an opacity of +inf means opaque, a
+        log scale of -inf flat."""
         splats = make_splats()
         splats.means[3, 1] = np.nan
         splats.shN[4, 7, 2] = np.inf
@@ -201,9 +202,9 @@ class TestDialects:
         write_splats(tmp_path / "a.ply", splats)
         with caplog.at_level(logging.WARNING):
             again = read_ply(tmp_path / "a.ply")
-        assert len(again) == 45
-        assert again.opacities[3] == 20
-        assert "5 of 50 splats have numbers that are not finite" in caplog.text
+        assert len(again) == 46
+        assert again.scales[3, 0] == np.float32(np.log(1e-12)) and again.opacities[4] == 20
+        assert "4 of 50 splats have numbers that are not finite" in caplog.text
 
     def test_no_splats(self, make_splats: Callable, tmp_path: Path) -> None:
         """Oracle: an empty model is a model."""

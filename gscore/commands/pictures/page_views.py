@@ -11,11 +11,11 @@ from ...datasets import Dataset
 from ...errors import ConfigError, GsError
 from ...io.cameras_json import read_cameras_json
 from ...io.metrics_file import read_metrics
+from ...io.ply.up_axis import stated_up
 from ...metrics.evaluate import target_picture
 from ...page.page import PageCamera
 from ...report.pictures import data_uri, shrink, size_within
 from ...scene import Cameras
-from ...splats import Splats
 from ..given.model import GivenModel
 from ..terminal.status import Counted, Status
 from .camera_path import focus_point, look_at, up_direction
@@ -24,6 +24,10 @@ _PHOTO_SIDE = 560
 """Longer side of a photo in the page, px."""
 _ALONE = (1280, 800, 1000.0)
 """Width, height and focal length of the first view where there are no cameras, px."""
+
+_X, _Y, _Z = np.eye(3)
+_UP_AND_FORWARD = {"-Y": (-_Y, _Z), "Y": (_Y, -_Z), "Z": (_Z, _Y), "-Z": (-_Z, -_Y), "X": (_X, _Z)}
+"""By the axis of a file that points up: up and the direction of the first view, each [3]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +62,7 @@ def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> P
     else:
         cameras, held_out = _listed(args, model)
     if cameras is None or not len(cameras):
-        return _without_cameras(model.splats, warnings)
+        return _without_cameras(model, warnings)
     focus, up = focus_point(cameras.viewmats), up_direction(cameras.viewmats, cameras.up)
     first = _first(cameras, focus)
     photos: dict[int, str] = {}
@@ -153,14 +157,17 @@ def _first(cameras: Cameras, focus: np.ndarray) -> int:
     return int(np.argmax(facing - 0.3 * unusual))
 
 
-def _without_cameras(splats: Splats, warnings: list[str]) -> PageViews:
-    """A view of the middle half of the splats from the front; files of splats have y down."""
-    if not len(splats):
+def _without_cameras(model: GivenModel, warnings: list[str]) -> PageViews:
+    """A view of the middle half of the splats from the front; files of splats have y down unless
+    they state another axis as up."""
+    if not len(model.splats):
         raise ConfigError("There are no splats to show.")
-    low, middle, high = np.percentile(splats.means.astype(np.float64), (10, 50, 90), axis=0)
-    up, width, height, focal = np.array([0.0, -1.0, 0.0]), *_ALONE
+    low, middle, high = np.percentile(model.splats.means.astype(np.float64), (10, 50, 90), axis=0)
+    axis = stated_up(model.file.comments)
+    up, forward = _UP_AND_FORWARD.get(axis, _UP_AND_FORWARD["-Y"])
+    width, height, focal = _ALONE
     size = max(float(np.linalg.norm(high - low)), 1e-6)
-    eye = middle + np.array([0.0, -0.25, -1.0]) * size
+    eye = middle + (0.25 * up - forward) * size
     first = PageCamera(
         name="",
         label="first view",

@@ -6,14 +6,14 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ...errors import DatasetError, FormatError
-from ...sh import rgb_to_sh0
+from ...errors import DatasetError
 from ...shown import shown
 from ...splats import SH_REST_BY_DEGREE, Splats
 from ..files import atomic_write, open_regular, reason
-from ..splat_rows import drawable, drawable_rows, warn_of_left_out, whole_bands
+from ..splat_rows import drawable, drawable_rows, warn_of_left_out
 from .compressed import decompress, is_compressed
-from .elements import HEADER_END, HEADER_LIMIT, columns, read_elements
+from .dialects import DC, POSITION, QUAT, SCALE, parameters_of, rest_by_coefficient
+from .elements import HEADER_END, HEADER_LIMIT, read_elements
 
 __all__ = [
     "MIP_COMMENT",
@@ -26,11 +26,6 @@ __all__ = [
 
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
-_POSITION = ["x", "y", "z"]
-_SCALE = ["scale_0", "scale_1", "scale_2"]
-_QUAT = ["rot_0", "rot_1", "rot_2", "rot_3"]
-_DC = ["f_dc_0", "f_dc_1", "f_dc_2"]
-_RGB = ["red", "green", "blue"]
 _ROWS_A_BLOCK = 1 << 15
 
 
@@ -38,9 +33,10 @@ def read_ply(path: str | Path) -> Splats:
     """Read a splat model; properties are found by name, in any order and among any others.
 
     Understood are the official layout and its relatives (no normals, SH degree 0 to 4, colours as
-    red, green, blue instead of SH, ASCII, either byte order) and SuperSplat's compressed layout.
-    Splats with numbers that are not finite, or a zero quaternion, are left out; a coefficient
-    beyond degree 4 is cut. Both are logged as a warning.
+    red, green, blue instead of SH, ASCII, either byte order, `filter_3D` of Mip-Splatting, discs of
+    2DGS, CloudCompare's names) and SuperSplat's compressed layout. A log scale of -inf becomes that
+    of 1e-12. Splats with other numbers that are not finite, or a zero quaternion, are left out; a
+    coefficient beyond degree 4 is cut. Both are logged as a warning.
 
     Args:
         path: The .ply file.
@@ -57,8 +53,8 @@ def read_ply(path: str | Path) -> Splats:
     if is_compressed(elements):
         raw = decompress(path, elements)
     else:
-        raw = _plain(path, _vertices(elements))
-    rest = _rest_by_coefficient(path, raw.pop("rest"))
+        raw = parameters_of(path, _vertices(elements))
+    rest = rest_by_coefficient(path, raw.pop("rest"))
     return drawable(path, **raw, shN=rest)
 
 
@@ -74,8 +70,8 @@ def read_ply_parts(path: str | Path, rows: int) -> Iterator[Splats]:
     for at in range(0, count, rows):
         if isinstance(table.base, np.memmap):  # pages that were read stay as long as it is mapped
             table = _vertices(read_elements(path))
-        raw = _plain(path, table[at : at + rows])
-        rest = _rest_by_coefficient(path, raw.pop("rest"))
+        raw = parameters_of(path, table[at : at + rows])
+        rest = rest_by_coefficient(path, raw.pop("rest"))
         part = Splats(**raw | {"sh0": raw["sh0"][:, None]}, shN=rest)
         kept = drawable_rows(part)
         left_out += len(part) - len(kept)
@@ -149,8 +145,8 @@ def write_splat_parts(
 ) -> None:
     """As `write_splats`, for a model that comes in parts: `count` splats of one degree in all."""
     rest = 3 * SH_REST_BY_DEGREE[sh_degree]
-    names = [*_POSITION, "nx", "ny", "nz", *_DC, *(f"f_rest_{k}" for k in range(rest))]
-    names += ["opacity", *_SCALE, *_QUAT]
+    names = [*POSITION, "nx", "ny", "nz", *DC, *(f"f_rest_{k}" for k in range(rest))]
+    names += ["opacity", *SCALE, *QUAT]
     lines = [line for text in comments for line in text.splitlines()]
     header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
     header += [f"element vertex {count}", *(f"property float {name}" for name in names)]
@@ -178,52 +174,3 @@ def _table(splats: Splats, part: slice) -> np.ndarray:
     rows[:, 10 + rest : 13 + rest] = splats.scales[part]
     rows[:, 13 + rest :] = splats.quats[part]
     return rows
-
-
-def _plain(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
-    """Parameters of an uncompressed vertex element, `rest` in the order of the file's names."""
-    names = table.dtype.names or ()
-    has_dc = all(name in names for name in _DC)
-    has_rgb = all(name in names for name in _RGB)
-    missing = [n for n in (*_POSITION, "opacity", *_SCALE, *_QUAT) if n not in names]
-    if not has_dc and not has_rgb:
-        missing += [n for n in _DC if n not in names]
-    if missing:
-        raise FormatError(
-            f"{path} holds no Gaussian splats: its vertices lack {', '.join(missing)}, so it is a "
-            f"plain mesh or point cloud; choose the point_cloud.ply that a 3D Gaussian Splatting "
-            f"trainer wrote."
-        )
-    if has_dc:
-        sh0 = columns(table, _DC)
-    else:
-        kinds = [table.dtype[name] for name in _RGB]
-        top = float(np.iinfo(kinds[0]).max) if kinds[0].kind in "iu" else 1.0
-        sh0 = rgb_to_sh0(columns(table, _RGB) / top).astype(np.float32)
-    count = sum(1 for name in names if name.startswith("f_rest_"))
-    rest_names = [f"f_rest_{k}" for k in range(count)]
-    if any(name not in names for name in rest_names):
-        raise FormatError(
-            f"{path} has {count} properties f_rest_*, but they are not numbered 0 to {count - 1}. "
-            f"Export it again."
-        )
-    return {
-        "means": columns(table, _POSITION),
-        "quats": columns(table, _QUAT),
-        "scales": columns(table, _SCALE),
-        "opacities": columns(table, ["opacity"])[:, 0],
-        "sh0": sh0,
-        "rest": columns(table, rest_names),
-    }
-
-
-def _rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
-    """[N, K-1, 3] from channel-major [N, 3(K'-1)], cut to whole bands of degree 4 at most."""
-    count = rest.shape[1]
-    if count % 3:
-        raise FormatError(
-            f"{path} has {count} properties f_rest_*, expected 0, 9, 24, 45 or 72 (three "
-            f"colour channels of SH degree 0 to 4). Export it again."
-        )
-    by_channel = rest.reshape(len(rest), 3, count // 3).transpose(0, 2, 1)
-    return np.ascontiguousarray(whole_bands(path, by_channel))

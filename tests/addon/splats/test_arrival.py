@@ -76,6 +76,28 @@ def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
         same(ob, files.import_splats(bpy.context, path, up=up))
 
 
+@pytest.mark.parametrize(
+    ("line", "up"),
+    [
+        ("", (0, -1, 0)),
+        ("gscore up Y", (0, 1, 0)),
+        ("Vertical Axis: z", (0, 0, 1)),
+        ("Vertical Axis: -z", (0, 0, -1)),
+        ("Vertical Axis: x", (1, 0, 0)),
+        ("Vertical axis: y", (0, -1, 0)),
+    ],
+)
+def test_the_axis_that_a_file_states_points_up(
+    scene: bpy.types.Scene, tmp_path: Path, make_splats: Callable[..., Splats], line: str, up: tuple
+) -> None:
+    """Oracle: the axis of the comment, turned to Blender's +Z; -Y where none states one."""
+    write_splats(tmp_path / "a.ply", make_splats(20), comments=(line,))
+    ob = files.import_splats(bpy.context, tmp_path / "a.ply")
+    turn = np.array(ob.matrix_basis)[:3, :3]
+    np.testing.assert_allclose(turn @ up, (0, 0, 1), atol=1e-6)
+    assert np.linalg.det(turn) == pytest.approx(1)
+
+
 def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
     """Oracle: an empty file, and a sentence with the name of the broken one."""
     paths[1].write_bytes(paths[1].read_bytes()[:-100])
