@@ -1,8 +1,8 @@
 """What lies in the graphics card's memory, and how it is drawn; used where Blender draws."""
 
 import logging
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
 
 import gpu
 import numpy as np
@@ -11,7 +11,7 @@ from gpu_extras.batch import batch_for_shader
 from ..cameras.render_camera import RenderCamera
 from ..compat import blends_float32, shaders_write_depth
 from ..render.picture import Window
-from ..render.viewport import drawn_to, part_of
+from ..render.viewport import bound, drawn_to, part_of
 from . import program
 from .clip import PLANES, Cuts, depth_of_z
 from .photos import FrontPhoto
@@ -70,9 +70,9 @@ class Canvas:
         slots = [t for t in (self.picture, self.nearness) if t is not None]
         self._buffer = gpu.types.GPUFrameBuffer(color_slots=slots)
 
-    def bind(self) -> Any:
+    def bind(self) -> AbstractContextManager[None]:
         """Draw to it, in a `with`."""
-        return self._buffer.bind()
+        return bound(self._buffer)
 
 
 class Card:
@@ -150,7 +150,7 @@ class Card:
 
     def copy(self, piece: gpu.types.GPUTexture, target: gpu.types.GPUFrameBuffer, row: int) -> None:
         """Put the rows of a texture into those of a target of the same width, from `row` on."""
-        with target.bind():
+        with bound(target):
             # The target's own method takes no numbers before 5.0.
             gpu.state.viewport_set(0, row, piece.width, piece.height)
             gpu.state.blend_set("NONE")
@@ -202,7 +202,7 @@ class Card:
         if self._shut:
             return False
         try:
-            with scene.bind(), drawn_to(shown):
+            with bound(scene), drawn_to(shown):
                 self._lay(canvas, place, "ALPHA_PREMULT", _WITHIN)
         except Exception:  # drivers raise anything; what lies over the picture does as well
             _log.exception("The pictures of views cannot be drawn to: dark colors get less exact.")

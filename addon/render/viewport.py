@@ -287,6 +287,22 @@ def drawn_to(part: tuple[int, int, int, int]) -> Iterator[None]:
         gpu.state.viewport_set(*before)
 
 
+@contextmanager
+def bound(target: gpu.types.GPUFrameBuffer) -> Iterator[None]:
+    """Draw to another target, then to the same part of the present one as before.
+
+    OpenGL keeps the part with each target; Blender's Vulkan backend resets it to the whole target
+    each time one is bound, also when the inner `with` of two ends.
+    """
+    viewport, scissor = gpu.state.viewport_get(), gpu.state.scissor_get()
+    try:
+        with target.bind():
+            yield
+    finally:
+        gpu.state.viewport_set(*viewport)
+        gpu.state.scissor_set(*scissor)
+
+
 def _from(left: int, bottom: int, width: int, height: int) -> Matrix:
     """The projection of pixels in which a part of them fills what is drawn to."""
     right, up = 2 / width, 2 / height

@@ -1,4 +1,5 @@
-"""Runs the add-on's tests in real Blenders and prints one line for each.
+"""Runs the add-on's tests in real Blenders, those that draw with OpenGL and with Vulkan, and prints
+one line for each.
 
 `python tools/build/test_blender.py all` takes every version of `bpy_venvs.py` and a `blender`
 program on PATH; `newest`, `oldest` or versions take fewer. What follows `--` goes to pytest.
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import bpy_venvs
@@ -18,11 +20,21 @@ import bpy_venvs
 ROOT = bpy_venvs.ROOT
 LIMIT = 1200
 """Seconds a version may take: bpy 4.5 hangs at exit when a class is left registered."""
+_BACKENDS = (None,) if sys.platform == "darwin" else ("opengl", "vulkan")
+"""Of Blender's graphics; None: its own choice, which is Metal."""
+_DRAWING = ("-m", "graphics")
+"""Pytest's arguments for tests that draw; they take the place of an earlier `-m`."""
+_NOTHING_CHOSEN = 5
+"""Pytest's exit status where no test was left to run, such as with `-k`."""
 _TAIL = re.compile(r"\d+ (?:passed|failed|error|skipped|deselected).* in [\d.]+s")
 
 
-def run(command: Sequence[str | Path]) -> tuple[bool, str]:
+def run(command: Sequence[str | Path], backend: str | None) -> tuple[bool, str]:
     """Run pytest with an empty Blender profile and show what it prints.
+
+    Args:
+        command: Runs it.
+        backend: Of `_BACKENDS`; tests that draw are skipped where there is no driver for it.
 
     Returns:
         Whether all went well, and pytest's last line.
@@ -34,6 +46,12 @@ def run(command: Sequence[str | Path]) -> tuple[bool, str]:
         # The Python that runs this is the one that has what trainings need.
         trainer = {"GSCORE_TRAINER_PYTHON": sys.executable}
         environment = {**trainer, **os.environ, "BLENDER_USER_RESOURCES": profile}
+        if backend is not None:
+            environment["GSCORE_GPU_BACKEND"] = backend
+        if backend == "opengl":
+            # The bpy module has no option --gpu-backend and chooses before it reads preferences:
+            # Vulkan, wherever Vulkan's loader finds a driver.
+            environment["VK_LOADER_DRIVERS_DISABLE"] = "*"
         try:
             code = subprocess.run(
                 command,
@@ -53,7 +71,8 @@ def run(command: Sequence[str | Path]) -> tuple[bool, str]:
     last = found[-1] if found else "no tests ran"
     if code is None:
         return False, f"{last}; no end within {LIMIT} s"
-    return code == 0, last if code in (0, 1) else f"{last}; exit status {code}"
+    good = code == 0 or (code == _NOTHING_CHOSEN and backend != _BACKENDS[0])
+    return good, last if code in (0, 1) else f"{last}; exit status {code}"
 
 
 def program_packages() -> Path:
@@ -67,20 +86,29 @@ def program_packages() -> Path:
     return folder
 
 
-def test_version(version: str, arguments: Sequence[str]) -> tuple[bool, str]:
+def chosen(backend: str | None, arguments: Sequence[str]) -> list[str]:
+    """Pytest's arguments: all tests with the first backend, those that draw with the others."""
+    return ["-q", "tests/addon", *arguments, *([] if backend == _BACKENDS[0] else _DRAWING)]
+
+
+def test_version(
+    version: str, backend: str | None, arguments: Sequence[str]
+) -> tuple[bool, str]:
     """Test in the bpy module; a version whose Python is missing is skipped, and that is said."""
     try:
         python = bpy_venvs.ensure(version)
     except bpy_venvs.NoPythonError as error:
         return True, f"skipped: {error}"
-    return run([python, "-m", "pytest", "-q", "tests/addon", *arguments])
+    return run([python, "-m", "pytest", *chosen(backend, arguments)], backend)
 
 
-def test_program(program: str, arguments: Sequence[str]) -> tuple[bool, str]:
+def test_program(
+    program: str, backend: str | None, arguments: Sequence[str]
+) -> tuple[bool, str]:
     """Test in a Blender program."""
     options = ["-b", "--factory-startup", "--python-exit-code", "1", "-P", "tests/blender_run.py"]
     paths = ["--packages", str(program_packages())]
-    return run([program, *options, "--", *paths, "-q", "tests/addon", *arguments])
+    return run([program, *options, "--", *paths, *chosen(backend, arguments)], backend)
 
 
 def main(arguments: list[str]) -> int:
@@ -89,9 +117,11 @@ def main(arguments: list[str]) -> int:
     names, extra = arguments[:split] or ["newest"], arguments[split + 1 :]
     results = {}
     try:
-        for version in dict.fromkeys(v for name in names for v in bpy_venvs.choose(name)):
-            print(f"== Blender {version}", flush=True)
-            results[f"bpy {version}"] = test_version(version, extra)
+        versions = dict.fromkeys(v for name in names for v in bpy_venvs.choose(name))
+        for version, backend in product(versions, _BACKENDS):
+            title = " ".join(filter(None, (f"bpy {version}", backend)))
+            print(f"== {title}", flush=True)
+            results[title] = test_version(version, backend, extra)
     except bpy_venvs.NoPythonError as error:
         results["bpy"] = (True, f"skipped: {error}")
     except ValueError as error:
@@ -99,8 +129,10 @@ def main(arguments: list[str]) -> int:
         return 2
     program = shutil.which("blender") if "all" in names else None
     if program and bpy_venvs.installed():
-        print(f"== {program}", flush=True)
-        results[program] = test_program(program, extra)
+        for backend in _BACKENDS:
+            title = " ".join(filter(None, (program, backend)))
+            print(f"== {title}", flush=True)
+            results[title] = test_program(program, backend, extra)
     for name, (good, line) in results.items():
         print(f"{name}: {'ok' if good else 'FAILED'}: {line}")
     return 0 if all(good for good, _ in results.values()) else 1

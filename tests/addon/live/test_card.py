@@ -10,6 +10,8 @@ from addon.live import atlas, order
 from tests.addon import splat_scenes as lab
 from tests.addon.live import graphics
 
+pytestmark = pytest.mark.graphics
+
 SIZE = (160, 110)
 LIMIT = 2 / 255
 
@@ -329,6 +331,33 @@ def test_a_region_of_a_view_alone_is_drawn(laid, within):
         beside[part] = False
         assert (got[beside] == (0.5, 0.5, 0.5, 0.25)).all()
     assert (whole[beside] != got[beside]).any() == within
+
+
+@pytest.mark.parametrize("nearness", [False, True])
+def test_the_part_that_is_drawn_to_stays(card, nearness):
+    """Oracle: the viewport and the scissor of the target before each call."""
+    import gpu
+
+    from addon.live.card import Canvas
+    from addon.live.uploads import Texels
+
+    outer, scene = (gpu.types.GPUOffScreen(*SIZE, format="RGBA32F") for _ in range(2))
+    canvas = Canvas(*SIZE, nearness=nearness)
+    part, scissor = (20, 30, 90, 60), (25, 35, 40, 20)
+    texels = Texels(atlas.build([lab.blob(2000)]).texels)
+    with outer.bind():
+        for call in (
+            lambda: painted(card, [lab.blob(20)], [np.eye(4)], view(), nearness=nearness),
+            lambda: texels.step(card.copy),
+            lambda: card.show(canvas, part, None, scene),
+            lambda: card.show(canvas, part, None, scene, (5, 5, 9, 9)),
+        ):
+            gpu.state.viewport_set(*part)
+            gpu.state.scissor_set(*scissor)
+            call()
+            assert (gpu.state.viewport_get(), gpu.state.scissor_get()) == (part, scissor)
+        gpu.state.viewport_set(0, 0, *SIZE)
+        gpu.state.scissor_set(0, 0, *SIZE)
 
 
 def test_a_view_that_cannot_be_drawn_to_is_drawn_over(laid, card, caplog):

@@ -7,6 +7,8 @@ import pytest
 from addon.live.depths import Depths
 from tests.addon.live import graphics
 
+pytestmark = pytest.mark.graphics
+
 
 @pytest.fixture(scope="module")
 def drawn_to():

@@ -17,6 +17,8 @@ from addon.splats.filters import Filters
 from tests.addon import splat_scenes as lab
 from tests.addon.live import graphics
 
+pytestmark = pytest.mark.graphics
+
 WINDOW = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
 CAMERA = RenderCamera(
     viewmat=np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]),
