@@ -326,7 +326,7 @@ class _Search:
             raise DatasetError(self._why_none(work, last))
         for sentence in self._space.check_photos():
             self._warn(sentence)
-        gps = self._by_gps(model, work.database(last))
+        gps = self._by_gps(model, work.database(last), names)
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
         cameras = camera_facts(model)
@@ -388,12 +388,12 @@ class _Search:
         if found.held:
             self._warn(said_of_focal([stated[number] for number in model.cameras]))
 
-    def _by_gps(self, model: Any, file: Path) -> Gps:
+    def _by_gps(self, model: Any, file: Path, names: dict[str, str]) -> Gps:
         """What EXIF tells of the model's world; its unit becomes a metre where that is known."""
         gps = read_gps(model, database.gps_places(file))
         to_metres(model, gps)
-        if gps.metres is not None and gps.up is None:
-            self._warn(said_of_gps(gps.tilt))
+        for sentence in said_of_gps(gps, names):
+            self._warn(sentence)
         return gps
 
     def _warn(self, sentence: str) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 
 from ..datasets.capture import listing
 from ..datasets.search_record import said_of_left_out
-from ..shown import typed
+from ..shown import shown, typed
 from ..words import count_words, number, time_words
+from .gps import Gps
 
 _BLURRED = 1.5
 """Mean reprojection error, px, above which something is wrong with photos or lens model."""
@@ -154,11 +155,30 @@ def said_of_lens(before: float, after: float) -> str:
     )
 
 
-def said_of_gps(tilt: float) -> str:
-    """The sentence on GPS that tells the size but not what is up; `tilt` in degrees."""
-    off = "by any angle" if tilt > 45 else f"by {tilt:.0f} degrees"
-    return (
-        "GPS in EXIF tells the size of the capture but not what is up: it may be off "
-        f"{off}, because the photos lie near one line or GPS is too coarse for a capture so small. "
-        "Up is taken from the cameras, as people hold them."
-    )
+def said_of_gps(gps: Gps, names: dict[str, str]) -> list[str]:
+    """Sentences on stray places, and on size or up that GPS does not tell; `names` by alias."""
+    if gps.contradicts is not None:
+        return [
+            "GPS in EXIF gives the capture no size and no up: it contradicts the positions of the "
+            f"cameras, by {_length(gps.contradicts)} for a typical photo."
+        ]
+    sentences = []
+    if gps.strays:
+        told = [f"{shown(names[alias])} ({_length(off)})" for alias, off in gps.strays[:5]]
+        more = ", ..." if len(gps.strays) > len(told) else ""
+        sentences.append(
+            f"GPS in EXIF of {count_words(len(gps.strays), 'photo')} is far from where the others "
+            f"place it, and was not used for size and up: {', '.join(told)}{more}."
+        )
+    if gps.metres is not None and gps.up is None:
+        off = "by any angle" if gps.tilt > 45 else f"by {gps.tilt:.0f} degrees"
+        sentences.append(
+            "GPS in EXIF tells the size of the capture but not what is up: it may be off "
+            f"{off}, because the photos lie near one line or GPS is too coarse for a capture so "
+            "small. Up is taken from the cameras, as people hold them."
+        )
+    return sentences
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.0f} m" if metres < 1000 else f"{metres / 1000:,.0f} km"

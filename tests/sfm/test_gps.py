@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.colmap.folder import read_model
 from gscore.io.world_file import WORLD_FILE, read_up
 from gscore.sfm.gps import Gps, read_gps, to_metres
+from gscore.sfm.verdict import said_of_gps
 
 from .conftest import cloud
 
@@ -69,6 +71,7 @@ LINE = np.array([[3.0 * i, 10.0 * i, 0.0] for i in range(10)])
 AROUND = np.array(
     [[60 * math.cos(t), 60 * math.sin(t), 5 * math.sin(3 * t)] for t in np.linspace(0, 6, 24)]
 )
+HIGH = np.array([0.0, 0.0, 370.0])
 MAST = np.array([[0.1 * math.sin(i), 0.0, 6.0 * i] for i in range(12)])
 
 
@@ -111,6 +114,75 @@ def test_gps_that_cannot_tell_up_says_so(enu: np.ndarray, noise: float) -> None:
     assert found.up is None and found.tilt > 4
 
 
+def _moved(metres: float) -> Callable[[np.ndarray, float], np.ndarray]:
+    """Moves a place [3] in degrees and metres by so many metres in a direction in radians."""
+
+    def move(place: np.ndarray, direction: float) -> np.ndarray:
+        transform = pycolmap.GPSTransform()
+        way = metres * np.array([math.cos(direction), math.sin(direction), 0.0])
+        return transform.enu_to_ellipsoid(
+            transform.ellipsoid_to_enu(place[None], *LUND) + way, *LUND
+        )[0]
+
+    return move
+
+
+STRAYS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
+    "null": lambda place, direction: np.zeros(3),
+    "on the equator": lambda place, direction: place * [0, 1, 1],
+    "no height": lambda place, direction: place * [1, 1, 0],
+    "900 km": _moved(900e3),
+    "2 km": _moved(2e3),
+    "300 m": _moved(300),
+    "80 m": _moved(80),
+}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("kind", STRAYS)
+def test_stray_places_are_named_and_change_neither_size_nor_up(kind: str, count: int) -> None:
+    """Oracle: the world's metres and vertical; strays are first, last and in between, on a ring,
+    a survey and a line, 370 m above the sea."""
+    rng = np.random.default_rng(3)
+    survey = np.c_[rng.uniform(-60, 60, 30), rng.uniform(-40, 40, 30), rng.normal(0, 8, 30)]
+    for seed, enu in enumerate((AROUND, survey, LINE)):
+        which = [0, len(enu) - 1, len(enu) // 2][:count]
+        places = _places(enu + HIGH, 1.0, seed)
+        for i in which:
+            places[i + 1] = STRAYS[kind](places[i + 1], 1.3 * i)
+        turn = _turned(seed)
+        found = read_gps(_model(enu @ turn.T / METRES), places)
+        assert found.metres == pytest.approx(METRES, rel=0.05)
+        assert {name for name, _ in found.strays} == {f"{i + 1}.jpg" for i in which}
+        if enu is not LINE:
+            assert _degrees(found.up, turn[:, 2]) < 3
+
+
+def test_the_messages_name_strays_and_contradictions() -> None:
+    """Oracle: the heights and places that were set to zero, and errors as large as the way."""
+    places = _places(AROUND + HIGH, 0.5)
+    height = places[3][2]
+    places[3], places[9] = STRAYS["no height"](places[3], 0.0), np.zeros(3)
+    found = read_gps(_model(AROUND / METRES), places)
+    [sentence] = said_of_gps(found, {f"{i}.jpg": f"walk/{i}.jpg" for i in places})
+    far = math.dist(*pycolmap.GPSTransform().ellipsoid_to_ecef(np.array([LUND, (0, 0, 0)])))
+    assert f": walk/9.jpg ({far / 1000:,.0f} km), walk/3.jpg ({height:.0f} m)." in sentence
+    noisy = read_gps(_model(LINE), _places(LINE, 40.0))
+    assert noisy.contradicts is not None
+    [sentence] = said_of_gps(noisy, {})
+    assert "gives the capture no size and no up" in sentence
+
+
+def test_up_is_that_of_the_place_on_both_sides_of_the_date_line() -> None:
+    """Oracle: the world's vertical at Taveuni, whose photos lie at longitudes 180 and -180."""
+    turn = _turned(4)
+    told = pycolmap.GPSTransform().enu_to_ellipsoid(AROUND, -16.85, 180.0, 5.0)
+    assert {bool(longitude > 0) for longitude in told[:, 1]} == {True, False}
+    found = read_gps(_model(AROUND @ turn.T / METRES), dict(enumerate(told, 1)))
+    assert found.metres == pytest.approx(METRES, rel=1e-6)
+    assert _degrees(found.up, turn[:, 2]) < 0.01
+
+
 def _exif(place: np.ndarray) -> Image.Exif:
     """Latitude, longitude and height as cameras write them."""
 
@@ -130,6 +202,8 @@ def _exif(place: np.ndarray) -> Image.Exif:
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
     """Twelve photos with GPS, looking obliquely down; names, places and the way cameras are held.
+
+    The GPS of one had no fix and says zero.
 
     The world is east, north, up, in units of 20 m. All cameras are rolled by 70 degrees, so that
     what photos have in common as up is not up.
@@ -153,6 +227,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, 
         pixels = gscore.render(splats, K, viewmat, size, size).rgb
         picture = Image.fromarray((np.clip(pixels, 0, 1) * 255).round().astype(np.uint8))
         place = pycolmap.GPSTransform().enu_to_ellipsoid(METRES * eye[None], *LUND)[0]
+        place = np.zeros(3) if i == 4 else place
         picture.save(folder / f"DJI_{i:04}.jpg", quality=95, exif=_exif(place))
         viewmats.append(viewmat)
         eyes.append(eye)
@@ -184,6 +259,8 @@ def test_photos_with_gps_give_metres_and_up(
     assert apart == pytest.approx(METRES * math.dist(flight[2][0], flight[2][11]), rel=0.05)
     record = json.loads((made / "sfm.json").read_text())
     assert record["in_metres"] and record["up"] == pytest.approx(model.up.tolist())
+    [sentence] = [each for each in record["warnings"] if "GPS" in each]
+    assert "GPS in EXIF of 1 photo is far from" in sentence and "DJI_0004.jpg (" in sentence
 
 
 def test_whoever_reads_the_capture_knows_up(made: Path, tmp_path: Path) -> None:
