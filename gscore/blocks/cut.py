@@ -16,7 +16,8 @@ from ..config import DataConfig
 from ..datasets.capture import Capture, View
 from ..datasets.masks import masks_of_views
 from ..datasets.read import read_capture
-from ..datasets.split import split_views
+from ..datasets.shots import split_apart
+from ..datasets.split import is_chosen, split_views
 from ..datasets.tracks import model_with
 from ..errors import ConfigError, DatasetError
 from ..io.block_record import BlockRecord
@@ -95,11 +96,13 @@ def cut_capture(
         count,
         up=capture.up,
     )
-    _, test = split_views([view.name for view in views], data, stated=capture.test_names)
+    names, stated = [view.name for view in views], capture.test_names
+    by_rule = is_chosen(data, stated=stated)
+    _, test, same = split_apart(views, *split_views(names, data, stated=stated), chosen=by_rule)
     held_out = {views[i].name for i in test}
     records = _records(cells, views, held_out, capture.masks_are)
     blocks = _blocks(model, cells, records, margin, share)
-    warnings = [*capture.warnings, *told]
+    warnings = [*capture.warnings, *told, *same]
     return Cut(views=views, masks=masks, model=model, blocks=blocks, warnings=tuple(warnings))
 
 

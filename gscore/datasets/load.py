@@ -18,7 +18,8 @@ from .masks import MaskChoice, choose_masks
 from .points import RANDOM_POINTS, colors_from_photos, random_points, told_of_points
 from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
-from .split import split_views, told_of_split
+from .shots import split_apart
+from .split import is_chosen, split_views, told_of_split
 from .undistort import Undistortion, plan_undistortion
 
 RANDOM_SEED = 0
@@ -71,6 +72,9 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         up=capture.up,
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
+    by_rule = is_chosen(config, stated=capture.test_names)
+    train, test, told = split_apart(views, train, test, chosen=by_rule)
+    warnings += told
     warnings += told_of_split(len(views), test, config)
     points = _points(capture.points, cameras, views, files, warnings, cancelled)
     return Dataset(

@@ -68,6 +68,12 @@ def split_views(
     return [i for i in range(count) if i not in test], sorted(test)
 
 
+def is_chosen(config: DataConfig, *, stated: Collection[str] = ()) -> bool:
+    """Whether test views are chosen by counting, not stated; arguments as of `split_views`."""
+    by_count = config.test_list is None and not (config.test_first or config.test_last)
+    return by_count and not (stated and config.test_offset is None)
+
+
 def told_of_split(count: int, test: Sequence[int], config: DataConfig) -> list[str]:
     """A sentence where the rule asks for more photos than there are between two test views.
 
@@ -76,8 +82,7 @@ def told_of_split(count: int, test: Sequence[int], config: DataConfig) -> list[s
         test: As `split_views` gives them.
         config: The rule.
     """
-    by_count = config.test_list is None and not (config.test_first or config.test_last)
-    if not (config.eval and by_count and len(test) == 1 and config.test_every > count):
+    if not (config.eval and is_chosen(config) and len(test) == 1 and config.test_every > count):
         return []
     fewer = max(2, count // 3)
     more = (

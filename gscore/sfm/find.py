@@ -102,12 +102,13 @@ class _Search:
                 f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
             )
         self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
-        for sentence in photos.check_copies(self._root, names, self._stopping):
-            self._warn(sentence)
         read = photos.read_photos(
             self._root, names, on_photo=self._counted("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
+        read, sentences = photos.one_of_each(self._root, read)
+        for sentence in sentences:
+            self._warn(sentence)
         if sentence := doubt(self._root, names, len(photos.by_camera(read))):
             self._warn(sentence)
         folder = masks.mask_folder(self._root, self._request.masks)

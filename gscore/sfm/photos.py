@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..datasets.capture import listing
-from ..datasets.copies import find_copies
 from ..datasets.dataset import map_threads
+from ..datasets.shots import Shot, repeats, shot_of
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.pictures.images import IMAGE_ENDINGS
 from ..io.pictures.pillow import check_whole, opened_picture
@@ -41,6 +41,8 @@ class Photo:
     """Make, model, lens and focal lengths of EXIF; equal with equal sizes: one camera."""
     look: Look | None = None
     """How sharp and bright it is; None where its header alone was read."""
+    shot: Shot | None = None
+    """By which photos of one exposure are known; None as before."""
 
 
 def photo_folder(path: Path) -> Path:
@@ -123,12 +125,12 @@ def read_photos(
             raise Cancelled("Reading the photos was stopped.")
         try:
             with opened_picture(root / names[i]) as image:
-                camera, look = _camera(image), None
+                camera, look, shot = _camera(image), None, None
                 if whole:
                     check_whole(root / names[i], image)
-                    look = look_of(image)
+                    look, shot = look_of(image), shot_of(names[i], image)
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
-                return Photo(names[i], alias, image.width, image.height, camera, look)
+                return Photo(names[i], alias, image.width, image.height, camera, look, shot)
         except (DatasetError, FormatError) as error:
             return str(error)
 
@@ -142,26 +144,29 @@ def read_photos(
     return photos
 
 
-def check_copies(root: Path, names: list[str], cancelled: Callable[[], bool]) -> list[str]:
-    """A sentence on photos that are copies of others; none where there are none.
+def one_of_each(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[str]]:
+    """The photos without those that show the same picture as a larger or an earlier one, such as
+    HEIC and JPEG of one shot, and a sentence on these.
 
     Raises:
-        DatasetError: fewer than `LEAST` are left without the copies.
+        DatasetError: fewer than `LEAST` are left.
     """
-    pairs = find_copies([root / name for name in names], cancelled)
+    first = sorted(photos, key=lambda photo: -photo.width * photo.height)
+    pairs = repeats([photo.shot for photo in first if photo.shot is not None])
     if not pairs:
-        return []
-    left = len(names) - len(pairs)
-    if left < LEAST:
+        return photos, []
+    kept = len(photos) - len(pairs)
+    if kept < LEAST:
         raise DatasetError(
-            f"{number(len(pairs))} of the {count_words(len(names), 'photo')} in {root} are copies "
-            "of others, and only "
-            f"{left} {'is' if left == 1 else 'are'} left. Take photos from different places."
+            f"{number(len(pairs))} of the {count_words(len(photos), 'photo')} in {root} are copies "
+            f"of others, and only {kept} {'is' if kept == 1 else 'are'} left. Take photos from "
+            "different places."
         )
-    named = [f"{names[copy]} of {names[first]}" for first, copy in pairs]
-    return [
-        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
-        f"{listing(named, 3)}. Remove them."
+    left_out = {first[copy].name for _, copy in pairs}
+    named = [f"{first[copy].name} of {first[one].name}" for one, copy in pairs]
+    return [photo for photo in photos if photo.name not in left_out], [
+        f"{count_words(len(pairs), 'photo shows', 'photos show')} the same picture as another and "
+        f"{'is' if len(pairs) == 1 else 'are'} left out: {listing(named, 3)}."
     ]
 
 

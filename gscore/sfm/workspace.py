@@ -123,23 +123,23 @@ class Workspace:
 
         Args:
             photos: The photos.
-            stamps: Of each, from before it was read.
+            stamps: Of all in the folder, from before they were read.
 
         Raises:
             DatasetError: a photo changed since its stamp was taken.
             GsError: it cannot be written.
         """
+        known = {stamp[0]: stamp for stamp in stamps}
         with _told(self.links):
             self.links.mkdir(exist_ok=True)
-            for photo, known in zip(photos, stamps, strict=True):
+            for photo in photos:
                 link = self.links / photo.alias
-                if _stamp(photo, link) != known:
+                if _stamp(photo, link) != known[photo.name]:
                     link.unlink(missing_ok=True)
                     link_or_copy(self.root / photo.name, link)
         # A copy's own stamp: some file systems keep coarser times.
         self._searched = {
-            p: (known, _stamp(p, self.links / p.alias))
-            for p, known in zip(photos, stamps, strict=True)
+            photo: (known[photo.name], _stamp(photo, self.links / photo.alias)) for photo in photos
         }
         if changed := self._replaced():
             raise DatasetError(f"{_changed(changed)} Start again once the photos are complete.")

@@ -386,7 +386,7 @@ def _turned(folder: Path) -> None:
         (_smooth, "too little texture"),
         (_strangers, "None of the 4 photos shows the same"),
         (_broken, "2.png cannot be read"),
-        (_still, "no parallax"),
+        (_still, "copies of others"),
         (_turned, "no parallax"),
     ],
 )

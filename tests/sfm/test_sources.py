@@ -47,8 +47,8 @@ def _film(views: Path, path: Path, numbers: range) -> Path:
 def test_two_folders_and_a_video_are_one_capture(views: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: the names of the files that were given, and COLMAP's model of all of them."""
     first = _copy(views, tmp_path / "a/photos", range(5))
-    second = _copy(views, tmp_path / "b/photos", range(3, 8))
-    film = _film(views, tmp_path / "walk.mp4", range(6, 16))
+    second = _copy(views, tmp_path / "b/photos", range(5, 9))
+    film = _film(views, tmp_path / "walk.mp4", range(9, 16))
     capture = tmp_path / "capture"
     call = ["sfm", str(first), str(second), str(film), "-o", str(capture), "--json"]
     assert main(call) == 0

@@ -58,7 +58,7 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
     path = Path(path)
     with loaded(path) as (image, deep):
         pixels = photo_bytes(path, image, deep=deep)
-        turn = _TURNS.get(_exif_turn(image)) if upright else None
+        turn = TURNS.get(_exif_turn(image)) if upright else None
     if turn is None:
         return pixels
     pil = pillow()
@@ -205,8 +205,8 @@ def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | No
     atomic_write(path, b"".join(out))
 
 
-_ORIENTATION = 0x0112
-_TURNS = {
+ORIENTATION = 0x0112
+TURNS = {
     2: "FLIP_LEFT_RIGHT",
     3: "ROTATE_180",
     4: "FLIP_TOP_BOTTOM",
@@ -220,7 +220,7 @@ _TURNS = {
 
 def _exif_turn(image: Any) -> int:
     try:
-        return image.getexif().get(_ORIENTATION, 1)
+        return image.getexif().get(ORIENTATION, 1)
     except Exception:  # damaged EXIF does not make the picture unusable
         return 1
 

@@ -1,0 +1,157 @@
+"""Photos of one exposure: two files of one shot, such as HEIC and JPEG, or one saved again."""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import GsError
+from ..io.pictures.images import ORIENTATION, TURNS
+from ..io.pictures.pillow import opened_picture, pillow
+from ..words import count_words
+from .capture import View, listing
+from .dataset import map_threads
+
+_SIDE = 64
+"""Pixels of the squares that are compared."""
+_EQUAL, _ALIKE = 2.0, 6.0
+"""Root mean square differences, of 255, of equal pixels, and of those of one moment. A photo saved
+again at half its size differs by .8 at most, neighbours of an orbit by 6 and more."""
+_FLAT, _LEAST = 0.15, 1.0
+"""The same as a share of the contrast, for photos that show little, and the contrast below which
+pixels prove nothing."""
+_TURNED, _MOVED = np.radians(2), 0.02
+"""Between cameras of one shot: radians, and a share of the cameras' median distance from their
+middle."""
+_EXIF_BLOCK, _TIME, _FRACTION = 0x8769, 0x9003, 0x9291
+_MAKE, _MODEL = 0x010F, 0x0110
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What tells whether two photos are of one exposure."""
+
+    pixels: np.ndarray
+    """[64 * 64] float32 grey, upright."""
+    moment: tuple[str, ...]
+    """EXIF's time of the exposure and camera; empty where it states none."""
+    stem: str
+    """Path without the endings."""
+
+
+def shot_of(name: str, image: Any) -> Shot:
+    """Look at a photo that Pillow has opened.
+
+    Args:
+        name: Its path below the folder of the photos, with '/'.
+        image: The photo.
+    """
+    image.draft("L", (2 * _SIDE, 2 * _SIDE))  # a JPEG is decoded at an eighth; loaded ones stay
+    upright = image.convert("L").resize((_SIDE, _SIDE), pillow().Resampling.BILINEAR)
+    moment: tuple[str, ...] = ()
+    with contextlib.suppress(Exception):  # damaged EXIF does not make the picture unusable
+        exif = image.getexif()
+        if turn := TURNS.get(exif.get(ORIENTATION, 1)):
+            upright = upright.transpose(pillow().Transpose[turn])
+        block = exif.get_ifd(_EXIF_BLOCK)
+        if time := block.get(_TIME):
+            tags = (time, block.get(_FRACTION), exif.get(_MAKE), exif.get(_MODEL))
+            moment = tuple(str(tag).strip("\0 ") for tag in tags)
+    return Shot(np.asarray(upright, np.float32).ravel(), moment, name.partition(".")[0].lower())
+
+
+def same_shots(shot: Shot, others: Sequence[Shot]) -> np.ndarray:
+    """Which of the others are of one exposure with a photo, [N] bool: those of equal pixels, and
+    alike ones of one moment and camera.
+
+    The moment alone would take synchronised cameras, and bursts within a second, for one.
+    """
+    if not others:
+        return np.zeros(0, bool)
+    pixels = np.stack([other.pixels for other in others])
+    away = np.sqrt(np.mean((pixels - shot.pixels) ** 2, axis=1))
+    contrast = float(shot.pixels.std())
+    equal = (away <= min(_EQUAL, _FLAT * contrast)) & (contrast >= _LEAST)
+    moment = np.array([bool(shot.moment) and shot.moment == other.moment for other in others])
+    stem = np.array([shot.stem == other.stem for other in others])
+    return equal | (moment & (stem | (away <= _ALIKE)))
+
+
+def repeats(shots: Sequence[Shot]) -> list[tuple[int, int]]:
+    """Pairs of indices, the first photo of an exposure and a later one, rising by the latter."""
+    light = np.array([shot.pixels.mean() for shot in shots])
+    order = np.argsort(light, kind="stable")
+    rising = light[order]
+    by_moment: dict[tuple[str, ...], list[int]] = {}
+    first: list[int] = []
+    for i, shot in enumerate(shots):
+        low, high = np.searchsorted(rising, (light[i] - _EQUAL, light[i] + _EQUAL))
+        alike = {j for j in order[low : high + 1].tolist() if j < i}
+        near = sorted(alike.union(by_moment.get(shot.moment, ())))
+        same = np.flatnonzero(same_shots(shot, [shots[j] for j in near]))
+        first.append(first[near[int(same[0])]] if len(same) else i)
+        if shot.moment:
+            by_moment.setdefault(shot.moment, []).append(i)
+    return [(one, i) for i, one in enumerate(first) if one != i]
+
+
+def split_apart(
+    views: Sequence[View], train: list[int], test: list[int], *, chosen: bool
+) -> tuple[list[int], list[int], list[str]]:
+    """Take photos of the shots of test views out of the training views.
+
+    Photos are decoded, small, where a training and a test camera stand in one place.
+
+    Args:
+        views: All views.
+        train, test: Indices, each rising.
+        chosen: Whether a rule chose the test views; a split that was stated stays.
+
+    Returns:
+        Training views, test views, both rising, and a sentence where there are such photos.
+    """
+    pairs = _in_one_place(views, train, test)
+    at = sorted({i for pair in pairs for i in pair})
+    shots = dict(zip(at, map_threads(lambda i: _shot(views[i]), at), strict=True))
+    twins: dict[int, int] = {}
+    for i, j in pairs:
+        one, other = shots[i], shots[j]
+        if one and other and same_shots(one, [other]).any():
+            twins.setdefault(i, j)
+    if not twins:
+        return train, test, []
+    named = listing([f"{views[i].name} of {views[j].name}" for i, j in twins.items()], 3)
+    what = count_words(len(twins), "training photo shows", "training photos show")
+    told = f"{what} the same picture as a test view: {named}."
+    if not chosen or len(twins) == len(train):
+        return train, test, [f"{told} Results on such views say nothing of new ones; remove them."]
+    left = [i for i in train if i not in twins]
+    return left, sorted([*test, *twins]), [f"{told} They are test views too."]
+
+
+def _in_one_place(
+    views: Sequence[View], train: Sequence[int], test: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Pairs of a training and a test view whose cameras stand and look alike."""
+    viewmats = np.stack([view.viewmat for view in views])
+    turns = viewmats[:, :3, :3]
+    centers = -np.einsum("nji,nj->ni", turns, viewmats[:, :3, 3])
+    spread = np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))
+    found = []
+    for j in test:
+        moved = np.linalg.norm(centers[train] - centers[j], axis=1)
+        cosine = (np.einsum("nij,ij->n", turns[train], turns[j]) - 1) / 2
+        near = (moved <= _MOVED * spread) & (cosine >= np.cos(_TURNED))
+        found += [(i, j) for i, close in zip(train, near, strict=True) if close]
+    return found
+
+
+def _shot(view: View) -> Shot | None:
+    """None where the photo cannot be read, which whoever reads it says."""
+    try:
+        with opened_picture(view.image) as image:
+            return shot_of(view.name, image)
+    except GsError:
+        return None
