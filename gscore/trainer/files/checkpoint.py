@@ -33,6 +33,8 @@ FORMAT = 3
 _DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8", torch.int64: "I64"}
 FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.free)
 """Options that may change when a run goes on."""
+_OPENINGS = 16
+"""How often a file is opened while its tensors are read, at most, and once more."""
 _OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
 """The most wanted of them, for messages."""
 _DEPTHS, _REGION, _GUIDE = "depths", "region", "guide"
@@ -106,17 +108,13 @@ def load(path: Path) -> Checkpoint:
         with safe_open(path, framework="pt") as file:
             metadata, keys = file.metadata() or {}, list(file.keys())
             text = metadata["gscore"]
-        tensors = {}
-        for key in keys:
-            # Tensors of safetensors are views of the mapped file, which counts as memory once it
-            # was read: so each is copied, and the file let go.
-            with safe_open(path, framework="pt") as file:
-                tensors[key] = file.get_tensor(key).clone()
         content = parse_json(text)
         if not isinstance(content, dict):
             raise ValueError("its metadata is no object")
-        if "crc32" in metadata:  # older ones have none
-            _check_intact(text, metadata["crc32"], content, tensors)
+        tensors = {}
+        if content.get("format") == FORMAT:
+            tensors = _tensors(path, keys)
+            _check_intact(text, metadata.get("crc32"), content, tensors)
     except (SafetensorError, KeyError, ValueError, OSError, RecursionError, MemoryError) as error:
         raise FormatError(
             f"{path} is not a complete checkpoint of gscore ({shown(error)}); use an older one."
@@ -306,13 +304,36 @@ def _memory(tensor: torch.Tensor) -> memoryview:
     return tensor.numpy().data.cast("B") if tensor.numel() else memoryview(b"")
 
 
+def _tensors(path: Path, keys: Sequence[str]) -> dict[str, torch.Tensor]:
+    """The tensors called `keys`, in memory of their own.
+
+    Those that safetensors hands out are views of the mapped file, which counts as memory once it
+    was read; opening it anew lets go of that. Each opening parses the whole header, so their number
+    is bounded.
+    """
+    from safetensors import safe_open
+
+    found: dict[str, torch.Tensor] = {}
+    enough = path.stat().st_size // _OPENINGS
+    waiting = iter(keys)
+    while len(found) < len(keys):
+        read = 0
+        with safe_open(path, framework="pt") as file:
+            for key in waiting:
+                found[key] = file.get_tensor(key).clone()
+                read += found[key].nbytes
+                if read > enough:
+                    break
+    return found
+
+
 def _facts(tensor: torch.Tensor) -> list[Any]:
     """What must come back: dtype, shape and CRC-32 of the bytes."""
     return [_DTYPES[tensor.dtype], list(tensor.shape), zlib.crc32(_memory(tensor))]
 
 
 def _check_intact(
-    text: str, crc: str, content: dict[str, Any], tensors: dict[str, torch.Tensor]
+    text: str, crc: str | None, content: dict[str, Any], tensors: dict[str, torch.Tensor]
 ) -> None:
     """ValueError unless metadata and tensors are what was written."""
     if str(zlib.crc32(text.encode())) != crc:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import safetensors
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 from gscore.config import Background, DataConfig, TrainConfig
 from gscore.errors import ConfigError, FormatError, GsError
@@ -251,6 +252,44 @@ def test_a_checkpoint_says_which_tensors_it_has(saved: tuple[Trainer, Path], sta
     path.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
     with pytest.raises(FormatError, match="it does not say which tensors it has"):
         checkpoint.load(path)
+
+
+def test_a_header_of_many_tensors_is_parsed_a_bounded_number_of_times(
+    saved: tuple[Trainer, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the number of openings, each of which parses the header; 2,000 extra tensors of one
+    number each, which the checksums know nothing of, are named as damage."""
+    path = saved[1]
+    save_file(
+        {**load_file(path), **{f"extra/{i}": torch.zeros(1) for i in range(2000)}},
+        path,
+        _header(path.read_bytes())["__metadata__"],
+    )
+    opened: list[Any] = []
+    opens = safetensors.safe_open
+    counted = lambda *a, **k: opened.append(a) or opens(*a, **k)  # noqa: E731
+    monkeypatch.setattr(safetensors, "safe_open", counted)
+    with pytest.raises(FormatError, match=r"damaged: extra/0, extra/1, extra/10"):
+        checkpoint.load(path)
+    assert len(opened) <= 20
+
+
+@pytest.mark.parametrize("crc", [None, "0", ""])
+def test_a_checkpoint_without_its_checksum_is_refused(
+    saved: tuple[Trainer, Path], crc: str | None
+) -> None:
+    """Oracle: every checkpoint of this format has a checksum, so one without it was changed."""
+    path = saved[1]
+    metadata = _header(path.read_bytes())["__metadata__"]
+    del metadata["crc32"]
+    save_file(load_file(path), path, metadata if crc is None else metadata | {"crc32": crc})
+    with pytest.raises(FormatError, match="its metadata is damaged"):
+        checkpoint.load(path)
+
+
+def _header(raw: bytes) -> dict[str, Any]:
+    """The header of a safetensors file."""
+    return json.loads(raw[8 : 8 + struct.unpack("<Q", raw[:8])[0]])
 
 
 def test_tensors_that_do_not_fit_each_other_are_refused(
