@@ -1,7 +1,7 @@
 """Splats trained block by block put together: of each block those in its own cell."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,7 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
     first_path, first = runs[0]
     found: dict[int, Path] = {}
     for path, record in runs:
-        if record.split != first.split:
+        if record.split != first.split or not _same_cells(record, first):
             raise ConfigError(
                 f"{path} and {first_path} were trained on blocks that were not cut together. "
                 "Train all blocks of one `gscore split`."
@@ -61,6 +61,10 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
             f"{'is' if len(missing) == 1 else 'are'} not there: {listed}. Train what is "
             f"missing (gscore train BLOCKS --block {missing[0]} -o RUNS), or give its run too."
         )
+
+
+def _same_cells(one: BlockRecord, other: BlockRecord) -> bool:
+    return replace(one, index=other.index).is_cell_of(other)
 
 
 def merge_blocks(blocks: Sequence[TrainedBlock]) -> Merged:

@@ -11,9 +11,9 @@ from ..config_file import differences, load_config
 from ..errors import ConfigError, DatasetError
 from ..events import ENDED, FINISHED
 from ..formats import format_to_write, write_splat_file
-from ..io.block_record import BLOCK_RECORD, BlockRecord, read_block
+from ..io.block_record import BLOCK_RECORD, RUN_BLOCK, BlockRecord, read_block
 from ..io.metrics_file import read_metrics
-from ..io.runs import read_run
+from ..io.runs import is_run, read_run
 from ..shown import shown, typed
 from ..words import count_words, number
 from .given.model import GivenModel, open_model
@@ -36,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--blocks",
         type=Path,
         metavar="BLOCKS",
-        help="where the blocks are; default: where the runs found them",
+        help="where the blocks are, for runs that do not remember theirs; default: where the runs "
+        "found them",
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace a file that gscore did not write"
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look at all runs before reading any splats; keep each block's own, write, say how many."""
+    _check_outside_runs(args.output)
     check_replaced(
         [args.output, *format_to_write(args.output).beside(args.output)], overwrite=args.overwrite
     )
@@ -54,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     runs = _runs(args.runs)
     records = [_record(path, args.blocks) for path in runs]
     check_complete(list(zip(runs, records, strict=True)))
-    warnings = [sentence for path in runs for sentence in _stopped(path)]
+    warnings = [sentence for path in runs for sentence in (*_stopped(path), *_unsure(path))]
     with Status(sys.stderr, quiet=args.quiet) as status:
         models = []
         for i, path in enumerate(runs):
@@ -114,12 +116,22 @@ def _runs(given: list[Path]) -> list[Path]:
 
 
 def _record(run: Path, blocks: Path | None) -> BlockRecord:
-    """Which block a run was trained on."""
+    """Which block a run was trained on: what it remembers, else what is where it was trained.
+
+    Raises:
+        ConfigError: the block in that place is another one by now.
+    """
     source = load_config(run / "config.json")[0].source
     place = source if blocks is None else blocks / source.name
-    record = read_block(place)
-    if record is not None:
-        return record
+    record, remembered = read_block(place), read_block(run, RUN_BLOCK)
+    if record is not None and remembered is not None and not record.is_cell_of(remembered):
+        raise ConfigError(
+            f"{shown(run)} was trained on block {remembered.index} of {remembered.count} of "
+            f"another split than the one in {shown(place)} now. Train the new blocks, or move them "
+            "away to merge the runs by the cells that they remember."
+        )
+    if (known := remembered or record) is not None:
+        return known
     if not place.is_dir():
         raise DatasetError(
             f"{shown(run)} was trained on {shown(place)}, which is not there. Say with --blocks "
@@ -129,6 +141,25 @@ def _record(run: Path, blocks: Path | None) -> BlockRecord:
         f"{shown(run)} was trained on {shown(place)}, which is no block: there is no "
         f"{BLOCK_RECORD}. Only runs on what `gscore split` wrote can be merged."
     )
+
+
+def _unsure(path: Path) -> Iterator[str]:
+    """A sentence about a run that does not remember its block."""
+    if not (path / RUN_BLOCK).is_file():
+        yield (
+            f"{shown(path)} does not remember its block (no {RUN_BLOCK}), so the one in the folder "
+            "that it was trained on is taken for it. Where that was split again since, train anew."
+        )
+
+
+def _check_outside_runs(output: Path) -> None:
+    """Raise ConfigError where a file would go into the folder of a run."""
+    inside = next(filter(is_run, output.resolve().parents), None)
+    if inside is not None:
+        raise ConfigError(
+            f"{shown(output)} is in the folder of a training, {shown(inside)}, where it could "
+            "replace results of that. Choose a place outside of it."
+        )
 
 
 def _stopped(path: Path) -> Iterator[str]:

@@ -1,5 +1,5 @@
 """`block.json`: which part of which capture a block is, so that what is trained on it can be put
-together again."""
+together again; and the same in the folder of a run on it."""
 
 import math
 from dataclasses import dataclass
@@ -16,6 +16,10 @@ from .files import atomic_write, is_file, read_bytes
 
 BLOCK_RECORD = "block.json"
 """In the folder of a capture that is a block of another one."""
+RUN_BLOCK = "trained_block.json"
+"""In the folder of a run: the record of the block as it was when the run began."""
+_FARTHEST = 1e30
+"""World units; numbers beyond are none of a capture."""
 _KIND = "gscore block 1"
 
 
@@ -46,8 +50,16 @@ class BlockRecord:
         """[P] bool: which of `points` [P, 3], in the world of the capture, lie in its cell."""
         return in_cells(points, self.axes, self.bounds[self.index][None])[0]
 
-    def write(self, folder: Path) -> None:
-        """Write it into the folder of its block.
+    def is_cell_of(self, other: "BlockRecord") -> bool:
+        """Whether both are the same cell of the same cut."""
+        return (
+            (self.split, self.index) == (other.split, other.index)
+            and np.array_equal(self.axes, other.axes)
+            and np.array_equal(self.bounds, other.bounds)
+        )
+
+    def write(self, folder: Path, name: str = BLOCK_RECORD) -> None:
+        """Write it into the folder of its block, or as RUN_BLOCK into that of a run.
 
         Raises:
             GsError: the file cannot be written.
@@ -62,7 +74,7 @@ class BlockRecord:
             "test_names": list(self.test_names),
             "masks_are": self.masks_are,
         }
-        atomic_write(folder / BLOCK_RECORD, (strict_json(content) + "\n").encode())
+        atomic_write(folder / name, (strict_json(content) + "\n").encode())
 
 
 def in_cells(points: np.ndarray, axes: np.ndarray, bounds: np.ndarray) -> np.ndarray:
@@ -100,14 +112,14 @@ def block_records(folder: Path) -> dict[int, BlockRecord]:
     return found
 
 
-def read_block(folder: Path) -> BlockRecord | None:
-    """The record in the folder of a capture; None: it is no block.
+def read_block(folder: Path, name: str = BLOCK_RECORD) -> BlockRecord | None:
+    """The record in the folder of a capture, or as RUN_BLOCK in that of a run; None: no block.
 
     Raises:
         FormatError: the record is damaged.
         DatasetError: it cannot be read.
     """
-    path = folder / BLOCK_RECORD
+    path = folder / name
     if not is_file(path):
         return None
     try:
@@ -135,9 +147,25 @@ def _understood(content: Any) -> BlockRecord:
         masks_are=str(content["masks_are"]),
     )
     whole = record.axes.shape == (2, 3) and record.bounds.shape == (record.count, 2, 2)
-    if not whole or not np.isfinite(record.axes).all() or not 0 <= record.index < record.count:
+    if not whole or not 0 <= record.index < record.count or not _tiles(record):
         raise ValueError
     return record
+
+
+def _tiles(record: BlockRecord) -> bool:
+    """Whether the block's cell overlaps no other and all fill the world: within a square that
+    holds their finite ends, their areas add up to its own. Other cells are compared by the blocks
+    that they belong to."""
+    axes, bounds = record.axes, record.bounds
+    most = 2 * np.abs(bounds[np.isfinite(bounds)]).max(initial=0.5)
+    if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-6) or not most < _FARTHEST:
+        return False
+    low, high = np.moveaxis(np.clip(bounds, -most, most), 1, 0)
+    own_low, own_high = low[record.index], high[record.index]
+    overlapping = ((low < own_high) & (own_low < high)).all(axis=1)
+    area = float(np.prod(high - low, axis=1).sum())
+    whole = math.isclose(area, float(2 * most) ** 2, rel_tol=1e-6)
+    return bool((low < high).all()) and overlapping.sum() == 1 and whole
 
 
 def _finite(value: float) -> float | None:

@@ -12,6 +12,7 @@ from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
 from ..json_text import parse_json
+from .block_record import RUN_BLOCK
 from .exposure_json import EXPOSURE_FILE
 from .files import read_bytes
 from .lock import FolderLock
@@ -28,6 +29,7 @@ RUN_FILES = (
     "cameras.json",
     EXPOSURE_FILE,
     POSES_FILE,
+    RUN_BLOCK,
     "point_cloud.ply",
     "metrics.json",
     "report.html",
@@ -214,7 +216,7 @@ def check_replaceable(path: Path) -> None:
     """
     if not (names := results_in(path)):
         return
-    if not _is_run(path):
+    if not is_run(path):
         raise ConfigError(
             f"{path} holds {', '.join(names)}, but no config.json by gscore, so they may be "
             "somebody else's. Choose another folder, or move them away."
@@ -272,7 +274,7 @@ def clear_unfinished(path: Path) -> None:
                 file.unlink(missing_ok=True)
 
 
-def _is_run(path: Path) -> bool:
+def is_run(path: Path) -> bool:
     """Whether the config.json in a folder is one that a training of gscore has written."""
     try:
         content = parse_json(read_bytes(path / "config.json"))

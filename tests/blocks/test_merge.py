@@ -1,16 +1,18 @@
 """Blocks put together; oracle: the splats of one model, cut apart and put together again."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gscore.blocks.cells import make_cells
 from gscore.blocks.cut import cut_capture
 from gscore.blocks.merge import TrainedBlock, check_complete, merge_blocks
 from gscore.config import DataConfig
-from gscore.errors import ConfigError
-from gscore.io.block_record import BlockRecord
+from gscore.errors import ConfigError, FormatError
+from gscore.io.block_record import BlockRecord, read_block
 from gscore.splats import Splats
 
 
@@ -77,3 +79,59 @@ def test_only_all_blocks_of_one_split_can_be_merged(records: list[BlockRecord]) 
     other = (Path("other"), replace(records[1], split="another"))
     with pytest.raises(ConfigError, match="other and run0 were trained on blocks that were not"):
         check_complete([runs[0], other])
+
+
+@pytest.mark.parametrize(
+    ("odd", "changed"),
+    [
+        ("overlap", {"bounds": [[[None, None], [1.0, None]], [[0.0, None], [None, None]]]}),
+        ("gap", {"bounds": [[[None, None], [-1.0, None]], [[0.0, None], [None, None]]]}),
+        ("inverted", {"bounds": [[[None, 2.0], [0.0, 1.0]], [[0.0, None], [None, None]]]}),
+        ("all the world", {"bounds": [[[None, None], [None, None]]] * 2}),
+        ("beyond", {"bounds": [[[None, None], [1e300, None]], [[1e300, None], [None, None]]]}),
+        ("NaN", {"bounds": [[[None, None], [float("nan"), None]], [[0.0, None], [None, None]]]}),
+        ("slanted", {"axes": [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]}),
+        ("long", {"axes": [[2.0, 0.0, 0.0], [0.0, 0.0, 1.0]]}),
+    ],
+)
+def test_cells_that_do_not_fill_the_world_once_are_refused(
+    odd: str, changed: dict, tmp_path: Path
+) -> None:
+    """Oracle: two halves of the world are read back; with one number changed, a splat would lie in
+    two cells or in none."""
+    content = {
+        "kind": "gscore block 1",
+        "split": "a",
+        "index": 0,
+        "axes": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+        "bounds": [[[None, None], [0.0, None]], [[0.0, None], [None, None]]],
+        "test_names": [],
+        "masks_are": "",
+    }
+    (tmp_path / "block.json").write_text(json.dumps(content))
+    record = read_block(tmp_path)
+    assert record is not None and record.count == 2, odd
+    (tmp_path / "block.json").write_text(json.dumps(content | changed))
+    with pytest.raises(FormatError, match="no record of a block"):
+        read_block(tmp_path)
+
+
+@pytest.mark.parametrize("count", [2, 3, 7, 64])
+def test_cells_that_were_cut_are_read_back(capture: Path, count: int, tmp_path: Path) -> None:
+    """Oracle: equality with what was cut; any number of cells, far from the origin too."""
+    rng = np.random.default_rng(count)
+    xyz = rng.normal(size=(5000, 3)) * [100, 1, 30] + [5e5, 0, 5e6]
+    viewmats = np.tile(np.eye(4), (4, 1, 1))
+    cells = make_cells(xyz, np.ones(5000), viewmats, count, up=None)
+    for index in range(count):
+        record = BlockRecord(split="a", index=index, axes=cells.axes, bounds=cells.bounds)
+        record.write(tmp_path)
+        found = read_block(tmp_path)
+        assert found is not None and found.is_cell_of(record)
+
+
+def test_blocks_with_other_bounds_under_one_name_are_refused(records: list[BlockRecord]) -> None:
+    """Oracle: the sentence of blocks that were not cut together."""
+    moved = replace(records[1], bounds=records[1].bounds + 1)
+    with pytest.raises(ConfigError, match="blocks that were not cut together"):
+        check_complete([(Path("a"), records[0]), (Path("b"), moved)])

@@ -99,17 +99,61 @@ def test_a_block_that_starts_from_splats_grows_in_its_cell(gscore, blocks, tmp_p
 
 
 def test_blocks_that_were_moved(gscore, blocks, tmp_path):
-    """Oracle: a sentence that names the option, with which the same file comes out."""
+    """Oracle: the same file comes out by what the runs remember; where they do not, a sentence that
+    names the option, with which it comes out too."""
     elsewhere = tmp_path / "elsewhere"
     shutil.copytree(blocks / "runs", elsewhere)
     for config in elsewhere.glob("*/config.json"):
         config.write_text(config.read_text().replace(str(blocks / "blocks"), "/gone/blocks"))
+    assert gscore("merge", elsewhere, "-o", tmp_path / "c.ply")[0] == 0
+    for record in elsewhere.glob("*/trained_block.json"):
+        record.unlink()
     code, _, err = gscore("merge", elsewhere, "-o", tmp_path / "a.ply")
     assert code == 2 and "is not there. Say with --blocks where" in err
     given = ("--blocks", blocks / "blocks")
-    assert gscore("merge", elsewhere, "-o", tmp_path / "a.ply", *given)[0] == 0
+    code, _, err = gscore("merge", elsewhere, "-o", tmp_path / "a.ply", *given)
+    assert code == 0 and "0 does not remember its block" in " ".join(err.split())
+    gscore("merge", blocks / "runs", "-o", tmp_path / "b.ply")
+    for name in ("a.ply", "c.ply"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_a_folder_that_was_split_again(gscore, blocks, capture, tmp_path):
+    """Oracle: the bounds of both splits differ, so runs on the first are no runs on the second and
+    are refused with nothing written; with the new blocks moved away the file of the first split
+    comes out. A resumed run takes the new cell where its photos and points are the same."""
+    runs, cut = tmp_path / "runs", tmp_path / "blocks"
+    shutil.copytree(blocks / "blocks", cut)
+    for i in range(2):
+        assert gscore("train", cut, "--block", i, "-o", runs, *SHORT)[0] == 0
+    first = read_block(cut / "block_0")
+    shutil.rmtree(cut)
+    assert gscore("split", capture, "-o", cut, "--blocks", 3, "--quiet")[0] == 0
+    assert not read_block(cut / "block_0").is_cell_of(first)
+    code, _, err = gscore("merge", runs, "-o", tmp_path / "a.ply")
+    words = " ".join(err.split())
+    assert code == 2 and "block 0 of 2 of another split" in words, err
+    assert not (tmp_path / "a.ply").exists()
+    cut.rename(tmp_path / "away")
+    assert gscore("merge", runs, "-o", tmp_path / "a.ply")[0] == 0
     gscore("merge", blocks / "runs", "-o", tmp_path / "b.ply")
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    (tmp_path / "away").rename(cut)
+    assert gscore("train", cut, "--block", 0, "-o", runs, *SHORT, "--resume")[0] == 0
+    now = read_block(runs / "block_0", "trained_block.json")
+    assert now is not None and now.is_cell_of(read_block(cut / "block_0"))
+
+
+def test_nothing_is_merged_into_a_run(gscore, blocks, tmp_path):
+    """Oracle: code 2 and the bytes that were there, for any place below the folder of a run."""
+    runs = tmp_path / "runs"
+    shutil.copytree(blocks / "runs", runs)
+    before = {path: path.read_bytes() for path in runs.rglob("*") if path.is_file()}
+    (tmp_path / "link").symlink_to(runs / "1")
+    for place in (runs / "0/point_cloud.ply", runs / "1/new/a.ply", tmp_path / "link/a.ply"):
+        code, _, err = gscore("merge", runs, "-o", place, "--overwrite")
+        assert code == 2 and "is in the folder of a training" in " ".join(err.split()), err
+    assert {path: path.read_bytes() for path in runs.rglob("*") if path.is_file()} == before
 
 
 def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):

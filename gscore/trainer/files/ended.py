@@ -7,6 +7,7 @@ from typing import Any
 from ...config import DataConfig, TrainConfig
 from ...config_file import config_json
 from ...events import ENDED, FINISHED, Done, judged_psnr
+from ...io.block_record import RUN_BLOCK, read_block
 from ...io.files import read_bytes
 from ...io.metrics_file import read_metrics
 from ...io.ply.splats import read_ply
@@ -79,6 +80,8 @@ def ended_run(
         return None
     if read_bytes(folder.config) != config_json(data, config).encode():
         return None
+    if not _same_block(folder.path, data.source):
+        return None
     return TrainResult(
         reason=reason,
         steps=last.steps,
@@ -88,6 +91,12 @@ def ended_run(
         output=folder.path,
         ended_before=True,
     )
+
+
+def _same_block(run: Path, source: Path) -> bool:
+    """Whether a run was trained on what is in `source` now, where that is a block."""
+    was, now = read_block(run, RUN_BLOCK), read_block(source)
+    return was is None or (now is not None and now.is_cell_of(was))
 
 
 def _reason(metrics: dict[str, Any], last: Checkpoint, config: TrainConfig) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...config import Background, DataConfig
 from ...config_file import config_json
+from ...io.block_record import RUN_BLOCK, read_block
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
 from ...io.pictures.images import write_png
@@ -48,6 +49,8 @@ class Results:
         """Options and cameras, known before the first step."""
         folder, config = self._folder, self._trainer.config
         folder.write_text("config.json", config_json(self._data, config))
+        if (block := read_block(self._data.source)) is not None:
+            block.write(folder.path, RUN_BLOCK)
         write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
         # Viewers of the 3DGS authors look here for the SH degree and the background.
         arguments = argparse.Namespace(

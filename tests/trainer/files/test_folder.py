@@ -51,6 +51,7 @@ OURS = (
     "cameras.json",
     "exposure.json",
     "poses.json",
+    "trained_block.json",
     "point_cloud.ply",
     "metrics.json",
     "report.html",
