@@ -38,14 +38,17 @@ def _spread(values: np.ndarray) -> np.ndarray:
     return values
 
 
+def middle_of(means: np.ndarray) -> np.ndarray:
+    """[3] float64, the median of at least one place [N, 3] along each axis."""
+    return np.percentile(means.astype(np.float64), 50, axis=0, method="lower")
+
+
 def distances_from_middle(means: np.ndarray) -> tuple[np.ndarray, float]:
     """[N] float64, how far places [N, 3] are from their middle along the axis in which they are
     farthest; and what half of them do not exceed, above zero."""
     if not len(means):
         return np.zeros(0), _LEAST
-    exact = means.astype(np.float64)
-    middle = np.percentile(exact, 50, axis=0, method="lower")
-    away = np.abs(exact - middle).max(axis=1)
+    away = np.abs(means.astype(np.float64) - middle_of(means)).max(axis=1)
     return away, max(float(np.percentile(away, 50, method="lower")), _LEAST)
 
 

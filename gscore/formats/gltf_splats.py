@@ -42,6 +42,8 @@ _PROPERTIES = {
     "projection": "perspective",
     "sortingMethod": "cameraDistance",
 }
+_TURN = np.array([-1, -1, 1], np.float32)
+"""Of positions, between left-up-front and right-down-front."""
 _MARK = "antialiased"
 """In the extras of a primitive; the extension has no place for it."""
 
@@ -265,7 +267,7 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 def _write_packed(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     buffer = GltfBuffer()
-    raw, notes = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
+    raw, notes, means = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
     name = _PACKED[0]
     packed = {"extensions": {name: {"bufferView": buffer.add_bytes(raw)}}}
     kinds = [
@@ -283,7 +285,7 @@ def _write_packed(path: Path, splats: Splats, options: WriteOptions) -> list[str
     for attribute, kind in kinds:  # without bufferViews: the bytes of SPZ stand for them
         attributes[attribute] = len(buffer.accessors)
         buffer.accessors.append({"componentType": 5126, "count": len(splats), "type": kind})
-    buffer.accessors[0] |= _bounds(half_turn(splats, Z).means)
+    buffer.accessors[0] |= _bounds(means * _TURN)
     content = _content(attributes, packed, options, buffer)
     content["extensionsUsed"] = content["extensionsRequired"] = [EXTENSION, name]
     _write_file(path, content, buffer)

@@ -17,11 +17,12 @@ from ..io.ply.compressed import CHUNK
 from ..io.ply.splats import is_antialiased_ply
 from ..io.splat_rows import opacity_bytes
 from ..nearby import distances_from_middle, morton_order
-from ..sh import sh0_to_rgb
+from ..sh import SH_C0, sh0_to_rgb
 from ..smallest_three import smallest_three
 from ..splats import Splats
 from ..words import count_words
 from . import ply
+from .far_splats import FAR, cut_extremes, moved_within
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 _BOUNDS = [
@@ -31,16 +32,15 @@ _BOUNDS = [
 ]
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _LARGEST_LOG = 20.0
+_LARGEST_COLOR = 4.0 / SH_C0
+"""Of SH coefficients: the colours of a chunk have 256 values between its ends."""
 _REACH = 4.0
 """SH coefficients lie between this and its negative."""
 _CHUNKS_A_BLOCK = 1 << 10
 _PLACE_BITS = (11, 10, 11)
-_FAR = 8.0
-"""From the middle of all splats, in distances that half of them do not exceed."""
-_MOST_MOVED = 1 / 200
+_MOST_MOVED = 1 / 100
 """Of the distance from the middle, or of that of half of all splats where it is larger: above it a
-note tells how far splats were moved. A box around all within the usual distance has steps of half
-as much."""
+note states how far splats were moved. In a chunk across all that is near it is 1 / 128."""
 
 
 def _is_compressed(path: Path, sample: FileSample) -> bool:
@@ -52,7 +52,8 @@ def _read(path: Path) -> Decoded:
 
 
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    order = _order(splats)
+    order, near = _order(splats)
+    splats, notes = _fitted(splats, order, near)
     chunks = -(-len(splats) // CHUNK)
     rest = 3 * splats.shN.shape[1]
     lines = [line for text in ply.comments_of(options) for line in text.splitlines()]
@@ -73,28 +74,49 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
             file.writelines(parts[element] for parts in packed)
 
     atomic_write(path, write)
-    return _notes(splats, order)
+    return notes + _notes(splats, order)
 
 
-def _order(splats: Splats) -> np.ndarray:
-    """[N] indices: along a Morton curve, but for splats far from all others, which come last, the
-    farthest at the end, so that the chunks of the others stay small.
+def _order(splats: Splats) -> tuple[np.ndarray, int]:
+    """[N] indices, and how many of them are near: along a Morton curve, but for splats far from all
+    others, which come last, the farthest at the end, so that the chunks of the others stay small.
 
     One chunk holds splats of both kinds, unless their numbers happen to fit; the least visible of
     the others go into it.
     """
     order = morton_order(splats.means)
     away, usual = distances_from_middle(splats.means)
-    level = np.ceil(np.log2(np.maximum(away[order] / (_FAR * usual), 1))).astype(np.int16)
+    level = np.ceil(np.log2(np.maximum(away[order] / (FAR * usual), 1))).astype(np.int16)
     order, level = order[np.argsort(level, kind="stable")], np.sort(level)
     near = order[level == 0]
     odd = len(near) % CHUNK
     if len(near) == len(order) or not odd:
-        return order
+        return order, len(near)
     importance = importance_of(splats.subset(near))
     least = np.zeros(len(near), bool)
     least[np.argpartition(importance, odd - 1)[:odd]] = True
-    return np.concatenate([near[~least], near[least], order[len(near) :]])
+    return np.concatenate([near[~least], near[least], order[len(near) :]]), len(near)
+
+
+def _fitted(splats: Splats, order: np.ndarray, near: int) -> tuple[Splats, list[str]]:
+    """The splats, far ones moved nearer where they share a chunk with near ones, and colours within
+    `_LARGEST_COLOR`, so that no splat makes the others of its chunk coarse; and notes on both."""
+    notes = []
+    strays = order[near : -(-near // CHUNK) * CHUNK]
+    if len(strays):
+        away, usual = distances_from_middle(splats.means)
+        moved = np.zeros(len(splats), bool)
+        moved[strays] = True
+        splats = moved_within(splats, moved, FAR * usual)
+        notes.append(
+            f"{count_words(len(strays), 'splat')} up to {away[strays].max():.3g} units away from "
+            f"the others were moved to {FAR * usual:.3g} units and made smaller: they share their "
+            f"chunk with others. Remove far splats first, with gscore convert --box or --sphere."
+        )
+    splats, cut = cut_extremes(splats, "sh0", _LARGEST_COLOR)
+    if cut:
+        notes.append(f"{count_words(cut, 'splat')} had colours beyond -3.5 to 4.5, cut to that.")
+    return splats, notes
 
 
 def _notes(splats: Splats, order: np.ndarray) -> list[str]:

@@ -27,6 +27,7 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from ..words import count_words, number
 from . import textures
 from .codebook import CODEBOOK_SIZE, codebook, nearest_entries, palette
+from .far_splats import cut_extremes, without_far
 from .splat_file import Decoded, SplatFormat, WriteOptions
 
 META = "meta.json"
@@ -40,6 +41,10 @@ _SLACK = 1 << 16
 _MOST_RATIO = 64
 """Of unpacked to packed bytes of a texture, which is packed already."""
 _FIRST_TAG = 252
+_FINE = 2.0**-11
+"""Step of positions that is fine enough, as `without_far` asks for it."""
+_LARGEST = {"scales": 80.0, "sh0": 16.0, "shN": 4.0}
+"""Of log scales and SH coefficients: the codebooks of all splats grow coarse with their ends."""
 _ANTIALIASED = "antialiased"
 """What splat-transform writes as the model's kind; before, a SOG had `antialias`."""
 _GAP = "Copy or export it again."
@@ -265,7 +270,7 @@ def _harmonics(meta: _Meta, fetch: _Fetch) -> np.ndarray:
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     if not textures.fits(len(splats)):
         raise ConfigError(f"{path}: SOG holds 268 million splats at most.")
-    meta, pictures = _textures(splats)
+    meta, pictures, notes = _textures(splats)
     meta |= {"antialias": True, "model": _ANTIALIASED} if options.antialiased else {}
     files = textures.encode_all(pictures)
     text = json.dumps(meta).encode()
@@ -273,18 +278,26 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
         for name, raw in files.items():
             atomic_write(path.parent / name, raw)
         atomic_write(path, text)  # last, so that it names what is there
-        return []
+        return notes
     packed = io.BytesIO()
     # Stored, not deflated: WebP is packed already, and some readers know nothing else.
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
         for name, raw in {META: text, **files}.items():
             archive.writestr(zipfile.ZipInfo(name), raw)
     atomic_write(path, packed.getvalue())
-    return []
+    return notes
 
 
-def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The content of meta.json, and pictures by name."""
+def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], list[str]]:
+    """The content of meta.json, pictures by name, and sentences on what they do not hold."""
+    splats, notes = without_far(splats, _step, _FINE, "SOG")
+    for field, most in _LARGEST.items():
+        splats, cut = cut_extremes(splats, field, most)
+        if cut:
+            notes.append(
+                f"{count_words(cut, 'splat')} had {field} far beyond usual ones, which were cut: "
+                f"SOG has 256 values for those of all splats."
+            )
     order = morton_order(splats.means)
     scales, colors = codebook(splats.scales), codebook(splats.sh0)
     low, high, ends = _pack_means(splats.means[order])
@@ -316,12 +329,12 @@ def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         }
         pictures["shN_centroids.webp"] = _palette_texture(nearest_entries(book, rows))
         pictures["shN_labels.webp"] = _label_texture(labels)
-    return meta, pictures
+    return meta, pictures, notes
 
 
 def _pack_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, list[float]]]:
     """Lower and upper bytes [N, 3], and the bounds between which they are steps."""
-    logs = np.copysign(np.log1p(np.abs(means.astype(np.float64))), means)
+    logs = _logs(means)
     ends = np.zeros((2, 3))
     if len(means):
         ends = np.stack([logs.min(axis=0), logs.max(axis=0)])
@@ -329,6 +342,16 @@ def _pack_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, li
     steps = np.rint((logs - ends[0]) / width * 65535).astype(np.uint16)
     bounds = {"mins": ends[0].tolist(), "maxs": ends[1].tolist()}
     return (steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8), bounds
+
+
+def _logs(means: np.ndarray) -> np.ndarray:
+    """sign(v) ln(|v| + 1), float64."""
+    return np.copysign(np.log1p(np.abs(means.astype(np.float64))), means)
+
+
+def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
+    """Of positions in units, as `without_far` asks for it."""
+    return float(((_logs(high) - _logs(low)) / 65535 * (np.abs(middle) + 1)).max())
 
 
 def _pack_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from ..transforms import transform_splats
 from ..words import count_words, number
 from .axes import X, harmonic_signs
+from .far_splats import without_far
 from .packed_bytes import (
     check_ratio,
     gunzip_exactly,
@@ -39,6 +40,10 @@ _STREAM = struct.Struct("<QQ")
 _ANTIALIASED, _EXTENDED = 1, 2
 _MOST_BITS = 23
 """Of the fraction of a position, of 24."""
+_MOST_PLACE = 2**23 - 1
+"""The largest whole number of a position."""
+_FINE = 2.0**-13
+"""Step of positions that is fine enough, as `without_far` asks for it."""
 _MOST_EXTENSIONS = 1 << 20
 """Bytes of extensions that are looked at."""
 _COLOR_SCALE = 0.15
@@ -92,8 +97,11 @@ def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
     )
 
 
-def encode_spz(splats: Splats, *, antialiased: bool, version: int) -> tuple[bytes, list[str]]:
-    """The bytes of an SPZ file, and sentences on what they do not hold.
+def encode_spz(
+    splats: Splats, *, antialiased: bool, version: int
+) -> tuple[bytes, list[str], np.ndarray]:
+    """The bytes of an SPZ file, sentences on what they do not hold, and the positions [N, 3] in
+    them before they are rounded.
 
     Raises:
         ConfigError: the version is not written, or there are too many splats.
@@ -103,18 +111,21 @@ def encode_spz(splats: Splats, *, antialiased: bool, version: int) -> tuple[byte
         raise ConfigError(f"SPZ is written in version 3 or 4, got {version!r}.")
     if len(splats) >= 2**32:
         raise ConfigError("SPZ holds 4,294,967,295 splats at most.")
-    bits, notes = _fraction_bits(splats)
+    splats, notes = without_far(splats, _step, _FINE, "SPZ")
+    bits, farthest = _fraction_bits(splats.means)
+    if farthest > _MOST_PLACE:
+        notes.append("SPZ holds positions up to 8,388,607 units; those beyond were moved there.")
     notes += _clamped(splats)
     arrays = _pack(splats, bits)
     flags = _ANTIALIASED if antialiased else 0
     head = (_MAGIC, version, len(splats), splats.sh_degree, bits, flags)
     if version == 3:
-        return gzip_quickly([_HEADER.pack(*head, 0), *arrays]), notes
+        return gzip_quickly([_HEADER.pack(*head, 0), *arrays]), notes, splats.means
     arrays = [array for array in arrays if len(array)]
     streams = [zstd_quickly(array) for array in arrays]
     table = b"".join(_STREAM.pack(len(s), len(a)) for s, a in zip(streams, arrays, strict=True))
     header = _HEADER_4.pack(*head, len(streams), _HEADER_4.size)
-    return b"".join([header, table, *streams]), notes
+    return b"".join([header, table, *streams]), notes, splats.means
 
 
 def _header(path: Path, raw: bytes | memoryview) -> _Header:
@@ -253,18 +264,18 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
     return quats
 
 
-def _fraction_bits(splats: Splats) -> tuple[int, list[str]]:
-    """The finest fixed point in which all positions fit, and a note where none is."""
-    farthest = float(np.abs(splats.means).max(initial=0))
+def _fraction_bits(means: np.ndarray) -> tuple[int, float]:
+    """The finest fixed point in which positions [N, 3] fit, if any, and their largest number."""
+    farthest = float(np.abs(means).max(initial=0))
     bits = _MOST_BITS
-    while bits > 0 and farthest * 2.0**bits > 2**23 - 1:
+    while bits > 0 and farthest * 2.0**bits > _MOST_PLACE:
         bits -= 1
-    if farthest > 2**23 - 1:
-        return 0, ["SPZ holds positions up to 8,388,607 units; those beyond were moved there."]
-    if 2.0**-bits > 1e-3:
-        told = f"A splat {farthest:.0f} units away leaves steps of {2.0**-bits:g} for positions."
-        return bits, [f"{told} Remove far splats first for finer ones."]
-    return bits, []
+    return bits, farthest
+
+
+def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
+    """Of positions in units, as `without_far` asks for it."""
+    return 2.0 ** -_fraction_bits(np.stack([low, high]))[0]
 
 
 def _clamped(splats: Splats) -> list[str]:
@@ -309,7 +320,7 @@ def _to_bytes(values: np.ndarray) -> np.ndarray:
 def _pack_places(means: np.ndarray, bits: int) -> np.ndarray:
     """[N, 3, 3] bytes."""
     fixed = np.rint(means.astype(np.float64) * _SIGNS * 2.0**bits)
-    fixed = np.clip(fixed, -(2**23), 2**23 - 1).astype("<i4")
+    fixed = np.clip(fixed, -_MOST_PLACE - 1, _MOST_PLACE).astype("<i4")
     return fixed.view(np.uint8).reshape(-1, 3, 4)[..., :3]
 
 
@@ -340,7 +351,7 @@ def _read(path: Path) -> Decoded:
 
 
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    raw, notes = encode_spz(splats, antialiased=options.antialiased, version=options.spz_version)
+    raw, notes, _ = encode_spz(splats, antialiased=options.antialiased, version=options.spz_version)
     atomic_write(path, raw)
     return notes
 

@@ -6,7 +6,7 @@ leave of the budget: their step is the smallest that fits.
 """
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,8 @@ PLACE_LEVELS = 1 << 12
 """Places along each side of the box of a block."""
 TURN_LEVELS = 1 << 7
 """Values of each of the three smaller components of a quaternion."""
+_SMALLEST_LOG = np.float32(-60.0)
+"""Of sizes."""
 SIZE_STEP = 0.06
 """Of the logarithm of a standard deviation: sizes are within 3 % of what they were."""
 COLOR_STEP = 1 / 64
@@ -76,6 +78,8 @@ def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
     kept = cut_degree(splats.subset(_drawn(splats)), PAGE_DEGREE)
     order, lengths = blocks_of(kept.means)
     kept = kept.subset(order)
+    # The sizes of all splats count from the smallest: what is smaller than any pixel is cut.
+    kept = replace(kept, scales=np.maximum(kept.scales, _SMALLEST_LOG))
     count = len(kept)
     rest = _rest_along_axes(kept)
     head: dict[str, Any] = {

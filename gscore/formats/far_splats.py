@@ -1,0 +1,97 @@
+"""Splats far from all others, and extremes of other numbers, in formats whose steps for all splats
+grow with them."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..nearby import distances_from_middle, middle_of
+from ..splats import Splats
+from ..words import count_words
+
+_COARSE = 2.0**-10
+"""Step from which a note tells of it, in distances from the middle that half of all splats do not
+exceed: a camera at that distance with a focal length of 1,000 pixels sees one of them as it is."""
+FAR = 8.0
+"""Splats within so many of these distances are never moved,"""
+_NEAR_SHARE = 90.0
+"""nor is this share of all splats, percent,"""
+_FEW = 16
+"""nor any of fewer splats than this."""
+
+StepOf = Callable[[np.ndarray, np.ndarray, np.ndarray], float]
+"""The step of positions around the middle [3] where all lie between low [3] and high [3], units."""
+
+
+def without_far(
+    splats: Splats, step_of: StepOf, fine: float, name: str
+) -> tuple[Splats, list[str]]:
+    """The splats, those that would make the steps of all others coarse moved towards the middle.
+
+    They are moved along straight lines and shrink as much as they come nearer, so that they look
+    nearly the same from the middle. None is moved where the steps are fine with all of them, or
+    coarse without them.
+
+    Args:
+        splats: The model.
+        step_of: How fine a format's positions are.
+        fine: The step that is fine enough, in distances from the middle that half of all splats do
+            not exceed; where the format has none so fine, twice its finest is.
+        name: Of the format.
+
+    Returns:
+        The splats, itself where none is moved, and sentences on what was moved and how coarse steps
+        are.
+    """
+    if not len(splats):
+        return splats, []
+    middle, (away, usual) = middle_of(splats.means), distances_from_middle(splats.means)
+    low, high = (end(splats.means, axis=0).astype(np.float64) for end in (np.min, np.max))
+
+    def step_within(limit: float) -> float:
+        return step_of(np.maximum(low, middle - limit), np.minimum(high, middle + limit), middle)
+
+    limit, notes = float(away.max()), []
+    least = max(FAR * usual, float(np.percentile(away, _NEAR_SHARE, method="lower")))
+    if len(splats) >= _FEW and limit > least:
+        wanted = max(fine * usual, 2 * step_within(least))
+        while step_within(limit) > wanted:
+            limit = max(limit / 2, least)
+    moved = away > limit
+    if moved.any():
+        splats = moved_within(splats, moved, limit)
+        notes.append(
+            f"{count_words(int(moved.sum()), 'splat')} up to {away.max():.3g} units away from the "
+            f"others were moved to {limit:.3g} units and made smaller, so that the positions of "
+            f"all keep steps of {step_within(limit):.2g} units in {name}. Remove far splats first, "
+            f"with gscore convert --box or --sphere."
+        )
+    if len(splats) >= _FEW and step_within(limit) > _COARSE * usual:
+        notes.append(
+            f"{name} rounds the positions of these splats to {step_within(limit):.2g} units, which "
+            f"is coarse for splats {usual:.2g} units around their middle: they lie too far from "
+            f"the origin or from each other. Move them to the origin, with gscore convert --move, "
+            f"or write a PLY."
+        )
+    return splats, notes
+
+
+def moved_within(splats: Splats, moved: np.ndarray, limit: float) -> Splats:
+    """The splats, some of them [N] bool moved along straight lines towards the middle until they
+    are at the limit along their farthest axis, and as much smaller."""
+    middle, (away, _) = middle_of(splats.means), distances_from_middle(splats.means)
+    share = limit / away[moved, None]
+    means, scales = splats.means.copy(), splats.scales.copy()
+    means[moved] = middle + (means[moved] - middle) * share
+    scales[moved] += np.log(share).astype(np.float32)
+    return replace(splats, means=means, scales=scales)
+
+
+def cut_extremes(splats: Splats, field: str, most: float) -> tuple[Splats, int]:
+    """The splats, one of their parameters cut to `most` and its negative, and of how many."""
+    values = getattr(splats, field)
+    if values.max(initial=0.0) <= most and values.min(initial=0.0) >= -most:
+        return splats, 0
+    beyond = (np.abs(values) > most).any(axis=tuple(range(1, values.ndim)))
+    return replace(splats, **{field: np.clip(values, -most, most)}), int(beyond.sum())
