@@ -106,9 +106,9 @@ class Request:
     ) -> np.ndarray:
         """As `Wish`; scene-linear, if it is not to lie over the view."""
         options = self.options
-        if options.window is not None and camera is not self.camera:
-            camera = _cropped(camera, options.window, camera.width / self.camera.width)
-            options = replace(options, window=None)
+        if options.window is not None:
+            camera, window = _scaled(self.camera, options.window, camera)
+            options = replace(options, window=window)
         film = Film(
             options=options,
             transparent=self.transparent,
@@ -381,21 +381,30 @@ def smaller(camera: RenderCamera, factor: int) -> RenderCamera:
     return replace(camera, K=K, width=width, height=height)
 
 
-def _cropped(camera: RenderCamera, window: picture.Window, scale: float) -> RenderCamera:
-    """The part of a view that a window of it shows, in about as many pixels.
+def _scaled(
+    view: RenderCamera, window: picture.Window, small: RenderCamera
+) -> tuple[RenderCamera, picture.Window]:
+    """The whole view in about as many pixels as `small` has, and a window of it in whole ones.
+
+    The camera stays that of the whole view: how large a splat near its edges is drawn depends on
+    where they are, so a camera of the window alone would show another picture.
 
     Args:
-        camera: Of the whole view, with fewer pixels.
+        view: The whole view.
         window: In pixels of the view.
-        scale: How many times as many pixels a side the camera has.
+        small: The view with as many pixels or fewer.
     """
-    left, top, width, height = (scale * v for v in window)
-    size = max(1, round(width)), max(1, round(height))
-    K = camera.K.copy()
-    K[:2, 2] -= left, top
-    K[0] *= size[0] / width
-    K[1] *= size[1] / height
-    return replace(camera, K=K, width=size[0], height=size[1])
+    whole, part = (view.width, view.height), (small.width, small.height)
+    K, places, sizes, ends = view.K.copy(), [], [], []
+    for axis in (0, 1):
+        low, length = window[axis], window[axis + 2]
+        sizes.append(max(1, round(length * part[axis] / whole[axis])))
+        scale = sizes[axis] / length
+        places.append(round(low * scale))
+        ends.append(max(places[axis] + sizes[axis], round(whole[axis] * scale)))
+        K[axis] *= scale
+        K[axis, 2] += places[axis] - low * scale
+    return replace(view, K=K, width=ends[0], height=ends[1]), (*places, *sizes)
 
 
 def redraw_when_ready(painter: Painter) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon.compat import matrix_to_numpy
-from addon.core import CancelFlag
+from addon.core import CancelFlag, Splats
 from addon.render.model import SplatCache
 from addon.render.regions import drawn_window
 from addon.render.viewport import Request, smaller
@@ -107,9 +107,51 @@ def test_a_region_beside_the_view_is_a_pixel(scene: bpy.types.Scene) -> None:
 
 def shot(request: Request, factor: int = 1) -> np.ndarray:
     """[H, W, 4], the top row first."""
-    camera = request.camera if factor == 1 else smaller(request.camera, factor)
+    camera = smaller(request.camera, factor)  # as a painter asks
     model = SplatCache().model(request.placed)
     return request.shoot(model, camera, lambda: False, CancelFlag())[::-1]
+
+
+def with_near_splat() -> Splats:
+    """The first is large, close to the camera of `splat_scenes.prepare` and left of what it sees:
+    its picture depends on where the edges of the view are."""
+    splats = lab.blob(300)
+    splats.means[0], splats.scales[0], splats.opacities[0] = (-0.9, 0.1, 3.2), np.log(0.3), 4
+    return splats
+
+
+@pytest.mark.parametrize("factor", [1, 2])
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_the_region_shows_what_the_view_does(
+    scene: bpy.types.Scene, kind: str, factor: int
+) -> None:
+    """Oracle: the same pixels of the whole view's picture, to the bit; a splat near the camera
+    covers most of them."""
+    lab.prepare(scene, SIZE).data.type = kind
+    whole, _ = request_for(scene, with_near_splat(), size=SIZE)
+    whole = replace(whole, transparent=True)
+    part = replace(whole, options=replace(whole.options, window=PART))
+    left, top, width, height = (v // factor for v in PART)
+    want = shot(whole, factor)[top : top + height, left : left + width]
+    np.testing.assert_array_equal(shot(part, factor), want)
+    assert (want[..., 3] > 0.1).mean() > 0.5
+
+
+def test_a_small_picture_of_a_region_stands_in_its_place(scene: bpy.types.Scene) -> None:
+    """Oracle: the mean places of light in the whole picture's pixels of the region, by hand, to
+    half a hundredth of its size; odd sizes, none of which a third of the pixels divides."""
+    lab.prepare(scene, SIZE)
+    whole, _ = request_for(scene, lab.blob(1500), size=SIZE)
+    whole = replace(whole, transparent=True)
+    part = replace(whole, options=replace(whole.options, window=(31, 13, 53, 37)))
+
+    def middles(rgba: np.ndarray) -> np.ndarray:
+        light = rgba[..., 3]
+        shares = [(np.arange(n) + 0.5) / n for n in light.shape]
+        return np.array([light.sum(1) @ shares[0], light.sum(0) @ shares[1]]) / light.sum()
+
+    assert shot(part, 3).shape[:2] == (12, 18)
+    assert np.abs(middles(shot(part, 3)) - middles(shot(part))).max() < 0.005
 
 
 def test_the_picture_of_a_region(scene: bpy.types.Scene) -> None:
