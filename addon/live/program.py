@@ -28,7 +28,7 @@ void main()
     return;
   }
   vec4 entry = texelFetch(sorted, ivec2(number % ORDER_COLUMNS, number / ORDER_COLUMNS), 0);
-  int row = int(entry.x + 0.5);
+  int row = int(entry.x);  // whole: from 2^23 on, 0.5 more would be rounded to a neighbour
   if (row >= int(count.y)) {
     return;
   }

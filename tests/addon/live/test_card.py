@@ -61,6 +61,7 @@ def painted(
     limit=None,
     nearness=False,
     exact=False,
+    first=0,
     **options,
 ):
     """The same, and [H, W] nearness or None."""
@@ -71,7 +72,9 @@ def painted(
     viewmats = tuple(camera.viewmat @ m for m in matrices)
     made = atlas.build(parts)
     eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-    entries = Order(order.arrange(made, eye, len(made)))
+    arranged = order.arrange(made, eye, len(made))
+    arranged[:, 0] += first
+    entries = Order(arranged)
     while not entries.step():
         pass
     texels = Texels(made.texels)
@@ -83,7 +86,7 @@ def painted(
         viewmats=viewmats,
         window=options.get("window", WINDOW),
         antialias=options.get("antialias", False),
-        limit=len(made) if limit is None else limit,
+        limit=first + len(made) if limit is None else limit,
         cuts=options.get("cuts", Cuts()),
     )
     depths = None if meshes is None else texture(meshes[::-1, :, None])
@@ -222,6 +225,23 @@ def test_fewer_splats(card):
     chosen[first] = True
     got = drawn(card, [splats], [np.eye(4)], view(), limit=300)
     assert np.abs(got[..., :3] - truth(splats.subset(chosen), view()).rgb).max() < LIMIT
+
+
+@pytest.mark.parametrize("first", [1 << 23, (1 << 24) - 2048])
+def test_rows_beyond_half_of_what_float32_counts(card, monkeypatch, first):
+    """Oracle: the picture of the same splats in the first rows, to the bit. The program is changed
+    to find those rows, up to the last that an atlas can have, at the beginning of a small one."""
+    from addon.live import program
+
+    splats = lab.blob(2048)
+    want = drawn(card, [splats], [np.eye(4)], view())
+    place = "row / COLUMNS)"
+    assert program._SPLAT_VERTEX.count(place) == 1 and first % atlas.COLUMNS == 0
+    moved = program._SPLAT_VERTEX.replace(place, f"row / COLUMNS - {first // atlas.COLUMNS})")
+    monkeypatch.setattr(program, "_SPLAT_VERTEX", moved)
+    monkeypatch.setattr(card, "_splats", program.splats())
+    np.testing.assert_array_equal(drawn(card, [splats], [np.eye(4)], view(), first=first), want)
+    assert first + len(splats) <= atlas.MOST and np.std(want) > 0.1
 
 
 def test_an_atlas_comes_in_pieces(card, monkeypatch):
