@@ -29,14 +29,15 @@ help:  ## this list
 
 # What a user needs. The editable install lists packages when it is made, so a new package renews it; it builds nothing.
 # torch comes first and alone, so that an index that does not answer costs seconds and not as many for each package.
-# -qq keeps pip's errors alone: its warnings are of how it is set up, and bury what matters.
+# -qq keeps pip's errors alone: its warnings are of how it is set up, and bury what matters. No number of q silences the
+# warnings of retries, of 300 characters each, so what pip prints about an optional index is dropped; one sentence follows.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
 	@echo "Installing into $(VENV): 1.5 GB, half of it torch"
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) install -qq --upgrade pip
 ifneq ($(TORCH_INDEX),)
-	@$(PIP) install -qqq --retries 1 --timeout 15 --no-deps --index-url $(TORCH_INDEX) --constraint constraints.txt torch || \
-		echo "$(TORCH_INDEX) has no torch to give, so the usual one follows, with 2.7 GB of CUDA; TORCH_INDEX=URL names another."
+	@$(PIP) install -qqq --retries 1 --timeout 15 --no-deps --index-url $(TORCH_INDEX) --constraint constraints.txt torch \
+		2> /dev/null || echo "$(TORCH_INDEX) has no torch to give, so the usual one follows, with 2.7 GB of CUDA; TORCH_INDEX=URL names another."
 endif
 	@$(PIP) install -qq --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' \
 		'cmake>=3.25' 'ninja>=1.11'

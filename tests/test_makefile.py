@@ -147,6 +147,18 @@ def test_an_index_that_refuses_costs_seconds(tmp_path: Path) -> None:
     assert "usual one follows" in told
 
 
+@linux
+def test_an_index_that_refuses_is_one_sentence(tmp_path: Path) -> None:
+    """Oracle: the lines of the terminal, errors among them: what is installed, and one sentence; a
+    port of this machine where nobody listens and a name that nobody has; the real pip."""
+    for folder, index in (("port", "http://127.0.0.1:9/simple"), ("name", "https://x.invalid/s")):
+        own = tmp_path / folder
+        own.mkdir()
+        pip = fake_pip(own, index=f'{sys.executable} -m pip "$@" --dry-run --ignore-installed')
+        told, _ = environment_made(own, f"{pip} 2>&1", f"TORCH_INDEX={index}")
+        assert [line.split()[0] for line in told.splitlines()] == ["Installing", index]
+
+
 def test_help_lists_every_target() -> None:
     """Oracle: .PHONY; plain `make` says the same, in lines a terminal shows whole."""
     (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, re.M)
