@@ -86,13 +86,19 @@ class GradeSplats(Editing, bpy.types.Operator):
         name="Saturation", description="0 for grey", min=0.0, max=10.0, default=1.0
     )
     only_selected: BoolProperty(
-        name="Only Selected", description="Leave out what is not selected in Edit Mode"
+        name="Only Selected",
+        description="Leave out what is not selected; a button begins with this on where some "
+        "splats are selected",
+        options={"SKIP_SAVE"},
     )
 
     def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
         """Grade."""
         ob = held.there()
-        some = attributes.selected(ob.data) if self.only_selected else slice(None)
+        selected, whole = attributes.selected(ob.data), len(ob.data.vertices)
+        if self.options.is_invoke and not self.properties.is_property_set("only_selected"):
+            self.only_selected = bool(selected.any())
+        some = selected if self.only_selected else slice(None)
         grade = grading.Grade(
             lift=tuple(self.lift),
             gamma=tuple(self.gamma),
@@ -112,7 +118,7 @@ class GradeSplats(Editing, bpy.types.Operator):
         kind = mesh.attributes[attributes.BASE].data_type
         attributes.fill(mesh, attributes.BASE, kind, base.ravel())
         mesh.update()
-        return f"{count:,} splats graded."
+        return f"{count:,} of {whole:,} splats graded."
 
 
 class SeparateSplats(Editing, bpy.types.Operator):

@@ -13,7 +13,7 @@ INTERVAL = 0.01
 
 def stand_in(name: str, **settings: Any) -> Any:
     """What an operator is in Python, with its settings, but none of Blender's: its `pieces` can be
-    had, and `said` has what it reported.
+    had, as of a button, and `said` has what it reported.
 
     Args:
         name: As in `bpy.ops.gscore`.
@@ -30,6 +30,7 @@ def stand_in(name: str, **settings: Any) -> Any:
     for key, value in settings.items():
         setattr(made, key, value)
     made.properties = SimpleNamespace(is_property_set=settings.__contains__)
+    made.options = SimpleNamespace(is_invoke=True)
     made.said = []
     made.report = lambda kinds, text: made.said.append(text)
     return made

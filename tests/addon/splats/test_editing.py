@@ -14,10 +14,12 @@ from addon.attributes import BASE, SCALE
 from addon.core import Splats, join_splats, render, sh0_to_rgb
 from addon.panels import edit as edit_panel
 from addon.panels.edit import EditPanel
+from addon.process.pieces import at_once
 from addon.splats import choose as choose_splats
 from addon.splats import filters, grading, objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
+from tools.measure.stand_in import stand_in
 
 Make = Callable[..., Splats]
 COUNT = 400
@@ -188,6 +190,31 @@ def test_grade(ob: bpy.types.Object) -> None:
     bpy.ops.ed.undo()
     again = objects.read(bpy.data.objects[name])
     np.testing.assert_array_equal(again.sh0, before.sh0)
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+@pytest.mark.parametrize("share", [0, 3])
+def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, share: int) -> None:
+    """Oracle: the rows that changed: those that are selected, or all where none is; a script grades
+    all unless it says otherwise, and so does a button whose Only Selected is taken away."""
+    sh0 = objects.read(ob).sh0
+    some = np.arange(COUNT) % share == 0 if share else np.zeros(COUNT, bool)
+    choose(ob, some)
+    bpy.ops.object.mode_set(mode=mode)
+
+    def changed() -> np.ndarray:
+        nonlocal sh0
+        bpy.ops.object.mode_set(mode="OBJECT")
+        before, sh0 = sh0, objects.read(ob).sh0
+        bpy.ops.object.mode_set(mode=mode)
+        return (sh0 != before).any(axis=(1, 2))
+
+    at_once(stand_in("grade_splats", saturation=0.5).pieces(bpy.context))
+    np.testing.assert_array_equal(changed(), some if share else True)
+    at_once(stand_in("grade_splats", gain=(0.5,) * 3, only_selected=False).pieces(bpy.context))
+    assert changed().all()
+    bpy.ops.gscore.grade_splats(gain=(0.5,) * 3)
+    assert changed().all()
 
 
 def test_many_are_graded_and_compared_as_few(monkeypatch: pytest.MonkeyPatch) -> None:
