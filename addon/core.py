@@ -3,6 +3,7 @@
 # ruff: noqa: F401 - the rest of the add-on imports them from here
 from gscore import (
     PRESETS,
+    BackendError,
     Background,
     Cameras,
     CancelFlag,

@@ -154,7 +154,7 @@ ROOMS = {
     "python": _SHARED,
     "nodes": _FLOOR,
     "cameras": _SHARED,
-    "splats": _SHARED | {"cameras", "nodes"},
+    "splats": _SHARED | {"cameras", "nodes", "python"},
     "job": _OBJECTS | {"python"},
     "search": _OBJECTS | {"python", "job"},
     "depth": _OBJECTS | {"python", "job"},

@@ -11,6 +11,10 @@ CHOICES: dict[tuple[str, str], str] = {}
 _FLAG = re.compile(r"(?<![\w/-])--([a-z][a-z0-9-]*)(?: (on|off|auto|none|ignore|composite)\b)?")
 
 
+_OF_PIP = re.compile(r"pip install (?:(?!\. |; ).)*$")
+"""The beginning of a command of pip, whose flags are meant to be typed."""
+
+
 def panel_words(sentence: str) -> str:
     """`sentence` with the names of panels for flags; those that no panel has become options."""
     return _FLAG.sub(_label, sentence)
@@ -28,6 +32,8 @@ def _label(found: re.Match[str]) -> str:
     flag, value = found.groups()
     option = flag.replace("-", "_")
     label = LABELS.get(option)
+    if _OF_PIP.search(found.string, 0, found.start()):
+        return found.group()
     if label is None:
         return f"the option {flag.replace('-', ' ')}" + (f" ({value})" if value else "")
     if not value:

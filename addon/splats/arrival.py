@@ -124,7 +124,7 @@ class Arrival:
                 task.tell(asked.path.name)
                 wanted = self._find(asked)
                 try:
-                    found = files.read(wanted)
+                    found = files.read(wanted, task.check)
                     task.check()
                     columns = tuple(attributes.columns(found.splats))
                 except MemoryError as error:

@@ -1,7 +1,8 @@
 """Splat objects as one file: at once for scripts, bit by bit where a user waits."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -9,9 +10,9 @@ import numpy as np
 
 from .. import attributes
 from ..compat import matrix_to_numpy
-from ..core import GsError, Splats, given_up_by, join_splats, write_splat_file
-from ..process.pieces import Check, Pieces, aside, at_once
-from . import filters, objects
+from ..core import BackendError, GsError, Splats, given_up_by, join_splats, write_splat_file
+from ..process.pieces import Check, Pieces, ResultT, aside, at_once
+from . import conversion, filters, objects
 from .files import BLENDER, SOURCE, note_of_up, source_matrix, source_matrix_of_data
 from .filters import Filters
 from .leaving import Leaving
@@ -84,20 +85,36 @@ def exporting(
         for one in taken:
             one.drop()
 
-    def write(check: Check) -> Written:
+    splats, total = yield from aside(_in_words(partial(_together, parts, read)), "Collecting")
+    how = {"antialiased": antialiased, "comments": comments}
+
+    def write(check: Check) -> Sequence[str]:
+        with given_up_by(check):
+            return write_splat_file(path, splats, **how).notes
+
+    try:
+        notes = yield from aside(_in_words(write), f"Writing {path.name}")
+    except BackendError as error:
+        by, how = conversion.other(), {"antialiased": antialiased, "lacking": error}
+        beside = partial(conversion.write, path, splats, by, **how)
+        notes = yield from aside(_in_words(beside), f"Writing {path.name} in the trainer's Python")
+    hidden = total - len(splats)
+    left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
+    return len(splats), (*notes, *left)
+
+
+def _in_words(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
+    """The same work, with a sentence where memory is lacking."""
+
+    def done(check: Check) -> ResultT:
         try:
-            splats, total = _together(parts, read, check)
-            with given_up_by(check):
-                made = write_splat_file(path, splats, antialiased=antialiased, comments=comments)
+            return work(check)
         except MemoryError as error:
             raise GsError(
                 "The splats do not fit into memory twice; close other programs and export again."
             ) from error
-        hidden = total - len(splats)
-        left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
-        return len(splats), (*made.notes, *left)
 
-    return (yield from aside(write, f"Writing {path.name}"))
+    return done
 
 
 def _together(

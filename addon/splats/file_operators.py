@@ -28,11 +28,11 @@ _ENDINGS = [
     (".ply", "PLY", "The official 3DGS layout: everything, to the bit"),
     (".compressed.ply", "Compressed PLY", "SuperSplat's layout, a quarter of the size"),
     (".spz", "SPZ", "Niantic's layout, a fifth of the size"),
-    (".sog", "SOG", "PlayCanvas' layout, an eighth of the size; Blender's Python needs Pillow"),
+    (".sog", "SOG", "PlayCanvas' layout, an eighth of the size"),
     (".splat", "splat", "32 bytes a splat for small viewers; colors do not change with the view"),
     (".glb", "glTF", "KHR_gaussian_splatting: everything, as floats"),
     (".spz.glb", "glTF with SPZ", "KHR_gaussian_splatting, packed as SPZ"),
-    (".usdc", "USD", "ParticleField3DGaussianSplat; Blender's Python needs usd-core 26.03"),
+    (".usdc", "USD", "ParticleField3DGaussianSplat; the Python that trains needs usd-core 26.03"),
 ]
 _DROPPED = ";".join(sorted({ending[ending.rindex(".") :] for ending in SPLAT_ENDINGS} - {".json"}))
 """Endings of files that are dropped. Blender has importers of its own for glTF and USD, so it asks

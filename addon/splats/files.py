@@ -15,10 +15,10 @@ from ..core import (
     SplatFile,
     is_lod_file,
     read_lod,
-    read_splat_file,
     stated_up,
 )
-from . import objects
+from ..process.pieces import Check
+from . import conversion, objects
 from .filters import crop_matrix, is_cropped
 from .objects import ANTIALIAS
 
@@ -60,6 +60,8 @@ class Wanted:
     stored: tuple[float, ...]
     """What is remembered of that object's import; empty: nothing."""
     up: str
+    by: conversion.Other
+    """Reads formats that Blender's Python lacks a package for."""
 
 
 def import_splats(
@@ -133,17 +135,18 @@ def want(
         basis=basis,
         stored=stored,
         up=up,
+        by=conversion.other(),
     )
 
 
-def read(wanted: Wanted) -> SplatFile:
-    """What is imported; in any thread.
+def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
+    """What is imported; in any thread. `check` raises where it is no longer wanted.
 
     Raises:
         As `import_splats`.
     """
     if not is_lod_file(wanted.path):
-        return read_splat_file(wanted.path)
+        return conversion.read(wanted.path, wanted.by, check)
     if wanted.to_unit is None:
         return read_lod(wanted.path, wanted.level, most=MOST_AT_ONCE)
     found = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)

@@ -24,6 +24,13 @@ ADDON = Path(addon.__file__).parent
         ("Give fewer --max-splats.", 'Give fewer "Most Splats".'),
         ("--exposure off takes colours as they are.", "the option exposure (off) takes"),
         ("Give --mask-mode ignore: then", 'Give "Masks Mean: Leave Out": then'),
+        (
+            'SOG: install it with: pip install "gscore[train]" --extra-index-url https://a.b/cpu. '
+            "Give fewer --max-splats.",
+            'SOG: install it with: pip install "gscore[train]" --extra-index-url https://a.b/cpu. '
+            'Give fewer "Most Splats".',
+        ),
+        ('pip install --upgrade "pycolmap>=4.2"; --depth-mode on', 'pip install --upgrade "pyco'),
         ("/tmp/a--b and x-- y stay", "/tmp/a--b and x-- y stay"),
     ],
 )

@@ -1,8 +1,11 @@
 """Operators as a script calls them. Oracle: files read back with gscore, and the scene before."""
 
+import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -10,6 +13,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from addon import preferences
 from addon.core import (
     MIP_COMMENT,
     DataConfig,
@@ -21,7 +25,8 @@ from addon.core import (
     write_splats,
 )
 from addon.panels import result
-from addon.splats import edit, even_scale, exporting, objects
+from addon.process.pieces import Going
+from addon.splats import conversion, edit, even_scale, exporting, objects
 from addon.splats.filters import visible_mask
 from gscore.config_file import config_json
 from gscore.formats.registry import FORMATS, format_to_write
@@ -29,6 +34,7 @@ from tests.addon.drawn import drawn, labels
 
 Make = Callable[..., Splats]
 COUNT = 300
+ROOT = Path(__file__).parents[3]
 EXACT = ("means", "sh0", "shN")
 
 
@@ -262,15 +268,86 @@ def ending_items() -> list[bpy.types.EnumPropertyItem]:
     return list(bpy.ops.gscore.export_splats.get_rna_type().properties["ending"].enum_items)
 
 
-@pytest.mark.parametrize(("ending", "package"), [(".sog", "pillow"), (".usdc", "usd-core")])
-def test_a_format_whose_package_is_missing(
-    ending: str, package: str, ob: bpy.types.Object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Oracle: a sentence that names the package, and no file."""
+LACKING = pytest.mark.parametrize(
+    ("ending", "package"), [(".sog", "pillow"), (".usdc", "usd-core"), (".usdz", "usd-core")]
+)
+
+
+@pytest.fixture
+def without_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blender's Python as it comes, without what SOG and USD need."""
     for name in ("PIL", "PIL.Image", "pxr", "pxr.UsdVol"):
         monkeypatch.setitem(sys.modules, name, None)
+
+
+@LACKING
+def test_the_trainers_python_has_what_blenders_lacks(
+    ending: str,
+    package: str,
+    ob: bpy.types.Object,
+    scene: bpy.types.Scene,
+    ply: Path,
+    tmp_path: Path,
+    without_packages: None,
+) -> None:
+    """Oracle: the file that the same Python writes by itself of the same splats, to the byte (a zip
+    of USD: its size), and the splats that come in from it again; the mark of antialiasing."""
+    python = os.environ["GSCORE_TRAINER_PYTHON"]
+    preferences.get().python_path = python
+    ob["gs_antialias"] = True
+    out, wanted = tmp_path / f"out{ending}", tmp_path / f"wanted{ending}"
+    assert bpy.ops.gscore.export_splats(filepath=str(out)) == {"FINISHED"}
+    bpy.ops.gscore.export_splats(filepath=str(tmp_path / "whole.ply"))
+    command = [python, "-m", "gscore", "convert", tmp_path / "whole.ply", wanted]
+    subprocess.run(command, check=True, cwd=ROOT)
+    same = out.stat().st_size == wanted.stat().st_size
+    assert same if ending == ".usdz" else out.read_bytes() == wanted.read_bytes()
+    assert bpy.ops.gscore.import_splats(filepath=str(out)) == {"FINISHED"}
+    got = bpy.context.object
+    assert len(got.data.vertices) == COUNT and got["gs_antialias"]
+    assert [one.name for one in tmp_path.iterdir() if one.name.startswith(".")] == []
+
+
+def test_an_export_by_the_trainers_python_can_be_given_up(
+    ob: bpy.types.Object, tmp_path: Path, without_packages: None
+) -> None:
+    """Oracle: the file before, its folder, and the processes of that Python afterwards."""
+    preferences.get().python_path = os.environ["GSCORE_TRAINER_PYTHON"]
+    out = tmp_path / "out.sog"
+    out.write_bytes(b"before")
+    going = Going(exporting.exporting([ob], out, world="SOURCE", filtered=False))
+    while "trainer" not in going.sentence:
+        assert not going.step()
+    going.cancel()
+    task = going._task
+    assert task is not None and task.wait(10) and task.cancelled
+    assert out.read_bytes() == b"before"
+    assert {one.name for one in tmp_path.iterdir()} == {"out.sog", "chair.ply"}
+
+
+@LACKING
+def test_a_format_whose_package_is_missing(
+    ending: str,
+    package: str,
+    ob: bpy.types.Object,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    without_packages: None,
+) -> None:
+    """Oracle: a sentence that names the package and what to press, and no file: where no Python for
+    training is set up, and where that one says that it cannot either."""
     out = tmp_path / f"out{ending}"
-    with pytest.raises(RuntimeError, match=package):
+    other = conversion.Other(python=None, folder=bpy.app.tempdir)
+    monkeypatch.setattr(conversion, "other", lambda: other)
+    with pytest.raises(RuntimeError, match=rf"{package}.* pip install .*Make Environment"):
+        bpy.ops.gscore.export_splats(filepath=str(out))
+    fake = tmp_path / "python"
+    fake.write_text(
+        f"#!/bin/sh\necho 'gscore convert: error: it lacks {package} too.' >&2; exit 2\n"
+    )
+    fake.chmod(0o755)
+    monkeypatch.setattr(conversion, "other", lambda: replace(other, python=fake))
+    with pytest.raises(RuntimeError, match=f"python: it lacks {package} too"):
         bpy.ops.gscore.export_splats(filepath=str(out))
     assert not out.exists()
 

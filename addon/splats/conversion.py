@@ -1,0 +1,142 @@
+"""Formats whose packages Blender's Python lacks, read and written by the Python that trains."""
+
+import json
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bpy
+
+from .. import preferences
+from ..core import (
+    BackendError,
+    GsError,
+    SplatFile,
+    Splats,
+    atomic_write,
+    read_splat_file,
+    write_splat_file,
+)
+from ..process.pieces import Check
+from ..process.program import Process
+from ..python import setup
+
+_PERIOD = 0.05
+"""Seconds between two looks at the other Python."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Other:
+    """Another Python, and where it puts what it makes."""
+
+    python: Path | None
+    """None: none is set up."""
+    folder: str
+    """Of temporary files."""
+
+
+def other() -> Other:
+    """The Python that trains. On Blender's main thread."""
+    try:
+        python = setup.trainer_python(preferences.get())
+    except ValueError:
+        python = None
+    return Other(python=python, folder=bpy.app.tempdir)
+
+
+def read(path: Path, by: Other, check: Check) -> SplatFile:
+    """As `read_splat_file`, by another Python where this one lacks a package; in any thread.
+
+    Args:
+        path: The file.
+        by: As `other`.
+        check: Raises where the file is no longer wanted; the other Python is ended then.
+
+    Raises:
+        GsError: it cannot be read by either.
+    """
+    try:
+        return read_splat_file(path)
+    except BackendError as error:
+        lacking = error
+    with tempfile.TemporaryDirectory(prefix="gscore-", dir=by.folder) as folder:
+        made = Path(folder, f"{path.stem}.ply")
+        warnings = _convert(path, made, by.python, check, lacking)
+        found = read_splat_file(made)
+    return replace(found, path=path, notes=(*found.notes, *warnings))
+
+
+def write(
+    path: Path,
+    splats: Splats,
+    by: Other,
+    check: Check,
+    *,
+    antialiased: bool,
+    lacking: BackendError,
+) -> Sequence[str]:
+    """Write a file by another Python, completely or not at all; in any thread.
+
+    Args:
+        path: The file.
+        splats: What it holds.
+        by: As `other`.
+        check: As in `read`; `path` is untouched then.
+        antialiased: As in `write_splat_file`.
+        lacking: Why this Python cannot.
+
+    Returns:
+        Sentences on what the format does not hold.
+
+    Raises:
+        GsError: it cannot be written.
+    """
+    with tempfile.TemporaryDirectory(prefix="gscore-", dir=by.folder) as folder:
+        whole = Path(folder, "splats.ply")
+        write_splat_file(whole, splats, antialiased=antialiased)
+        made = Path(folder, "made", path.name)
+        made.parent.mkdir()
+        notes = _convert(whole, made, by.python, check, lacking)
+        # What a file refers to comes before it.
+        for part in sorted(made.parent.iterdir(), key=lambda one: one.name == path.name):
+            with part.open("rb") as source:
+                copy = lambda file, source=source: shutil.copyfileobj(source, file, 1 << 22)  # noqa: E731
+                atomic_write(path.with_name(part.name), copy)
+    return notes
+
+
+def _convert(
+    source: Path, target: Path, python: Path | None, check: Check, lacking: BackendError
+) -> list[str]:
+    """Have another Python convert a file; the warnings of `gscore convert`."""
+    if python is None:
+        raise GsError(
+            f"{lacking} A Python for training that has it does too: press Find or Make Environment "
+            "in the add-on's preferences."
+        ) from lacking
+    command = [python, "-m", "gscore", "convert", source, target, "--json"]
+    try:
+        process = Process([str(word) for word in command])
+    except OSError as error:
+        raise GsError(
+            f"{python} cannot be run ({error.strerror or error}); press Check in the add-on's "
+            "preferences."
+        ) from error
+    said = []
+    try:
+        while not process.ended:
+            said += process.lines(_PERIOD)
+            time.sleep(_PERIOD)
+            check()
+    finally:
+        process.kill(wait=1.0)
+    if process.returncode:
+        text = " ".join(process.stderr_tail)
+        raise GsError(
+            f"{source.name} could not be converted to {target.name} by {python}: "
+            f"{text.rpartition('error: ')[2] or f'exit code {process.returncode}'}"
+        ) from lacking
+    return json.loads("\n".join(said))["warnings"]
