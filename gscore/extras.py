@@ -18,6 +18,7 @@ _EXTRAS = {
     "OpenEXR": "depth",
     "av": "video",
     "pillow_heif": "heic",
+    "rawpy": "raw",
     "zstandard": "formats",
     "pxr": "usd",
     "huggingface_hub": "hub",

@@ -59,6 +59,7 @@ _PARTS = (
     _Part("zstandard", "zstandard", "SPZ files of version 4", False),
     _Part("huggingface_hub", "huggingface_hub", "fetching depth networks by name", False),
     _Part("pillow_heif", "pillow-heif", "HEIC photos, the extra heic", False, offered=False),
+    _Part("rawpy", "rawpy", "raw photos of a model, the extra raw", False, offered=False),
     _Part("pxr", "usd-core", "USD files, the extra usd", False, offered=False),
     _Part("lpips", "lpips", "LPIPS as papers have it, the extra lpips-torch", False, offered=False),
     _Part("bpy", "bpy", "Blender as a Python module, the extra blender", False, offered=False),

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import GsError
-from ..io.pictures.images import ORIENTATION, TURNS
+from ..io.pictures.image_header import ORIENTATION
+from ..io.pictures.images import TURNS
 from ..io.pictures.pillow import opened_picture, pillow
 from ..words import count_words
 from .capture import View, listing

@@ -13,13 +13,14 @@ from ..datasets.shots import Shot, repeats, shot_of
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.pictures.images import IMAGE_ENDINGS
 from ..io.pictures.pillow import check_whole, opened_picture
+from ..io.pictures.raw import RAW_ENDINGS
 from ..words import count_words, number
 from .heic import what_to_do
 from .looks import Look, look_of
 
 LEAST = 3
 """Photos that a model needs; with two, nothing tells a wrong match from a right one."""
-UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf")
+UNREAD = (".heic", ".heif", ".avif", *RAW_ENDINGS)
 """Endings of photos that are not read."""
 _EXIF_BLOCK = 0x8769
 _MAKE, _MODEL = 0x010F, 0x0110
@@ -126,6 +127,11 @@ def read_photos(
         try:
             with opened_picture(root / names[i]) as image:
                 camera, look, shot = _camera(image), None, None
+                if image.format == "TIFF" and image.tell():
+                    raise FormatError(
+                        f"{root / names[i]} begins with a reduced picture, which COLMAP would "
+                        "take. Save it as a TIFF, PNG or JPEG of one picture."
+                    )
                 if whole:
                     check_whole(root / names[i], image)
                     look, shot = look_of(image), shot_of(names[i], image)

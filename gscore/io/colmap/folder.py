@@ -15,6 +15,7 @@ from ...words import count_words
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from ..foreign import foreign
 from ..pictures.images import IMAGE_ENDINGS
+from ..pictures.raw import RAW_ENDINGS
 from ..world_file import read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
@@ -31,7 +32,7 @@ __all__ = [
     "write_model",
 ]
 
-_OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw")
+_OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", *RAW_ENDINGS)
 """Endings of photos that are not read here."""
 _ADVICE = (
     "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training "

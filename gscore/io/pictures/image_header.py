@@ -23,6 +23,8 @@ class ImageInfo(NamedTuple):
     """Whether EXIF asks to turn it upside down or to mirror it, which leaves its size as it is."""
 
 
+ORIENTATION = 0x0112
+"""EXIF's tag."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 SIDEWAYS, FLIPPED = frozenset({5, 6, 7, 8}), frozenset({2, 3, 4})
 """Values of EXIF's orientation."""
@@ -121,7 +123,7 @@ def _exif_turn(tiff: bytes) -> int:
         for i in range(count):
             entry = at + 2 + 12 * i
             tag, kind, number = struct.unpack_from(order + "HHI", tiff, entry)
-            if (tag, kind, number) == (0x0112, 3, 1):
+            if (tag, kind, number) == (ORIENTATION, 3, 1):
                 return struct.unpack_from(order + "H", tiff, entry + 8)[0]
     except struct.error:
         pass

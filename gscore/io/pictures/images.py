@@ -10,9 +10,10 @@ import numpy as np
 
 from ...errors import ShapeError
 from ..files import atomic_write
-from .image_header import FLIPPED, SIDEWAYS, ImageInfo, read_header
+from .image_header import FLIPPED, ORIENTATION, SIDEWAYS, ImageInfo, read_header
 from .pillow import check_pixels, loaded, opened_picture, pillow
 from .pixels import has_alpha, mask_bytes, photo_bytes
+from .raw import is_raw, raw_info
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
 """Endings tried where a name has none or names a file of another kind, lower case."""
@@ -30,6 +31,10 @@ def read_info(path: str | Path) -> ImageInfo:
     """
     path = Path(path)
     if info := read_header(path):
+        check_pixels(path, info.width, info.height)
+        return info
+    if is_raw(path):
+        info = raw_info(path)
         check_pixels(path, info.width, info.height)
         return info
     with opened_picture(path) as image:
@@ -205,7 +210,6 @@ def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | No
     atomic_write(path, b"".join(out))
 
 
-ORIENTATION = 0x0112
 TURNS = {
     2: "FLIP_LEFT_RIGHT",
     3: "ROTATE_180",

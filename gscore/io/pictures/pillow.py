@@ -14,7 +14,8 @@ from ...errors import DatasetError, FormatError, GsError
 from ...extras import need
 from ...words import count_words, number
 from ..files import check_regular
-from .image_header import read_header
+from .image_header import ORIENTATION, read_header
+from .raw import full_size_page, is_raw, raw_info, read_raw
 from .whole_pictures import why_cut_short
 
 PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
@@ -67,10 +68,15 @@ def opened_picture(path: Path) -> Iterator[Any]:
     """
     pil = pillow()
     check_regular(path)
+    if is_raw(path):
+        yield _developed(path)
+        return
     if info := read_header(path):  # tells width and height, where Pillow has but their product
         check_pixels(path, info.width, info.height)
     try:
         with pil.open(path, formats=PICTURE_FORMATS) as image:
+            if image.format == "TIFF":
+                image.seek(full_size_page(path))
             check_pixels(path, image.width, image.height)
             yield image
     except GsError:  # some are ValueErrors and RuntimeErrors too
@@ -103,9 +109,19 @@ def loaded(path: Path) -> Iterator[tuple[Any, bool]]:
         DatasetError, FormatError, BackendError: as `opened_picture`, or pixels are missing.
     """
     with opened_picture(path) as image:
-        deep = any(";16" in str(tile[3]) for tile in image.tile)
+        deep = any(";16" in str(tile[3]) for tile in getattr(image, "tile", ()))
         check_whole(path, image)
         yield image, deep
+
+
+def _developed(path: Path) -> Any:
+    """A raw photo as PIL.Image.Image, with the EXIF orientation that its file states."""
+    info = raw_info(path)
+    check_pixels(path, info.width, info.height)
+    rgb, turn = read_raw(path)
+    image = pillow().fromarray(rgb)
+    image.getexif()[ORIENTATION] = turn
+    return image
 
 
 def check_whole(path: Path, image: Any) -> None:

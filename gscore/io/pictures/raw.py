@@ -1,0 +1,201 @@
+"""Raw photos, and TIFFs that begin with a reduced picture: of both the full-size picture is read.
+
+Raw files of most cameras are TIFFs (tags of TIFF 6.0, TIFF/EP and DNG 1.7) whose first directory is
+a preview, which Pillow would take for the photo.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from ...errors import BackendError, FormatError
+from ...extras import how_to_install, need
+from ..files import open_regular
+from .image_header import ImageInfo
+
+RAW_ENDINGS = (
+    *(".dng", ".cr2", ".cr3", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".orf", ".rw2"),
+    *(".pef", ".srw", ".3fr", ".fff", ".iiq", ".rwl", ".mrw", ".erf", ".mos", ".x3f"),
+)
+"""Of raw photos, lower case."""
+_OTHER_RAW = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FUJIFILMCCD-RAW")
+"""First bytes of raw photos that are no TIFFs by their mark: Olympus, Panasonic, Fujifilm."""
+_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
+_SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _COLOURS, _CHILDREN, _DNG = (
+    *(254, 255, 256, 257, 262, 330, 50706),
+)
+_MOSAIC = frozenset({32803, 34892})
+"""PhotometricInterpretation of a colour filter array and of linear raw values."""
+_SIZES = {1: 1, 3: 2, 4: 4, 13: 4}
+"""Bytes of a number, by type."""
+_MOST = 64
+"""Directories that are looked at."""
+_FLIPS = {3: 3, 5: 8, 6: 6}
+"""EXIF's orientation, by LibRaw's flip."""
+
+
+_SETTINGS: dict[str, Any] = {
+    "use_camera_wb": True,
+    "no_auto_bright": True,  # nothing that would differ from photo to photo of one scene
+    "adjust_maximum_thr": 0.0,
+    "gamma": (2.4, 12.92),  # sRGB
+    "user_flip": 0,
+}
+
+
+@dataclass(frozen=True)
+class _Directory:
+    tags: dict[int, tuple[int, ...]]
+    place: int | None
+    """Among the pictures that follow each other; None: below one of them."""
+
+    @property
+    def is_reduced(self) -> bool:
+        return bool(self._first(_SUBFILE) & 1) or self._first(_OLD_SUBFILE) == 2
+
+    @property
+    def is_raw(self) -> bool:
+        return _DNG in self.tags or self._first(_COLOURS) in _MOSAIC
+
+    @property
+    def pixels(self) -> int:
+        return self._first(_WIDTH) * self._first(_HEIGHT)
+
+    def _first(self, tag: int) -> int:
+        return (*self.tags.get(tag, ()), 0)[0]
+
+
+def is_raw(path: Path) -> bool:
+    """Whether a file is a raw photo, by its content; of TIFFs without a mark, by its ending too.
+
+    Raises:
+        DatasetError: it is no regular file.
+    """
+    try:
+        with open_regular(path) as file:
+            head = file.read(16)
+            if head.startswith(_OTHER_RAW) or head[4:11] == b"ftypcrx" or head[8:11] == b"CR\2":
+                return True
+            if head[:4] not in _TIFF:
+                return False
+            return path.suffix.lower() in RAW_ENDINGS or any(d.is_raw for d in _directories(file))
+    except OSError:
+        return False
+
+
+def full_size_page(path: Path) -> int:
+    """Which of the pictures that follow each other in a TIFF is the photo: the first, unless that
+    is a reduced one.
+
+    Raises:
+        FormatError: the full-size picture is not one of them.
+    """
+    with open_regular(path) as file:
+        found = _directories(file)
+    if not found:
+        return 0
+    larger = [d for d in found if not d.is_reduced and d.pixels > found[0].pixels]
+    below = [d for d in larger if d.place is None]
+    if not (found[0].is_reduced or below) or not larger:
+        return 0
+    best = max(larger, key=lambda d: d.pixels)
+    if best.place is None:
+        raise FormatError(
+            f"{path} begins with a reduced picture, and its full-size picture lies where it is not "
+            "read. Save it as a TIFF, PNG or JPEG of one picture under the same name."
+        )
+    return best.place
+
+
+def raw_info(path: Path) -> ImageInfo:
+    """Size and EXIF turn of the full-size picture of a raw photo; raises as `read_raw`."""
+    with _opened(path) as raw:
+        turn = _FLIPS.get(raw.sizes.flip, 1)
+        return ImageInfo(raw.sizes.width, raw.sizes.height, False, turn in (6, 8), turn == 3)
+
+
+def read_raw(path: Path) -> tuple[Any, int]:
+    """The full-size picture of a raw photo, as it is stored, and its EXIF orientation.
+
+    Returns:
+        [H, W, 3] uint8 sRGB with the white balance of the camera, and 1, 3, 6 or 8.
+
+    Raises:
+        FormatError: rawpy is not installed, or cannot read it.
+    """
+    with _opened(path) as raw:
+        turn = _FLIPS.get(raw.sizes.flip, 1)
+        try:
+            rgb = raw.postprocess(**_SETTINGS)
+        except Exception as error:  # LibRaw's classes, which have no common one but this
+            raise _unread(path, str(error)) from error
+        if rgb.shape[:2] != (raw.sizes.height, raw.sizes.width):
+            raise _unread(path, "its pixels are not square")
+        return rgb, turn
+
+
+def _opened(path: Path) -> Any:
+    try:
+        rawpy = need("rawpy", "Reading raw photos")
+    except BackendError as error:
+        raise FormatError(
+            f"{path} is a raw photo, of which only a preview can be read here. Convert the raw "
+            "photos to JPEG, PNG or TIFF at full size and without cropping, under the same names, "
+            f"and move the raw ones away; or install rawpy: {how_to_install('rawpy')}"
+        ) from error
+    try:
+        return rawpy.imread(str(path))
+    except Exception as error:
+        raise _unread(path, str(error)) from error
+
+
+def _unread(path: Path, reason: str) -> FormatError:
+    return FormatError(
+        f"{path} cannot be read as a raw photo ({reason.rstrip('.')}). Convert it to JPEG, PNG or "
+        "TIFF at full size, under the same name, and move the raw one away."
+    )
+
+
+def _directories(file: BinaryIO) -> list[_Directory]:
+    """Directories of a TIFF, those below others too; what is damaged ends the list."""
+    file.seek(0)
+    order = _TIFF.get(file.read(4))
+    found: list[_Directory] = []
+    seen: set[int] = set()
+    try:
+        if order is None:
+            return []
+        (at,) = struct.unpack(order + "I", file.read(4))
+        while at and at not in seen and len(found) < _MOST:
+            seen.add(at)
+            tags, at = _tags(file, order, at)
+            found.append(_Directory(tags, sum(d.place is not None for d in found)))
+            for child in tags.get(_CHILDREN, ())[:_MOST]:
+                found.append(_Directory(_tags(file, order, child)[0], None))
+    except (OSError, struct.error):
+        pass
+    return found
+
+
+def _tags(file: BinaryIO, order: str, at: int) -> tuple[dict[int, tuple[int, ...]], int]:
+    """The tags asked for, and where the next directory lies."""
+    file.seek(at)
+    (count,) = struct.unpack(order + "H", file.read(2))
+    entries = file.read(12 * count)
+    (following,) = struct.unpack(order + "I", file.read(4))
+    tags = {}
+    for i in range(count):
+        tag, kind, number = struct.unpack_from(order + "HHI", entries, 12 * i)
+        size = _SIZES.get(kind, 0)
+        if tag not in (_SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _COLOURS, _CHILDREN, _DNG):
+            continue
+        if not size or not 0 < number <= _MOST:
+            continue
+        value = entries[12 * i + 8 : 12 * i + 12]
+        if size * number > 4:
+            file.seek(struct.unpack(order + "I", value)[0])
+            value = file.read(size * number)
+        letter = {1: "B", 2: "H", 4: "I"}[size]
+        tags[tag] = struct.unpack_from(f"{order}{number}{letter}", value)
+    return tags, following
