@@ -10,7 +10,15 @@ import numpy as np
 
 from ..errors import FormatError, ShapeError
 from ..io.pictures.alpha import divided, premultiplied
-from ..io.pictures.images import read_image, read_mask, reduce, resize, resize_map
+from ..io.pictures.images import (
+    is_scaled,
+    read_image,
+    read_mask,
+    reduce,
+    resize,
+    resize_map,
+    resize_mask,
+)
 from .undistort import Undistortion
 
 DECODED_AT_ONCE = 1_000_000_000
@@ -29,7 +37,7 @@ class ViewFile:
     image: Path
     """The photo."""
     mask: Path | None
-    """Its mask file, of the photo's size."""
+    """Its mask file, of the photo's size or larger in proportion."""
     mask_inverted: bool
     """Whether the white of the mask file marks what to leave out."""
     use_alpha: bool
@@ -112,6 +120,8 @@ def _decode(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
             return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
     if file.mask is not None:
         mask = read_mask(file.mask, inverted=file.mask_inverted)
+        if is_scaled((mask.shape[1], mask.shape[0]), file.photo_size):
+            mask = resize_mask(mask, *file.photo_size)
         _check_size(file, file.mask, mask)
         # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
         mask = _fit(file, mask, nearest=not np.any((mask > 0) & (mask < 255)))

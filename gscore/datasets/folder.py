@@ -1,6 +1,7 @@
 """Files of a folder found by the names a capture uses, which may differ in case or ending."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from ..io.files import is_file
@@ -44,6 +45,17 @@ class Folder:
         if f"{name}.png".lower() in self._files:
             return self.root / self._files[f"{name}.png".lower()]
         return self.find_image(str(PurePosixPath(name).with_suffix(".png")))
+
+    def find_masks(self, names: Sequence[str]) -> list[Path | None]:
+        """The masks of images; where no name has one, their common folders may lack here."""
+        paths = [PurePosixPath(_clean(name)) for name in names]
+        while True:
+            files = [self.find_mask(path.as_posix()) for path in paths]
+            if any(files):
+                return files
+            if any(len(path.parts) < 2 for path in paths) or len({p.parts[0] for p in paths}) != 1:
+                return files
+            paths = [PurePosixPath(*path.parts[1:]) for path in paths]
 
 
 def _clean(name: str) -> str:

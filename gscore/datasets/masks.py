@@ -6,7 +6,14 @@ from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
-from ..io.pictures.images import ImageInfo, assumed_of_mask, read_image, read_info, read_mask
+from ..io.pictures.images import (
+    ImageInfo,
+    assumed_of_mask,
+    is_scaled,
+    read_image,
+    read_info,
+    read_mask,
+)
 from ..words import count_words, number
 from .capture import Capture, View, listing
 from .dataset import map_threads
@@ -14,7 +21,8 @@ from .folder import Folder
 from .mattes import are_mattes
 
 MASK_FOLDER = "masks"
-"""Folder looked for when none is given."""
+"""Folder that is written, and looked for when none is given."""
+_FOLDERS = (MASK_FOLDER, "mask")
 _HALF = 128
 """Alpha from here on is taken for 255 where all photos have no less: encoders leave 254, and what
 cuts a subject out has pixels that are not there at all."""
@@ -53,7 +61,8 @@ def choose_masks(
         capture: Its folder, and what masks mean in it.
         views: Its views, in the order of the lists below.
         infos: Of their photos.
-        sizes: Width and height of the photos as they will be used; masks must have the same.
+        sizes: Width and height of the photos as they will be used; masks must have the same,
+            or be those of larger photos.
         cancelled: Asked between photos; true ends the call.
 
     Raises:
@@ -125,7 +134,7 @@ def masks_of_views(
         DatasetError: the folder is missing, or there is no mask of any view.
     """
     stated = [view.mask for view in views]
-    place = root / (config.masks or MASK_FOLDER)
+    place = root / config.masks if config.masks else mask_folder(root)
     if any(file is not None for file in stated) and not config.masks:
         files = [file if file is not None and file.is_file() else None for file in stated]
         if not any(files):
@@ -136,9 +145,9 @@ def masks_of_views(
                 f"--mask-mode none."
             )
         where = "the places that the capture names"
-    elif place.is_dir():
+    elif place is not None and place.is_dir():
         folder = Folder(place)
-        files = [folder.find_mask(view.name) for view in views]
+        files = folder.find_masks([view.name for view in views])
         where = str(place)
         if not any(files):
             sentence = (
@@ -161,11 +170,18 @@ def masks_of_views(
     return files, []
 
 
+def mask_folder(root: Path) -> Path | None:
+    """The folder of masks in a folder; None: there is none."""
+    return next((root / name for name in _FOLDERS if (root / name).is_dir()), None)
+
+
 def check_mask_size(view: View, file: Path, size: tuple[int, int]) -> None:
-    """Raise DatasetError unless the mask in `file` has the `size` of its photo."""
+    """Raise DatasetError unless a mask has its photo's size, or is larger in proportion."""
     info = read_info(file)
-    if (info.width, info.height) != size:
+    own = (info.width, info.height)
+    if own != size and not is_scaled(own, size):
         raise DatasetError(
             f"The mask {file} is {info.width} x {info.height} pixels, its photo {view.image} is "
-            f"{size[0]} x {size[1]}. Scale the masks to the size of the photos."
+            f"{size[0]} x {size[1]}. Scale the masks to the size of the photos, or "
+            "give those of the unscaled photos."
         )

@@ -7,6 +7,7 @@ from ..datasets.capture import listing
 from ..errors import GsError
 from ..io.pictures.images import read_info
 from ..sfm.heic import readable, size_of, what_to_do
+from ..sfm.masks import mask_folder
 from ..sfm.photos import LEAST, list_photos, photo_folder
 from ..sfm.plain import doubt
 from ..video import is_video
@@ -26,7 +27,8 @@ def bare_facts(source: Path) -> CaptureFacts:
     if is_video(source):
         return CaptureFacts(source=source, bare=VIDEO)
     root = photo_folder(source)
-    names, unread = list_photos(root, (root / "masks",))
+    masks = mask_folder(root, None)
+    names, unread = list_photos(root, (masks,) if masks else ())
     sizes: Counter[tuple[int, int]] = Counter()
     problems = []
     for name in names:

@@ -4,16 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..datasets.folder import Folder
-from ..datasets.masks import MASK_FOLDER
+from ..datasets.masks import mask_folder as in_folder
 from ..errors import Cancelled, DatasetError
-from ..io.pictures.images import read_mask, write_png
+from ..io.pictures.images import is_scaled, read_mask, resize_mask, write_png
 from ..words import count_words
 from .photos import Photo
 
 
 def mask_folder(root: Path, asked: Path | None) -> Path | None:
-    """The folder of the masks: the one asked for, else `masks` in `root` or beside it where `root`
-    is a capture's `images`; None: there is none.
+    """The folder of the masks: the one asked for, else `masks` or `mask` in `root` or beside it
+    where `root` is a capture's `images`; None: there is none.
 
     Raises:
         DatasetError: the one asked for is not there.
@@ -23,10 +23,10 @@ def mask_folder(root: Path, asked: Path | None) -> Path | None:
             if place.is_dir():
                 return place
         raise DatasetError(f"There is no mask folder {asked}. Give its path with --masks.")
-    places = [root / MASK_FOLDER]
-    if root.name in ("images", "input"):
-        places.append(root.parent / MASK_FOLDER)
-    return next((place for place in places if place.is_dir()), None)
+    found = in_folder(root)
+    if found is None and root.name in ("images", "input"):
+        return in_folder(root.parent)
+    return found
 
 
 def find_masks(folder: Path | None, photos: list[Photo]) -> dict[str, Path]:
@@ -62,6 +62,8 @@ def write_masks(
         if cancelled():
             raise Cancelled("Reading the masks was stopped.")
         mask = read_mask(masks[photo.name], inverted=inverted)
+        if is_scaled((mask.shape[1], mask.shape[0]), (photo.width, photo.height)):
+            mask = resize_mask(mask, photo.width, photo.height)
         if mask.shape != (photo.height, photo.width):
             raise DatasetError(
                 f"The mask {masks[photo.name]} is {mask.shape[1]} x {mask.shape[0]} pixels, its "

@@ -153,6 +153,21 @@ def resize_map(values: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.divide(total, share, out=np.full_like(total, np.nan), where=share >= 0.5)
 
 
+def is_scaled(size: tuple[int, int], photo: tuple[int, int]) -> bool:
+    """Whether a picture shows all of a photo that was scaled down: it is larger by a tenth or more,
+    and of the same proportions within the rounding of the photo's sides."""
+    scale = size[0] / photo[0]
+    return scale >= 1.1 and abs(size[1] / scale - photo[1]) <= 1
+
+
+def resize_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Scale a mask [H, W] down as `resize` does; one of only 0 and 255 stays one."""
+    scaled = resize(mask, width, height)
+    if np.any((mask > 0) & (mask < 255)):
+        return scaled
+    return np.where(scaled >= 128, np.uint8(255), np.uint8(0))
+
+
 def reduce(image: np.ndarray, factor: int) -> np.ndarray:
     """Mean of `factor` x `factor` blocks; the last row and column average what is left.
 

@@ -1,0 +1,114 @@
+"""Masks where other programs put them, and of other sizes; oracle: the masks that were written."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig
+from gscore.datasets import Dataset, load_dataset
+from gscore.datasets.folder import Folder
+from gscore.errors import DatasetError
+from gscore.io.pictures.images import resize_mask, write_png
+from gscore.sfm.masks import mask_folder
+from gscore.transforms import viewmat_from_opengl
+
+SHAPE = (48, 64)
+
+
+def _mask(i: int, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    """White from a column on that is eight times the number."""
+    mask = np.zeros(shape, np.uint8)
+    mask[:, 8 * i * shape[1] // SHAPE[1] :] = 255
+    return mask
+
+
+def _check(data: Dataset) -> None:
+    assert data.mask_mode == "ignore" and not [s for s in data.warnings if "mask" in s]
+    for i in range(len(data)):
+        np.testing.assert_array_equal(data.mask(i), _mask(i))
+
+
+def _write(folder: Path, names: list[str], shape: tuple[int, int] = SHAPE) -> None:
+    for i, name in enumerate(names):
+        write_png(folder / name, _mask(i, shape))
+
+
+def _as_transforms(capture: object, root: Path, photos: str) -> None:
+    """The capture again with a transforms.json, its photos in a folder of their own."""
+    frames = []
+    for image in capture.model.images:  # type: ignore[attr-defined]
+        pose = np.linalg.inv(image.viewmat) @ np.diag([1.0, -1, -1, 1])
+        np.testing.assert_allclose(viewmat_from_opengl(pose), image.viewmat, atol=1e-12)
+        frames.append({"file_path": f"{photos}/{image.name}", "transform_matrix": pose.tolist()})
+        write_png(root / photos / image.name, capture.photos[image.name])  # type: ignore[attr-defined]
+    facts = {"w": 64, "h": 48, "fl_x": 60.0, "frames": frames}
+    (root / "transforms.json").write_text(json.dumps(facts))
+
+
+@pytest.mark.parametrize("photos", ["images", "data/images_2", "./images"])
+@pytest.mark.parametrize(("folder", "asked"), [("masks", ""), ("masks", "masks"), ("mask", "")])
+@pytest.mark.parametrize("naming", ["{}.png", "{}"])
+def test_masks_beside_photos(
+    photos: str, folder: str, asked: str, naming: str, make_capture: Callable, tmp_path: Path
+) -> None:
+    """Oracle: found with and without the folder of the photos in their names."""
+    capture, root = make_capture(views=4), tmp_path / "nerf"
+    _as_transforms(capture, root, photos)
+    _write(root / folder, [naming.format(image.name) for image in capture.model.images])
+    _check(load_dataset(DataConfig(source=root, masks=asked)))
+    names = [f"{photos}/{image.name}" for image in capture.model.images]
+    _write(tmp_path / "whole", names)
+    assert all(Folder(tmp_path / "whole").find_masks(names))
+
+
+def test_names_of_different_folders_keep_them(tmp_path: Path) -> None:
+    """Oracle: one mask is not that of two photos of one name."""
+    _write(tmp_path, ["a.png"])
+    assert Folder(tmp_path).find_masks(["left/a.png", "right/a.png"]) == [None, None]
+
+
+@pytest.mark.parametrize("folder", ["masks", "mask"])
+def test_folders_of_a_colmap_capture(folder: str, make_capture: Callable) -> None:
+    """Oracle: either folder is found, by a training and by a search for cameras."""
+    capture = make_capture(views=4)
+    _write(capture.root / folder, [image.name for image in capture.model.images])
+    _check(load_dataset(DataConfig(source=capture.root)))
+    assert mask_folder(capture.root / "images", None) == capture.root / folder
+
+
+@pytest.mark.parametrize("shape", [(96, 128), (143, 191), (60, 80), (24, 32), (49, 65)])
+def test_masks_of_another_size(shape: tuple[int, int], make_capture: Callable) -> None:
+    """Oracle: those of larger photos are scaled; smaller ones, and nearly the photo's size, are
+    refused."""
+    capture = make_capture(views=4)
+    _write(capture.root / "masks", [image.name for image in capture.model.images], shape)
+    if shape in ((24, 32), (49, 65)):
+        with pytest.raises(DatasetError, match=f"{shape[1]} x {shape[0]} pixels, its photo"):
+            load_dataset(DataConfig(source=capture.root))
+        return
+    data = load_dataset(DataConfig(source=capture.root))
+    assert data.warnings == ()
+    for i in range(4):
+        found = data.mask(i)
+        assert found is not None and set(np.unique(found)) <= {0, 255}
+        wrong = np.flatnonzero((found != _mask(i)).any(axis=0))
+        assert len(wrong) <= 1  # the edge
+
+
+def test_other_proportions_are_refused(make_capture: Callable) -> None:
+    """Oracle: a mask of a cropped photo is told by both sizes."""
+    capture = make_capture(views=4)
+    _write(capture.root / "masks", [image.name for image in capture.model.images], (96, 120))
+    with pytest.raises(DatasetError, match=r"120 x 96 pixels, its photo .* 64 x 48"):
+        load_dataset(DataConfig(source=capture.root))
+
+
+def test_soft_masks_stay_soft() -> None:
+    """Oracle: the mean of each block, and yes or no where the mask has nothing between."""
+    soft = np.array([[0, 100, 255, 255], [0, 100, 255, 255]], np.uint8)
+    np.testing.assert_array_equal(resize_mask(soft, 2, 1), [[50, 255]])
+    hard = np.array([[0, 255, 255, 0, 0, 0]] * 3, np.uint8)
+    np.testing.assert_array_equal(resize_mask(hard, 2, 1), [[255, 0]])
