@@ -134,7 +134,7 @@ def masks_of_views(
         DatasetError: the folder is missing, or there is no mask of any view.
     """
     stated = [view.mask for view in views]
-    place = root / config.masks if config.masks else mask_folder(root)
+    place = root / config.masks if config.masks else masks_inside(root)
     if any(file is not None for file in stated) and not config.masks:
         files = [file if file is not None and file.is_file() else None for file in stated]
         if not any(files):
@@ -170,7 +170,7 @@ def masks_of_views(
     return files, []
 
 
-def mask_folder(root: Path) -> Path | None:
+def masks_inside(root: Path) -> Path | None:
     """The folder of masks in a folder; None: there is none."""
     return next((root / name for name in _FOLDERS if (root / name).is_dir()), None)
 

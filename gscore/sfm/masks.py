@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..datasets.folder import Folder
-from ..datasets.masks import mask_folder as in_folder
+from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
 from ..io.pictures.images import is_scaled, read_mask, resize_mask, write_png
 from ..words import count_words
@@ -23,9 +23,9 @@ def mask_folder(root: Path, asked: Path | None) -> Path | None:
             if place.is_dir():
                 return place
         raise DatasetError(f"There is no mask folder {asked}. Give its path with --masks.")
-    found = in_folder(root)
+    found = masks_inside(root)
     if found is None and root.name in ("images", "input"):
-        return in_folder(root.parent)
+        return masks_inside(root.parent)
     return found
 
 
