@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path, write_nerfstudio_path
     from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
+    from .datasets.headers import up_as_held
     from .datasets.mattes import are_mattes
     from .datasets.resolution import target_size
     from .datasets.undistort import Undistortion, plan_undistortion
@@ -93,6 +94,7 @@ if TYPE_CHECKING:
     from .trainer.estimate.forecast import Estimate, estimate
     from .trainer.schedule.enough import limit_by_photos, points_to_expect
     from .transforms import quat_to_rotmat, rotmat_to_quat
+    from .upright import find_up
     from .video import VIDEO_ENDINGS, is_video
 
 _HOME = {
@@ -173,6 +175,7 @@ _HOME = {
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
     "find_frames": "datasets.frames",
+    "find_up": "upright",
     "frame_pattern": "datasets.frames",
     "from_line": "events",
     "given_up_by": "io.files",
@@ -210,6 +213,7 @@ _HOME = {
     "stated_depth": "depth.stated",
     "stated_up": "io.ply.up_axis",
     "target_size": "datasets.resolution",
+    "up_as_held": "datasets.headers",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
     "write_mesh": "io.mesh.ply",
@@ -294,6 +298,7 @@ __all__ = [
     "find_capture",
     "find_colmap",
     "find_frames",
+    "find_up",
     "frame_pattern",
     "from_line",
     "given_up_by",
@@ -333,6 +338,7 @@ __all__ = [
     "stated_depth",
     "stated_up",
     "target_size",
+    "up_as_held",
     "write_cameras",
     "write_colmap",
     "write_mesh",

@@ -40,6 +40,7 @@ BOTTOM = {
     "nearby",
     "sh",
     "transforms",
+    "upright",
     "words",
 }
 ALLOWED = {

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LEVEL = 0.05
-"""Sine of the roll (3 degrees) up to which a photo counts as level, and its weight in full."""
-PRIOR = 0.003
-"""How much the photos' own upright counts against their horizons, as a squared sine."""
+from ..core import find_up
+
 GROUND_TILT = np.cos(np.radians(12))
 """How far the ground may lean from what the cameras say."""
 GROUND_TOLERANCE = 0.01
@@ -60,33 +58,6 @@ def align(viewmats: np.ndarray, points: np.ndarray, up: np.ndarray | None = None
     return Alignment(
         matrix=_upright(up, viewmats[0, 2, :3], origin), up=up, ground_found=ground is not None
     )
-
-
-def find_up(viewmats: np.ndarray) -> np.ndarray:
-    """Unit vector [3] that points up in the world, from the way people hold cameras.
-
-    A level photo's x axis is horizontal, so up is what all x axes are perpendicular to; rolled
-    photos count less. Where the x axes leave up open (all cameras facing one way), the mean of the
-    photos' own upright decides. Captures held sideways throughout are recognised by y axes that lie
-    in one plane while x axes do not.
-    """
-    x, y, z = (viewmats[:, i, :3] for i in range(3))
-    if _is_planar(y) and not _is_planar(x):
-        up = np.linalg.eigh(y.T @ y)[1][:, 0]
-        return up if up @ z.mean(axis=0) <= 0 else -up  # people look down rather than up
-    weights = np.ones(len(x))
-    up = np.zeros(3)
-    for _ in range(15):
-        total = weights.sum()
-        scatter = (x * weights[:, None]).T @ x / total
-        own = -(y * weights[:, None]).sum(axis=0) / total
-        if np.linalg.norm(own) < 0.3:  # straight down, turned in every direction
-            own = own - z.mean(axis=0)
-        if np.linalg.norm(own) < 1e-6:
-            own = -y[0]
-        up = _unit(np.linalg.solve(scatter + PRIOR * np.eye(3), own))
-        weights = LEVEL / np.maximum(np.abs(x @ up), LEVEL)
-    return up
 
 
 def find_ground(
@@ -175,12 +146,6 @@ def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:
     if len(near) == 0:
         return float((centers @ up).min())
     return float(np.quantile(near @ up, 0.02))
-
-
-def _is_planar(directions: np.ndarray) -> bool:
-    """Whether unit vectors [C, 3] fill a plane and nothing but it."""
-    low, middle, _ = np.linalg.eigvalsh(directions.T @ directions / len(directions))
-    return bool(low < 0.03 and middle > 0.15)
 
 
 def _upright(up: np.ndarray, forward: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -32,7 +32,11 @@ class AlignCapture(_Aligning, bpy.types.Operator):
     up: EnumProperty(
         name="Up",
         items=(
-            ("CAPTURE", "From Capture", "As its files say by GPS of the photos; else as below"),
+            (
+                "CAPTURE",
+                "From Capture",
+                "As GPS or orientation in EXIF says; else as below",
+            ),
             ("CAMERAS", "From Cameras", "As people hold cameras: photos are level"),
             ("CURRENT", "Current", "Near what is up now; finds the ground again"),
             ("VIEW", "Scene Camera", "The upper side of the scene camera's picture"),
@@ -58,7 +62,7 @@ class AlignCapture(_Aligning, bpy.types.Operator):
         if self.up == "CAPTURE":
             return placing.stated_up(root)
         if self.up == "CAMERAS":
-            return None
+            return placing.stated_up(root, placing.HELD_UP)
         if self.up == "CURRENT":
             return current_up(root)
         if self.up == "VIEW":

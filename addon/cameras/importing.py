@@ -25,7 +25,7 @@ from ..process.pieces import BUDGET, Pieces, aside
 from . import objects as co
 from . import sfm_points, straightening
 from .backgrounds import KnownImages, set_photo, shows_photo
-from .placing import UP, root_scale, set_root_matrix, size_drawing
+from .placing import HELD_UP, UP, root_scale, set_root_matrix, size_drawing
 from .present import Present, find_present, held_elsewhere, in_another_world, uid_of
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
@@ -177,9 +177,10 @@ class _Coming:
             warnings += said
         root = there.root
         root["gs_images"] = found.images
-        root.pop(UP, None)
-        if found.up is not None:
-            root[UP] = found.up.tolist()
+        for key, up in ((UP, found.up), (HELD_UP, found.held_up)):
+            root.pop(key, None)
+            if up is not None:
+                root[key] = up.tolist()
         stored_paths.write(root, stored_paths.SOURCE, found.source)
         return ImportedCapture(
             scene=scene,

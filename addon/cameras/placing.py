@@ -14,16 +14,19 @@ from . import objects as co
 from .objects import cameras_of
 
 UP = "gs_up"
-"""Property of the empty: up in the capture's world, where its files state it."""
+"""Property of the empty: up in the capture's world, where its files or EXIF state it."""
+HELD_UP = "gs_held_up"
+"""Property of the empty: the same by its cameras, where EXIF says that photos were held turned."""
 CLIP_START, CLIP_END = 0.002, 100.0
 """Clipping distances, in units of the cameras' extent."""
 DISPLAY = 0.2
 """Length of a camera's drawing, in median distances to the nearest other camera."""
 
 
-def stated_up(root: bpy.types.Object) -> np.ndarray | None:
-    """[3], up in the world of a capture whose files state it; None: its cameras are to tell."""
-    return np.array(root[UP][:], np.float64) if UP in root else None
+def stated_up(root: bpy.types.Object, key: str = UP) -> np.ndarray | None:
+    """[3], up in the world of a capture that states it as `UP` or `HELD_UP`; None: it does not, and
+    its cameras are to tell."""
+    return np.array(root[key][:], np.float64) if key in root else None
 
 
 def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:

@@ -16,6 +16,7 @@ from ..core import (
     find_capture,
     plan_undistortion,
     read_capture,
+    up_as_held,
 )
 from ..interface.flags import error_words, panel_words
 from ..process.pieces import Check
@@ -60,7 +61,9 @@ class ReadCapture:
     images: str
     """Folder of the photos."""
     up: np.ndarray | None
-    """[3] where its files state it."""
+    """[3] where its files state it, or EXIF says how photos were held."""
+    held_up: np.ndarray | None
+    """[3] where EXIF says how photos were held."""
     matrix: np.ndarray
     """[4, 4] that aligns it."""
     cameras: tuple[ReadCamera, ...]
@@ -104,7 +107,9 @@ def read(
     viewmats = np.stack([view.viewmat for view in usable])
     finite = np.isfinite(capture.points.points).all(axis=1)
     cloud = capture.points.points[finite]
-    matrix = alignment.align(viewmats, cloud, capture.up).matrix if align else np.eye(4)
+    held_up = up_as_held(usable)
+    up = held_up if capture.up is None else capture.up
+    matrix = alignment.align(viewmats, cloud, up).matrix if align else np.eye(4)
     check()
     lenses, cameras, copies = _Lenses(), [], []
     for view in usable:
@@ -125,7 +130,8 @@ def read(
     return ReadCapture(
         source=source,
         images=images,
-        up=capture.up,
+        up=up,
+        held_up=held_up,
         matrix=matrix,
         cameras=tuple(cameras),
         points=found,

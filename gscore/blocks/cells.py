@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..io.block_record import in_cells
+from ..upright import find_up
 
 _RIM = 0.01
 """Share of the points beyond each end that does not count as the extent: strays lie far away."""
@@ -69,10 +70,10 @@ def make_cells(
 def _ground(points: np.ndarray, viewmats: np.ndarray, stated: np.ndarray | None) -> np.ndarray:
     """[2, 3]: the directions along the ground in which the points reach farthest and least far, the
     first one so that the largest of its numbers is positive."""
-    up = np.asarray(-viewmats[:, 1, :3].mean(axis=0) if stated is None else stated)
-    if np.linalg.norm(up) < _UPRIGHT:  # cameras all around, or turned at will: what is flat is
+    up = find_up(viewmats) if stated is None else stated
+    agreed = stated is not None or np.linalg.norm(viewmats[:, 1, :3].mean(axis=0)) >= _UPRIGHT
+    if not agreed:  # cameras all around, or turned at will: what is flat is the ground
         up = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
-    up = up / np.linalg.norm(up)
     low, high = np.quantile(points, [_RIM, 1 - _RIM], axis=0)
     flat = np.clip(points, low, high)
     flat = flat - flat.mean(axis=0)

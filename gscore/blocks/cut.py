@@ -14,6 +14,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets.capture import Capture, View
+from ..datasets.headers import up_as_held
 from ..datasets.masks import masks_of_views
 from ..datasets.read import read_capture
 from ..datasets.shots import split_apart
@@ -82,6 +83,8 @@ def cut_capture(
     _check(count, margin, share)
     capture = read_capture(data)
     views = sorted(capture.views, key=lambda view: view.name)
+    if capture.up is None:
+        capture = replace(capture, up=up_as_held(views))
     masks, told = masks_of_views(data, capture.root, views)
     model = _model(capture, views)
     if not len(model.points):
@@ -123,7 +126,7 @@ def _model(capture: Capture, views: list[View]) -> ColmapModel:
     by_name = {image.name: image for image in found.images}
     images = [replace(by_name[view.name], name=file_name(view)) for view in views]
     usable = np.flatnonzero(within_reach(found.points.xyz))
-    return replace(found, images=images, points=points_at(found.points, usable))
+    return replace(found, images=images, points=points_at(found.points, usable), up=capture.up)
 
 
 def _made(capture: Capture, views: list[View]) -> ColmapModel:

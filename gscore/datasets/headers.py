@@ -3,8 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from ..errors import DatasetError
+import numpy as np
+
+from ..errors import DatasetError, GsError
 from ..io.pictures.image_header import ImageInfo
+from ..io.pictures.images import read_info
+from ..upright import find_up
 from ..words import count_words
 from .capture import View, listing
 from .copies import find_copies
@@ -41,6 +45,32 @@ def fit_photos(views: Sequence[View], infos: Sequence[ImageInfo]) -> PhotoFit:
         for info, turn in zip(infos, upright, strict=True)
     ]
     return PhotoFit(upright=tuple(upright), sizes=tuple(sizes), misfits=tuple(misfits))
+
+
+def up_as_held(
+    views: Sequence[View], infos: Sequence[ImageInfo] | None = None
+) -> np.ndarray | None:
+    """What is up by cameras and EXIF orientations.
+
+    Args:
+        views: With the cameras.
+        infos: Of their photos; None: they are read here, and a photo that is missing or cannot be
+            read counts as one that EXIF does not turn.
+
+    Returns:
+        [3] float64, unit, world; None where EXIF turns no photo, so that the cameras alone tell.
+    """
+    infos = [_info(view) for view in views] if infos is None else infos
+    turned = fit_photos(views, infos).upright
+    turns = [1 if done else info.orientation for info, done in zip(infos, turned, strict=True)]
+    return find_up(np.stack([view.viewmat for view in views]), turns) if set(turns) - {1} else None
+
+
+def _info(view: View) -> ImageInfo:
+    try:
+        return read_info(view.image)
+    except GsError:
+        return ImageInfo(view.camera.width, view.camera.height, False)
 
 
 def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> None:

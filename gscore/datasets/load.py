@@ -13,7 +13,7 @@ from ..words import count_words
 from .capture import View
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
-from .headers import PhotoFit, check_fit, fit_photos, told_of_photos
+from .headers import PhotoFit, check_fit, fit_photos, told_of_photos, up_as_held
 from .masks import MaskChoice, choose_masks
 from .points import RANDOM_POINTS, colors_from_photos, random_points, told_of_points
 from .read import read_capture
@@ -69,7 +69,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         widths=np.array([file.size[0] for file in files], np.int64),
         heights=np.array([file.size[1] for file in files], np.int64),
         names=tuple(view.name for view in views),
-        up=capture.up,
+        up=up_as_held(views, infos) if capture.up is None else capture.up,
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
     by_rule = is_chosen(config, stated=capture.test_names)

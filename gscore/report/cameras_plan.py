@@ -15,6 +15,7 @@ from ..io.files import read_bytes
 from ..io.runs import MADE_OF, SEARCH_RECORD
 from ..json_text import parse_json
 from ..scene import Scene
+from ..upright import up_of
 from ..words import count_words
 
 _SIDE = 420
@@ -117,16 +118,12 @@ class _Scale:
 def plan_axes(scene: Scene) -> np.ndarray:
     """[3, 3] float64, unit rows: to the right, away and up in a plan of the scene.
 
-    Up is as the capture states it, else what photos have in common as up, or across the cameras'
-    plane where they have nothing; to the right is where the cameras' places spread most.
+    Up is as the capture states it, else as the cameras tell; to the right is where the cameras'
+    places spread most.
     """
-    rotations = np.asarray(scene.cameras.viewmats, np.float64)[:, :3, :3]
     centers = np.asarray(scene.cameras.centers, np.float64)
     spread = np.linalg.svd(centers - centers.mean(axis=0), full_matrices=True)[2]
-    up = -rotations[:, 1].mean(axis=0) if scene.cameras.up is None else scene.cameras.up
-    if np.linalg.norm(up) < 0.1:
-        up = spread[2]
-    up /= np.linalg.norm(up)
+    up = up_of(scene.cameras)
     # Of the directions of spread, the one that is most level: never up itself.
     level = spread - np.outer(spread @ up, up)
     lengths = np.linalg.norm(level, axis=1)

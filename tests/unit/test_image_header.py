@@ -14,8 +14,7 @@ def by_pillow(path: Path) -> ImageInfo:
     with Image.open(path) as image:
         alpha = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
         turn = image.getexif().get(0x0112, 1)
-        sideways, flipped = turn in (5, 6, 7, 8), turn in (2, 3, 4)
-        return ImageInfo(image.width, image.height, alpha, sideways, flipped)
+        return ImageInfo(image.width, image.height, alpha, turn)
 
 
 @pytest.fixture

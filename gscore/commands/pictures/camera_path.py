@@ -6,6 +6,7 @@ import numpy as np
 
 from ...errors import ConfigError
 from ...transforms import invert_rigid, quat_to_rotmat, rotmat_to_quat
+from ...upright import find_up
 
 _GAP = math.radians(100)
 """An arc this wide without cameras means that the capture did not go all the way round."""
@@ -105,7 +106,7 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     Args:
         viewmats: [C, 4, 4] float64, world to camera; at least two.
         frames: Number of cameras to make.
-        up: [3], up in the world where the capture states it; None: as the cameras tell.
+        up: [3], unit, up in the world where the capture states it; None: as the cameras tell.
 
     Returns:
         [frames, 4, 4] float64, world to camera. The frame after the last would be the first.
@@ -115,7 +116,7 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     """
     _check(viewmats, frames)
     centers = invert_rigid(viewmats)[:, :3, 3]
-    focus, up = focus_point(viewmats), up_direction(viewmats, up)
+    focus, up = focus_point(viewmats), find_up(viewmats) if up is None else up
     ahead = _across(up)
     side = np.cross(up, ahead)
     offsets = centers - focus
@@ -185,27 +186,6 @@ def focus_point(viewmats: np.ndarray) -> np.ndarray:
     pull = 1e-3 * len(viewmats)
     matrix = across.sum(axis=0) + pull * np.eye(3)
     return np.linalg.solve(matrix, np.einsum("cij,cj->i", across, centers) + pull * ahead)
-
-
-def up_direction(viewmats: np.ndarray, stated: np.ndarray | None = None) -> np.ndarray:
-    """[3] unit world direction that is up: as the capture has `stated` it, else across the cameras'
-    horizontals, near their verticals.
-
-    People hold cameras level, so the x axes of all cameras are horizontal while they look down or
-    up; where the x axes alone do not decide it, the mean of the vertical axes does.
-    """
-    if stated is not None:
-        return stated
-    right, down = viewmats[:, 0, :3], viewmats[:, 1, :3]
-    mean_up = -down.mean(axis=0)
-    length = np.linalg.norm(mean_up)
-    if length < 1e-9:
-        return -down[0]
-    mean_up = mean_up / length
-    spread = np.einsum("ci,cj->ij", right, right) / len(right)
-    _, vectors = np.linalg.eigh(spread - 0.01 * np.outer(mean_up, mean_up))
-    up = vectors[:, 0]  # of the smallest eigenvalue
-    return up if up @ mean_up > 0 else -up
 
 
 def _covered_arc(angles: np.ndarray) -> tuple[float, float, float]:

@@ -16,9 +16,10 @@ from ...metrics.evaluate import target_picture
 from ...page.page import PageCamera
 from ...report.pictures import data_uri, shrink, size_within
 from ...scene import Cameras
+from ...upright import turn_cameras, up_of, upright_turns
 from ..given.model import GivenModel
 from ..terminal.status import Counted, Status
-from .camera_path import focus_point, look_at, up_direction
+from .camera_path import focus_point, look_at
 
 _PHOTO_SIDE = 560
 """Longer side of a photo in the page, px."""
@@ -63,12 +64,14 @@ def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> P
         cameras, held_out = _listed(args, model)
     if cameras is None or not len(cameras):
         return _without_cameras(model, warnings)
-    focus, up = focus_point(cameras.viewmats), up_direction(cameras.viewmats, cameras.up)
+    turns = upright_turns(cameras)
+    cameras = turn_cameras(cameras, turns)
+    focus, up = focus_point(cameras.viewmats), up_of(cameras)
     first = _first(cameras, focus)
     photos: dict[int, str] = {}
     if dataset is not None:
         chosen = _at_even_distances(args.photos, len(cameras), first)
-        photos = _photos(dataset, chosen, model.background, status)
+        photos = _photos(dataset, chosen, turns, model.background, status)
     shown = [_camera(cameras, i, held_out, photos.get(i, "")) for i in range(len(cameras))]
     return PageViews(cameras=shown, first=shown[first], focus=focus, up=up, warnings=warnings)
 
@@ -111,10 +114,11 @@ def _listed(args: argparse.Namespace, model: GivenModel) -> tuple[Cameras | None
 def _photos(
     dataset: Dataset,
     chosen: list[int],
+    turns: np.ndarray,
     background: tuple[float, float, float],
     status: Status,
 ) -> dict[int, str]:
-    """The photos of some views as small JPEGs."""
+    """The photos of some views as small JPEGs, after so many quarter turns [C] of each view."""
     dataset.keep_few()
     told = Counted(status, len(chosen), "photo")
     found: dict[int, str] = {}
@@ -123,6 +127,7 @@ def _photos(
             dataset.image(index), dataset.mask(index), dataset.mask_mode, background
         )
         small = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+        small = np.ascontiguousarray(np.rot90(small, turns[index]))
         size = size_within(small.shape[1], small.shape[0], _PHOTO_SIDE)
         found[index] = data_uri(shrink(small, size))
         told(done + 1, dataset.names[index])

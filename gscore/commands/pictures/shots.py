@@ -1,6 +1,7 @@
 """The cameras that `gscore render` takes: views of a capture or run, or a path among them."""
 
 import argparse
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -14,6 +15,7 @@ from ...errors import ConfigError, DatasetError
 from ...io.cameras_json import read_cameras_json
 from ...io.metrics_file import read_metrics
 from ...scene import Cameras
+from ...upright import turn_cameras, upright_turns
 from ..given.lod_model import GivenLod
 from ..given.model import GivenModel, is_capture
 from .camera_path import orbit_path, spline_path
@@ -202,14 +204,15 @@ def _frames(args: argparse.Namespace, kind: str, cameras: int) -> int:
 
 
 def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
-    """A camera path, with pictures of the size most cameras have."""
+    """A camera path, with upright pictures of the size most cameras have when held upright."""
+    cameras = turn_cameras(cameras, upright_turns(cameras))
     frames = _frames(args, kind, len(cameras))
     sizes = np.stack([cameras.widths, cameras.heights], axis=1)
     different, counts = np.unique(sizes, axis=0, return_counts=True)
     width, height = (int(n) for n in different[np.argmax(counts)])
     Ks = np.stack(
         [
-            scale_intrinsics(K, (int(w), int(h)), (width, height))
+            _fitted(K, (int(w), int(h)), (width, height))
             for K, (w, h) in zip(cameras.Ks, sizes, strict=True)
         ]
     )
@@ -228,6 +231,18 @@ def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
         names=tuple(f"frame_{i:05d}" for i in range(frames)),
     )
     return Shots(cameras=path, path=kind)
+
+
+def _fitted(K: np.ndarray, old: tuple[int, int], new: tuple[int, int]) -> np.ndarray:
+    """K for a picture of another size; between upright and lying ones the angle across the
+    diagonal stays, so that nothing is stretched."""
+    if (old[0] > old[1]) == (new[0] > new[1]):
+        return scale_intrinsics(K, old, new)
+    scale = math.hypot(*new) / math.hypot(*old)
+    K = K.copy()
+    K[:2, 2] = np.array(new) / 2 + scale * (K[:2, 2] - np.array(old) / 2)
+    K[[0, 1], [0, 1]] *= scale
+    return K
 
 
 def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:

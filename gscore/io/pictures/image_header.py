@@ -17,17 +17,24 @@ class ImageInfo(NamedTuple):
     """Pixels as stored."""
     has_alpha: bool
     """Whether there is transparency."""
-    is_sideways: bool
-    """Whether EXIF asks to turn the stored picture by a quarter for display."""
-    is_flipped: bool = False
-    """Whether EXIF asks to turn it upside down or to mirror it, which leaves its size as it is."""
+    orientation: int = 1
+    """By EXIF, 1 to 8: how the stored picture is turned and mirrored for display."""
+
+    @property
+    def is_sideways(self) -> bool:
+        """Whether EXIF asks to turn the stored picture by a quarter for display."""
+        return self.orientation in (5, 6, 7, 8)
+
+    @property
+    def is_flipped(self) -> bool:
+        """Whether EXIF asks to turn it upside down or to mirror it, which leaves its size as it
+        is."""
+        return self.orientation in (2, 3, 4)
 
 
 ORIENTATION = 0x0112
 """EXIF's tag."""
 _PNG = b"\x89PNG\r\n\x1a\n"
-SIDEWAYS, FLIPPED = frozenset({5, 6, 7, 8}), frozenset({2, 3, 4})
-"""Values of EXIF's orientation."""
 _XMP_TURN = re.compile(rb"tiff:Orientation(?:=\"|>)([0-9])")
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """JPEG markers that start a frame and state its size."""
@@ -59,7 +66,7 @@ def read_header(path: str | Path) -> ImageInfo | None:
 def _info(width: int, height: int, has_alpha: bool, turn: int) -> ImageInfo | None:
     if not width or not height:
         return None
-    return ImageInfo(width, height, has_alpha, turn in SIDEWAYS, turn in FLIPPED)
+    return ImageInfo(width, height, has_alpha, turn if 1 <= turn <= 8 else 1)
 
 
 def _png(file: BinaryIO) -> ImageInfo | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import ShapeError
 from ..files import atomic_write
-from .image_header import FLIPPED, ORIENTATION, SIDEWAYS, ImageInfo, read_header
+from .image_header import ORIENTATION, ImageInfo, read_header
 from .pillow import check_pixels, loaded, opened_picture, pillow
 from .pixels import has_alpha, mask_bytes, photo_bytes
 from .raw import is_raw, raw_info
@@ -39,8 +39,7 @@ def read_info(path: str | Path) -> ImageInfo:
         return info
     with opened_picture(path) as image:
         turn = _exif_turn(image)
-        alpha = has_alpha(image)
-        return ImageInfo(image.width, image.height, alpha, turn in SIDEWAYS, turn in FLIPPED)
+        return ImageInfo(image.width, image.height, has_alpha(image), turn if turn in TURNS else 1)
 
 
 def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:

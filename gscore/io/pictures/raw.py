@@ -112,7 +112,7 @@ def raw_info(path: Path) -> ImageInfo:
     """Size and EXIF turn of the full-size picture of a raw photo; raises as `read_raw`."""
     with _opened(path) as raw:
         turn = _FLIPS.get(raw.sizes.flip, 1)
-        return ImageInfo(raw.sizes.width, raw.sizes.height, False, turn in (6, 8), turn == 3)
+        return ImageInfo(raw.sizes.width, raw.sizes.height, False, turn)
 
 
 def read_raw(path: Path) -> tuple[Any, int]:

@@ -19,6 +19,7 @@ from addon.cameras.render_camera import RenderCamera, render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import GsError, plan_undistortion, read_capture, read_colmap, write_colmap
 from tests.addon.captures import STUDIO, write_capture
+from tests.held_photos import held_capture
 
 PIXELS = 1e-3
 """Blender projects in single precision."""
@@ -311,6 +312,18 @@ def test_save_and_load(scene, tmp_path: Path) -> None:
         assert not co.is_moved(ob, own) and not co.is_lens_changed(ob.data, own)
     assert captures.use_camera(bpy.context.scene, listed[0]) == []
     assert co.points_of(root).modifiers[0].node_group.name == sfm_points.GROUP
+
+
+@pytest.mark.parametrize("held", [(3,) * 8, (6,) * 8, (8, 1) * 4, (4,) * 8, (7,) * 8])
+def test_up_by_the_orientation_of_photos(scene, tmp_path: Path, held: tuple[int, ...]) -> None:
+    """Oracle: the vertical of the world in which the photos were held upright, stored as their EXIF
+    orientation says; 12 degrees is what a ground may lean."""
+    up = held_capture(tmp_path / "walk", held)
+    root = captures.import_capture(bpy.context.scene, tmp_path / "walk").root
+    for how in ("", "CAMERAS", "CAPTURE"):
+        if how:
+            bpy.ops.gscore.align_capture(capture=root.name, up=how)
+        assert (matrix_to_numpy(root.matrix_basis)[:3, :3] @ up)[2] > np.cos(np.radians(12.1))
 
 
 def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
