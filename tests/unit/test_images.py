@@ -81,7 +81,7 @@ def test_exif_is_ignored_unless_asked(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(stored).save(tmp_path / "x.jpg", exif=exif, quality=95)
-    assert read_info(tmp_path / "x.jpg") == (32, 16, False, True, False)
+    assert read_info(tmp_path / "x.jpg") == (32, 16, False, 6)
     assert read_image(tmp_path / "x.jpg").shape == (16, 32, 3)
     upright = read_image(tmp_path / "x.jpg", upright=True)
     assert upright.shape == (32, 16, 3)
