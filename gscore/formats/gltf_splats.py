@@ -1,51 +1,41 @@
-"""Splats in glTF: KHR_gaussian_splatting, plain or packed as SPZ, read and written.
+"""Splats read from glTF: KHR_gaussian_splatting, plain or packed as SPZ.
 
 Source: the extensions' texts in github.com/KhronosGroup/glTF. Sizes are linear and opacities from 0
 to 1; drafts had logarithms of sizes, which are told by their signs. Axes are left-up-front.
 """
 
-import json
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .._version import __version__
 from ..errors import FormatError, ShapeError
 from ..io.file_sample import FileSample
-from ..io.files import atomic_write
-from ..io.splat_rows import drawable, linear_scales, log_scales, logits, opacities_of
-from ..sh import rgb_to_sh0, sh0_to_rgb
+from ..io.splat_rows import drawable, log_scales, logits
+from ..sh import rgb_to_sh0
 from ..shown import quoted
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..transforms import transform_splats
 from ..words import number
 from . import spz
-from .axes import Z, half_turn
-from .gltf import GLB_MAGIC, Gltf, GltfBuffer, as_object, escaped, write_glb
+from .axes import X, Z, half_turn
+from .gltf import GLB_MAGIC, Gltf, as_object
+from .gltf_writing import EXTENSION, MARK, PACKED, POINTS, buffer_of, harmonic, write, write_packed
 from .joined import joined
-from .splat_file import Decoded, SplatFormat, WriteOptions
+from .splat_file import Decoded, SplatFormat
 
-EXTENSION = "KHR_gaussian_splatting"
-_PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
+_DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
+"""SPZ in files of Cesium before July 2025 and in the first draft, directly in the primitive."""
+_RETILE = "Tile or export it again with a newer version of the program that wrote it, or as a PLY."
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
 """Required extensions with which splats can be read nevertheless."""
-_POINTS = 0
 _MOST_DEPTH = 256
 _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
 """Of a file that has splats in several places, and how many more there may be. A splat takes 30
 bytes as numbers and about ten in SPZ."""
-_PROPERTIES = {
-    "kernel": "ellipse",
-    "colorSpace": "srgb_rec709_display",
-    "projection": "perspective",
-    "sortingMethod": "cameraDistance",
-}
-_TURN = np.array([-1, -1, 1], np.float32)
-"""Of positions, between left-up-front and right-down-front."""
-_MARK = "antialiased"
-"""In the extras of a primitive; the extension has no place for it."""
+_NEAR_BOUNDS = 0.05
+"""How far from stated bounds, as a share of their largest number, positions still fit them."""
 
 
 def _is_gltf(path: Path, sample: FileSample) -> bool:
@@ -67,7 +57,7 @@ def _read(path: Path) -> Decoded:
         _check_repeated(file, count, len(parts) + 1)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
-        marks.append(flagged or as_object(primitive.get("extras")).get(_MARK) is True)
+        marks.append(flagged or as_object(primitive.get("extras")).get(MARK) is True)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
@@ -88,9 +78,20 @@ def _check_repeated(file: Gltf, count: int, times: int) -> None:
         )
 
 
+def _check_drafts(file: Gltf, names: Container[Any]) -> None:
+    """FormatError if one of the names is that of an extension before `EXTENSION` was settled."""
+    for name in _DRAFTS:
+        if name in names:
+            raise FormatError(
+                f"{file.path} packs its splats with {name}, a draft of 2025 that "
+                f"{PACKED[0]} replaced, and is not read. {_RETILE}"
+            )
+
+
 def _check_required(file: Gltf) -> None:
-    known = (EXTENSION, *_PACKED)
+    known = (EXTENSION, *PACKED)
     required = file.listed(file.content, "extensionsRequired")
+    _check_drafts(file, required)
     strange = [
         name
         for name in required
@@ -127,8 +128,10 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
 
 def _of_mesh(file: Gltf, index: Any) -> Iterator[dict[str, Any]]:
     for primitive in file.listed(file.entry("meshes", index), "primitives"):
-        if EXTENSION in as_object(as_object(primitive).get("extensions")):
-            if primitive.get("mode", 4) != _POINTS:
+        extensions = as_object(as_object(primitive).get("extensions"))
+        _check_drafts(file, extensions)
+        if EXTENSION in extensions:
+            if primitive.get("mode", 4) != POINTS:
                 raise file.damaged(f"mesh {index} has splats whose mode is not POINTS")
             yield primitive
 
@@ -177,22 +180,44 @@ def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
     them says that they are anti-aliased."""
     extension = as_object(primitive["extensions"][EXTENSION])
     inner = as_object(extension.get("extensions"))
-    for name in _PACKED:
+    for name in PACKED:
         if name in inner:
             raw = file.view(as_object(inner[name]).get("bufferView"))
             try:
                 found = spz.decode_spz(file.path, raw)
             except FormatError as error:
                 raise FormatError(f"The SPZ within a glTF file: {error}") from error
-            turned = half_turn(found.splats, Z)
-            return turned, f"glTF with {found.layout}", found.antialiased
+            is_stored = _is_as_stored(file, primitive, found.splats)
+            turned = half_turn(found.splats, X if is_stored else Z)
+            layout = f"glTF with {found.layout}{', axes as stored' if is_stored else ''}"
+            return turned, layout, found.antialiased
     if inner:
         raise FormatError(
             f"{file.path} packs its splats with {', '.join(map(quoted, inner))}, which is not "
-            f"read; {' and '.join(_PACKED)} are. Export it without compression."
+            f"read; {' and '.join(PACKED)} are. Export it without compression."
         )
     _check_kind(file, extension)
     return _plain(file, as_object(primitive.get("attributes"))), "glTF", False
+
+
+def _is_as_stored(file: Gltf, primitive: dict[str, Any], splats: Splats) -> bool:
+    """Whether the numbers of an SPZ, here in the axes of a 3DGS PLY, are those of glTF as they are,
+    as in tiles of Cesium: the stated bounds of positions fit these and not those after the turn
+    from right-up-back to left-up-front."""
+    accessor = file.entry("accessors", as_object(primitive.get("attributes")).get("POSITION"))
+    ends = [accessor.get(key) for key in ("min", "max")]
+    if not len(splats) or not all(
+        isinstance(end, list) and len(end) == 3 and all(type(v) in (int, float) for v in end)
+        for end in ends
+    ):
+        return False
+    stated = np.array(ends, np.float64)
+    corners = np.stack([splats.means.min(axis=0), splats.means.max(axis=0)]).astype(np.float64)
+    stored, turned = (
+        float(np.abs(np.sort(corners * signs, axis=0) - stated).max())
+        for signs in ([1, -1, -1], [-1, -1, 1])
+    )
+    return stored <= _NEAR_BOUNDS * np.abs(stated).max() and turned > 4 * stored
 
 
 def _check_kind(file: Gltf, extension: dict[str, Any]) -> None:
@@ -214,6 +239,7 @@ _AGAIN = "Export it in that, or as a 3DGS PLY."
 
 def _plain(file: Gltf, attributes: dict[str, Any]) -> Splats:
     """Splats of accessors."""
+    _check_attributes(file, attributes)
     means = file.numbers(attributes.get("POSITION"), "VEC3")
     quats = file.numbers(attributes.get(f"{EXTENSION}:ROTATION"), "VEC4")
     scales = file.numbers(attributes.get(f"{EXTENSION}:SCALE"), "VEC3")
@@ -240,9 +266,24 @@ def _plain(file: Gltf, attributes: dict[str, Any]) -> Splats:
     )
 
 
+def _check_attributes(file: Gltf, attributes: dict[str, Any]) -> None:
+    """FormatError where some are missing, or are named as in drafts of the extension."""
+    if "_ROTATION" in attributes or "_SCALE" in attributes:
+        raise FormatError(
+            f"{file.path} has splats of a draft of {EXTENSION} of early 2025, with the attributes "
+            f"_ROTATION and _SCALE, which is not read. {_RETILE}"
+        )
+    needed = ["POSITION", *(f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY"))]
+    missing = [name for name in needed if name not in attributes]
+    if f"{EXTENSION}:SH_DEGREE_0_COEF_0" not in attributes and "COLOR_0" not in attributes:
+        missing.append(f"{EXTENSION}:SH_DEGREE_0_COEF_0")
+    if missing:
+        raise file.damaged(f"its splats lack {', '.join(missing)}")
+
+
 def _harmonics(file: Gltf, attributes: dict[str, Any], count: int) -> np.ndarray:
     """[N, K-1, 3] of the bands that are whole."""
-    names = [_harmonic(degree, index) for degree in (1, 2, 3) for index in range(2 * degree + 1)]
+    names = [harmonic(degree, index) for degree in (1, 2, 3) for index in range(2 * degree + 1)]
     there = next((k for k, name in enumerate(names) if name not in attributes), len(names))
     width = max(w for w in SH_REST_BY_DEGREE.values() if w <= there)
     out = np.empty((count, width, 3), np.float32)
@@ -254,123 +295,14 @@ def _harmonics(file: Gltf, attributes: dict[str, Any], count: int) -> np.ndarray
     return out
 
 
-def _harmonic(degree: int, index: int) -> str:
-    return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"
-
-
-def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    buffer = GltfBuffer()
-    content = _content(_attributes(buffer, half_turn(splats, Z)), {}, options, buffer)
-    _write_file(path, content, buffer)
-    return []
-
-
-def _write_packed(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    buffer = GltfBuffer()
-    raw, notes, means = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
-    name = _PACKED[0]
-    packed = {"extensions": {name: {"bufferView": buffer.add_bytes(raw)}}}
-    kinds = [
-        ("POSITION", "VEC3"),
-        (f"{EXTENSION}:ROTATION", "VEC4"),
-        (f"{EXTENSION}:SCALE", "VEC3"),
-    ]
-    kinds += [(f"{EXTENSION}:OPACITY", "SCALAR"), (f"{EXTENSION}:SH_DEGREE_0_COEF_0", "VEC3")]
-    kinds += [
-        (_harmonic(degree, index), "VEC3")
-        for degree in range(1, splats.sh_degree + 1)
-        for index in range(2 * degree + 1)
-    ]
-    attributes = {}
-    for attribute, kind in kinds:  # without bufferViews: the bytes of SPZ stand for them
-        attributes[attribute] = len(buffer.accessors)
-        buffer.accessors.append({"componentType": 5126, "count": len(splats), "type": kind})
-    buffer.accessors[0] |= _bounds(means * _TURN)
-    content = _content(attributes, packed, options, buffer)
-    content["extensionsUsed"] = content["extensionsRequired"] = [EXTENSION, name]
-    _write_file(path, content, buffer)
-    return notes
-
-
-def _attributes(buffer: GltfBuffer, splats: Splats) -> dict[str, int]:
-    """Accessors of all parameters, for splats in the axes of glTF."""
-    opacities = opacities_of(splats.opacities)
-    colors = np.empty((len(splats), 4), np.uint8)
-    colors[:, :3] = np.clip(np.rint(sh0_to_rgb(splats.sh0[:, 0]) * 255), 0, 255)
-    colors[:, 3] = np.rint(opacities * 255)
-    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
-    out = {
-        "POSITION": buffer.add(splats.means, "VEC3", **_bounds(splats.means)),
-        "COLOR_0": buffer.add(colors, "VEC4", normalized=True),
-        f"{EXTENSION}:ROTATION": buffer.add(unit[:, [1, 2, 3, 0]], "VEC4"),
-        f"{EXTENSION}:SCALE": buffer.add(linear_scales(splats.scales), "VEC3"),
-        f"{EXTENSION}:OPACITY": buffer.add(opacities, "SCALAR"),
-        f"{EXTENSION}:SH_DEGREE_0_COEF_0": buffer.add(splats.sh0[:, 0], "VEC3"),
-    }
-    at = 0
-    for degree in range(1, splats.sh_degree + 1):
-        for index in range(2 * degree + 1):
-            out[_harmonic(degree, index)] = buffer.add(splats.shN[:, at], "VEC3")
-            at += 1
-    return out
-
-
-def _bounds(means: np.ndarray) -> dict[str, list[float]]:
-    if not len(means):
-        return {}
-    return {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
-
-
-def _content(
-    attributes: dict[str, int],
-    packed: dict[str, Any],
-    options: WriteOptions,
-    buffer: GltfBuffer,
-) -> dict[str, Any]:
-    """The JSON of a file with one node, but for its buffer."""
-    primitive: dict[str, Any] = {
-        "attributes": attributes,
-        "mode": _POINTS,
-        "extensions": {EXTENSION: {**_PROPERTIES, **packed}},
-    }
-    if options.antialiased:
-        primitive["extras"] = {_MARK: True}
-    return {
-        "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": buffer.size}],
-    }
-
-
-def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None:
-    if path.suffix.lower() == ".glb":
-        atomic_write(path, lambda file: write_glb(file, content, buffer))
-        return
-    (beside,) = _buffer_of(path)
-    content["buffers"][0]["uri"] = escaped(beside.name)
-    atomic_write(beside, buffer.write_to)
-    atomic_write(path, json.dumps(content).encode())  # last, so that it names what is there
-
-
-def _buffer_of(path: Path) -> tuple[Path, ...]:
-    """Where the buffer of a .gltf lies that is written here."""
-    return () if path.suffix.lower() == ".glb" else (path.with_suffix(".bin"),)
-
-
 GLTF = SplatFormat(
     key="gltf",
     name="glTF",
     endings=(".glb", ".gltf"),
     holds=_is_gltf,
     read=_read,
-    write=_write,
-    beside=_buffer_of,
+    write=write,
+    beside=buffer_of,
 )
 GLTF_SPZ = SplatFormat(
     key="gltf-spz",
@@ -378,6 +310,6 @@ GLTF_SPZ = SplatFormat(
     endings=(".spz.glb", ".spz.gltf"),
     holds=lambda path, sample: False,  # `GLTF` reads both
     read=_read,
-    write=_write_packed,
-    beside=_buffer_of,
+    write=write_packed,
+    beside=buffer_of,
 )

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import gscore
+from gscore.errors import FormatError
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.sh import SH_C0
 from gscore.splats import Splats
@@ -430,6 +431,68 @@ def test_gltf_applies_nodes(tmp_path: Path) -> None:
     splats = read_splat_file(tmp_path / "a.gltf").splats
     np.testing.assert_allclose(splats.means, [[-6, -2, 6]], atol=1e-5)
     np.testing.assert_allclose(splats.scales[0, 0], np.log(2), atol=1e-6)
+
+
+def _packed_gltf(place: tuple[float, ...], bounds: list | None, **changed: object) -> dict:
+    """A file that holds an SPZ with one splat, turned by a sixth about z."""
+    body = b"".join(int(v * 16).to_bytes(3, "little", signed=True) for v in place)
+    body += bytes([51, 128, 128, 128, 160, 144, 176]) + struct.pack("<I", 3 << 30 | 361)
+    body += bytes([128] * 3 + [160] * 3 + [192] * 3)  # of degree 1
+    raw = gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1, 1, 4, 0, 0) + body)
+    content = _gltf({"POSITION": ("VEC3", 5126, raw)})
+    accessor, primitive = content["accessors"][0], content["meshes"][0]["primitives"][0]
+    del accessor["bufferView"]
+    if bounds is not None:
+        accessor |= {"min": bounds, "max": bounds}
+    name = "KHR_gaussian_splatting_compression_spz_2"
+    primitive["extensions"]["KHR_gaussian_splatting"]["extensions"] = {name: {"bufferView": 0}}
+    return content | changed
+
+
+@pytest.mark.parametrize(
+    ("stored", "bounds", "wanted"),
+    [
+        ((1, 2, 3), [-1, 2, -3], (-1, 2, -3)), ((1, 2, 3), [1, 2, 3], (1, 2, 3)),
+        ((1, 2, 3), [1.02, 1.99, 3.01], (1, 2, 3)), ((1, 2, 3), None, (-1, 2, -3)),
+        ((1, 2, 3), [5, 5, 5], (-1, 2, -3)), ((0, 2, 0), [0, 2, 0], (0, 2, 0)),
+        ((1, 2, 3), ["a", 2, 3], (-1, 2, -3)),
+    ],
+)  # fmt: skip
+def test_packed_gltf_in_axes_that_its_bounds_state(
+    stored: tuple, bounds: list | None, wanted: tuple, tmp_path: Path
+) -> None:
+    """Oracle: a file with the same numbers as plain accessors, in the axes of glTF: as stored where
+    the bounds of positions fit these alone (Cesium), else turned by the extension's rule."""
+    (tmp_path / "a.gltf").write_text(json.dumps(_packed_gltf(stored, bounds)))
+    found = read_splat_file(tmp_path / "a.gltf").splats
+    np.testing.assert_allclose(found.means * [-1, -1, 1], [wanted], atol=1e-6)
+    turned = np.array([1, 1, 1]) if wanted == stored and bounds != [0, 2, 0] else [-1, 1, -1]
+    w, x, y, z = found.quats[0] / np.linalg.norm(found.quats[0])
+    # From 3DGS to glTF x and y change their signs, from SPZ to glTF by the rule x and z.
+    np.testing.assert_allclose([w, -x, -y, z], [0.75**0.5, 0, 0, turned[2] * 0.5], atol=2e-3)
+    y1, z1, x1 = found.shN[0][:, 0] * [-1, 1, -1]  # of degree 1, -y, z, -x in this order
+    np.testing.assert_allclose([x1, y1, z1], turned * np.array([0.5, 0, 0.25]), atol=1e-6)
+
+
+def test_drafts_of_gltf_are_named(tmp_path: Path) -> None:
+    """Oracle: the extensions and attributes of Cesium before the extension was settled."""
+    rows = {name.replace(_K, "_"): row for name, row in PLAIN_ROWS.items() if "SH_" not in name}
+    rows["COLOR_0"] = ("VEC4", 5121, bytes([1, 2, 3, 51]), {"normalized": True})
+    lacking = {name: row for name, row in PLAIN_ROWS.items() if "OPACITY" not in name}
+    legacy = "KHR_spz_gaussian_splats_compression"
+    first = _gltf(PLAIN_ROWS)
+    first["meshes"][0]["primitives"][0]["extensions"] = {legacy: {"bufferView": 0}}
+    second = _gltf(PLAIN_ROWS, extensions={"KHR_gaussian_splatting": {}, "KHR_spz_compression": {}})
+    for content, words in (
+        (first, f"{legacy}, a draft of 2025"),
+        (first | {"extensionsRequired": [legacy]}, f"{legacy}, a draft of 2025"),
+        (second, "KHR_spz_compression, a draft"),
+        (_gltf(rows), "draft of KHR_gaussian_splatting of early 2025.*_ROTATION and _SCALE"),
+        (_gltf(lacking), "its splats lack KHR_gaussian_splatting:OPACITY"),
+    ):
+        (tmp_path / "a.gltf").write_text(json.dumps(content))
+        with pytest.raises(FormatError, match=words):
+            read_splat_file(tmp_path / "a.gltf")
 
 
 def test_gltf_as_written(tmp_path: Path) -> None:

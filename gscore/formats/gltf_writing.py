@@ -1,0 +1,147 @@
+"""Splats written as glTF: KHR_gaussian_splatting, plain or packed as SPZ; and the names in it.
+
+Source: see gltf_splats.py.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..io.files import atomic_write
+from ..io.splat_rows import linear_scales, opacities_of
+from ..sh import sh0_to_rgb
+from ..splats import Splats
+from . import spz
+from .axes import Z, half_turn
+from .gltf import GltfBuffer, escaped, write_glb
+from .splat_file import WriteOptions
+
+EXTENSION = "KHR_gaussian_splatting"
+PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
+POINTS = 0
+"""The mode of primitives."""
+_PROPERTIES = {
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "projection": "perspective",
+    "sortingMethod": "cameraDistance",
+}
+MARK = "antialiased"
+"""In the extras of a primitive; the extension has no place for it."""
+_TURN = np.array([-1, -1, 1], np.float32)
+"""Of positions, between left-up-front and right-down-front."""
+
+
+def harmonic(degree: int, index: int) -> str:
+    """The attribute of a SH coefficient."""
+    return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"
+
+
+def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    """Write a file with all numbers as float32."""
+    buffer = GltfBuffer()
+    content = _content(_attributes(buffer, half_turn(splats, Z)), {}, options, buffer)
+    _write_file(path, content, buffer)
+    return []
+
+
+def write_packed(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    """Write a file that holds an SPZ."""
+    buffer = GltfBuffer()
+    raw, notes, means = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
+    name = PACKED[0]
+    packed = {"extensions": {name: {"bufferView": buffer.add_bytes(raw)}}}
+    kinds = [
+        ("POSITION", "VEC3"),
+        (f"{EXTENSION}:ROTATION", "VEC4"),
+        (f"{EXTENSION}:SCALE", "VEC3"),
+    ]
+    kinds += [(f"{EXTENSION}:OPACITY", "SCALAR"), (f"{EXTENSION}:SH_DEGREE_0_COEF_0", "VEC3")]
+    kinds += [
+        (harmonic(degree, index), "VEC3")
+        for degree in range(1, splats.sh_degree + 1)
+        for index in range(2 * degree + 1)
+    ]
+    attributes = {}
+    for attribute, kind in kinds:  # without bufferViews: the bytes of SPZ stand for them
+        attributes[attribute] = len(buffer.accessors)
+        buffer.accessors.append({"componentType": 5126, "count": len(splats), "type": kind})
+    buffer.accessors[0] |= _bounds(means * _TURN)
+    content = _content(attributes, packed, options, buffer)
+    content["extensionsUsed"] = content["extensionsRequired"] = [EXTENSION, name]
+    _write_file(path, content, buffer)
+    return notes
+
+
+def _attributes(buffer: GltfBuffer, splats: Splats) -> dict[str, int]:
+    """Accessors of all parameters, for splats in the axes of glTF."""
+    opacities = opacities_of(splats.opacities)
+    colors = np.empty((len(splats), 4), np.uint8)
+    colors[:, :3] = np.clip(np.rint(sh0_to_rgb(splats.sh0[:, 0]) * 255), 0, 255)
+    colors[:, 3] = np.rint(opacities * 255)
+    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    out = {
+        "POSITION": buffer.add(splats.means, "VEC3", **_bounds(splats.means)),
+        "COLOR_0": buffer.add(colors, "VEC4", normalized=True),
+        f"{EXTENSION}:ROTATION": buffer.add(unit[:, [1, 2, 3, 0]], "VEC4"),
+        f"{EXTENSION}:SCALE": buffer.add(linear_scales(splats.scales), "VEC3"),
+        f"{EXTENSION}:OPACITY": buffer.add(opacities, "SCALAR"),
+        f"{EXTENSION}:SH_DEGREE_0_COEF_0": buffer.add(splats.sh0[:, 0], "VEC3"),
+    }
+    at = 0
+    for degree in range(1, splats.sh_degree + 1):
+        for index in range(2 * degree + 1):
+            out[harmonic(degree, index)] = buffer.add(splats.shN[:, at], "VEC3")
+            at += 1
+    return out
+
+
+def _bounds(means: np.ndarray) -> dict[str, list[float]]:
+    if not len(means):
+        return {}
+    return {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
+
+
+def _content(
+    attributes: dict[str, int],
+    packed: dict[str, Any],
+    options: WriteOptions,
+    buffer: GltfBuffer,
+) -> dict[str, Any]:
+    """The JSON of a file with one node, but for its buffer."""
+    primitive: dict[str, Any] = {
+        "attributes": attributes,
+        "mode": POINTS,
+        "extensions": {EXTENSION: {**_PROPERTIES, **packed}},
+    }
+    if options.antialiased:
+        primitive["extras"] = {MARK: True}
+    return {
+        "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": buffer.size}],
+    }
+
+
+def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None:
+    if path.suffix.lower() == ".glb":
+        atomic_write(path, lambda file: write_glb(file, content, buffer))
+        return
+    (beside,) = buffer_of(path)
+    content["buffers"][0]["uri"] = escaped(beside.name)
+    atomic_write(beside, buffer.write_to)
+    atomic_write(path, json.dumps(content).encode())  # last, so that it names what is there
+
+
+def buffer_of(path: Path) -> tuple[Path, ...]:
+    """Where the buffer of a .gltf lies that is written here."""
+    return () if path.suffix.lower() == ".glb" else (path.with_suffix(".bin"),)
