@@ -5,6 +5,7 @@ Writes them to PLY and one JSON object to stdout: error, antialiased, warnings.
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,15 @@ from ..logged import collected_warnings
 from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
 from ..transforms import transform_splats
+from ..words import number
 from .axes import X, half_turn
 from .joined import joined
 
 TYPE = "ParticleField3DGaussianSplat"
 MARK = "antialiased"
 """In the custom data of a prim; the schema has no place for it."""
+_MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
+"""Of all files of a scene, whose instances repeat splats, and how many more there may be."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """From a stage with Z up to one with Y up."""
 
@@ -66,10 +70,15 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
     Usd, Tf, UsdGeom = need("pxr.Usd", "USD"), need("pxr.Tf", "USD"), need("pxr.UsdGeom", "USD")
     try:
         stage = Usd.Stage.Open(str(path))
-        prims = [prim for prim in stage.Traverse() if prim.GetTypeName() == TYPE]
-        parts = [_splats(path, prim) for prim in prims]
-        matrices = [_matrix(prim) for prim in prims]
-        marks = [prim.GetCustomDataByKey(MARK) is True for prim in prims]
+        parts, matrices, marks = [], [], []
+        room = _MOST_SPLATS_A_BYTE * _bytes_of(stage) + _SLACK
+        for prim, matrix in _placed(stage.GetPseudoRoot(), np.eye(4), None):
+            parts.append(_splats(path, prim))
+            matrices.append(matrix)
+            marks.append(prim.GetCustomDataByKey(MARK) is True)
+            room -= len(parts[-1])
+            if room < 0:
+                raise _repeated(path, len(parts))
         has_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
         raise FormatError(
@@ -100,11 +109,62 @@ def _reason(error: Exception) -> str:
     return said.splitlines()[-1].strip() if said else type(error).__name__
 
 
-def _matrix(prim: Any) -> np.ndarray:
-    """[4, 4] of a prim to the stage, that acts on column vectors."""
-    UsdGeom, Usd = need("pxr.UsdGeom", "USD"), need("pxr.Usd", "USD")
-    found = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.EarliestTime())
-    return np.array(found, np.float64).T
+def _placed(root: Any, outer: np.ndarray, above: Any) -> Iterator[tuple[Any, np.ndarray]]:
+    """Prims of splats at and below a prim, those of instances among them, each with its matrix
+    [4, 4] to the stage, that acts on column vectors.
+
+    Args:
+        root: Where to begin.
+        outer: [4, 4] from `above` to the stage.
+        above: The prim to which matrices are taken; None: the stage.
+    """
+    Usd, UsdGeom = need("pxr.Usd", "USD"), need("pxr.UsdGeom", "USD")
+    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+
+    def matrix_of(prim: Any) -> np.ndarray:
+        if above is None:
+            found = cache.GetLocalToWorldTransform(prim)
+        else:
+            found = cache.ComputeRelativeTransform(prim, above)[0]
+        return outer @ np.array(found, np.float64).T
+
+    walk = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+    for prim in walk:
+        if prim.IsA(UsdGeom.PointInstancer):
+            walk.PruneChildren()
+            yield from _of_points(UsdGeom.PointInstancer(prim), matrix_of(prim))
+        elif prim.GetTypeName() == TYPE:
+            yield prim, matrix_of(prim)
+
+
+def _of_points(instancer: Any, matrix: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
+    """As `_placed`, of the prototypes that an instancer puts at its points."""
+    time = need("pxr.Usd", "USD").TimeCode.EarliestTime()
+    prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
+    which = instancer.GetProtoIndicesAttr().Get(time)
+    inner = instancer.ComputeInstanceTransformsAtTime(
+        time, time, instancer.IncludeProtoXform, instancer.IgnoreMask
+    )
+    shown = instancer.ComputeMaskAtTime(time) or [True] * len(inner)
+    for index, one, is_shown in zip(which or (), inner, shown, strict=True):
+        if is_shown and 0 <= index < len(prototypes):
+            prototype = instancer.GetPrim().GetStage().GetPrimAtPath(prototypes[index])
+            outer = matrix @ np.array(one, np.float64).T
+            if prototype:
+                yield from _placed(prototype, outer, prototype)
+
+
+def _bytes_of(stage: Any) -> int:
+    """Of all files that a stage is made of."""
+    files = {layer.realPath for layer in stage.GetUsedLayers()}
+    return sum(Path(file).stat().st_size for file in files if Path(file).is_file())
+
+
+def _repeated(path: Path, times: int) -> FormatError:
+    return FormatError(
+        f"{path} repeats its splats: its instances make {number(times)} prims and more of a file "
+        f"of few bytes. Export it with each splat once, or as a 3DGS PLY."
+    )
 
 
 def _splats(path: Path, prim: Any) -> Splats:

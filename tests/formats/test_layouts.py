@@ -4,6 +4,7 @@ import gzip
 import io
 import json
 import logging
+import re
 import struct
 import zipfile
 from pathlib import Path
@@ -547,6 +548,91 @@ def ParticleField3DGaussianSplat "A" {
     np.testing.assert_allclose(splats.scales, [[0, 1, np.log(0.5)]], atol=1e-6)
     np.testing.assert_allclose(splats.opacities, np.log([1 / 3]), rtol=1e-5)
     np.testing.assert_array_equal(splats.sh0[0, 0], [1, 0.5, 0])
+
+
+_PRIM = """
+    def ParticleField3DGaussianSplat "S" {
+        point3f[] positions = [(1, 2, 3), (4, 5, 6)]
+        quatf[] orientations = [(1, 0, 0, 0), (1, 0, 0, 0)]
+        float3[] scales = [(1, 1, 1), (1, 1, 1)]
+        float[] opacities = [0.25, 0.5]
+    }
+"""
+_MOVED = """
+        double3 xformOp:translate = (%d, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+"""
+
+
+def _usd_means(text: str, path: Path) -> list[list[float]]:
+    """Positions in the axes of the stage, sorted."""
+    path.write_text(f'#usda 1.0\n( upAxis = "Y" )\n{text}')
+    means = read_splat_file(path).splats.means * [1, -1, -1]
+    return sorted(means.round(4).tolist())
+
+
+def test_usd_instances(tmp_path: Path) -> None:
+    """Oracle: the same prims written out: two instances of one class, one of them nested in an
+    instance of a scope that holds the prim and another instance."""
+    pytest.importorskip("pxr.UsdVol")
+    text = f"""
+class "Model" {{ {_PRIM} }}
+class "Scope" {{
+    {_PRIM}
+    def Xform "inner" (
+        instanceable = true
+        references = </Model>
+    ) {{ {_MOVED % 100} }}
+}}
+def Xform "one" (
+    instanceable = true
+    references = </Model>
+) {{ {_MOVED % 10} }}
+def Xform "two" (
+    instanceable = true
+    references = </Scope>
+) {{ {_MOVED % 20} }}
+def Xform "plain" {{ {_PRIM} }}
+"""
+    wanted = [[x + shift, y, z] for shift in (0, 10, 20, 120) for x, y, z in ((1, 2, 3), (4, 5, 6))]
+    assert _usd_means(text, tmp_path / "a.usda") == sorted(wanted)
+
+
+def test_usd_point_instancers(tmp_path: Path) -> None:
+    """Oracle: positions worked out by hand: scale, a half turn about y, then the point, of a
+    prototype that is moved itself; one point is hidden."""
+    pytest.importorskip("pxr.UsdVol")
+    text = f"""
+def PointInstancer "points" {{
+    rel prototypes = [</points/first>, </points/second>]
+    int[] protoIndices = [0, 1, 0]
+    point3f[] positions = [(0, 0, 0), (10, 0, 0), (20, 0, 0)]
+    quath[] orientations = [(1, 0, 0, 0), (0, 0, 1, 0), (1, 0, 0, 0)]
+    float3[] scales = [(1, 1, 1), (2, 2, 2), (1, 1, 1)]
+    int64[] invisibleIds = [2]
+    def Xform "first" {{ {_PRIM} }}
+    def Xform "second" {{ {_MOVED % 100} {_PRIM} }}
+}}
+"""
+    wanted = [[1, 2, 3], [4, 5, 6], [10 - 2 * 101, 4, -6], [10 - 2 * 104, 10, -12]]
+    assert _usd_means(text, tmp_path / "a.usda") == sorted(wanted)
+
+
+def test_usd_that_repeats_its_splats_without_end(tmp_path: Path) -> None:
+    """Oracle: one sentence: 2 to the power of 40 instances of a prim with 4,000 splats."""
+    pytest.importorskip("pxr.UsdVol")
+    levels = "".join(
+        f'class "L{k}" {{ ' + "".join(
+            f'def Xform "{side}" ( instanceable = true\n references = </L{k - 1}> ) {{}}\n'
+            for side in "ab"
+        ) + "}\n"
+        for k in range(1, 41)
+    )  # fmt: skip
+    row = re.compile(r"= \[(.*)\]")
+    prim = row.sub(lambda found: f"= [{', '.join([found[1]] * 2000)}]", _PRIM)
+    text = f'class "L0" {{ {prim} }}\n{levels}def "all" ( references = </L40> ) {{}}'
+    with pytest.raises(FormatError, match="repeats its splats"):
+        _usd_means(text, tmp_path / "a.usda")
 
 
 def test_what_is_left_out_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
