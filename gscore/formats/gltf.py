@@ -19,8 +19,11 @@ from ..errors import ConfigError, DatasetError, FormatError
 from ..io.files import read_bytes
 from ..json_text import parse_json
 from ..shown import quoted
+from .parts import check_part
 
 GLB_MAGIC = b"glTF"
+CHECK = "crc32"
+"""In the extras of a buffer: of the file beside a .gltf that it was written with."""
 FLOAT, UNSIGNED_BYTE = 5126, 5121
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -162,10 +165,11 @@ class Gltf:
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
             buffer = self.entry("buffers", index)
-            self._buffers[index] = self._load(index, buffer.get("uri"))
+            check = as_object(buffer.get("extras")).get(CHECK)
+            self._buffers[index] = self._load(index, buffer.get("uri"), check)
         return self._buffers[index]
 
-    def _load(self, index: int, uri: Any) -> memoryview:
+    def _load(self, index: int, uri: Any, check: Any) -> memoryview:
         if uri is None and index == 0 and self._binary is not None:
             return self._binary
         if not isinstance(uri, str):
@@ -182,6 +186,7 @@ class Gltf:
             found = memoryview(read_bytes(self.path.parent / name))
         except DatasetError as error:
             raise DatasetError(f"{self.path} needs {quoted(name)} beside it. {error}") from error
+        check_part(self.path, name, found, check)
         self.bytes_read += len(found)
         return found
 
@@ -256,6 +261,12 @@ def escaped(name: str) -> str:
     return "".join(
         chr(byte) if chr(byte) in _UNRESERVED else f"%{byte:02X}" for byte in os.fsencode(name)
     )
+
+
+def buffers_in(content: dict[str, Any]) -> list[str]:
+    """The files that the JSON of a .gltf names as its buffers."""
+    uris = [buffer["uri"] for buffer in content["buffers"] if "uri" in buffer]
+    return [_unescaped(uri) for uri in uris if not uri.startswith("data:")]
 
 
 def _unescaped(uri: str) -> str:

@@ -16,7 +16,8 @@ from ..sh import sh0_to_rgb
 from ..splats import Splats
 from . import spz
 from .axes import Z, half_turn
-from .gltf import GltfBuffer, escaped, write_glb
+from .gltf import CHECK, GltfBuffer, buffers_in, escaped, write_glb
+from .parts import parts_of, write_parts
 from .splat_file import WriteOptions
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -136,12 +137,18 @@ def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None
     if path.suffix.lower() == ".glb":
         atomic_write(path, lambda file: write_glb(file, content, buffer))
         return
-    (beside,) = buffer_of(path)
-    content["buffers"][0]["uri"] = escaped(beside.name)
-    atomic_write(beside, buffer.write_to)
-    atomic_write(path, json.dumps(content).encode())  # last, so that it names what is there
+    part = path.with_suffix(".bin").name
+
+    def text_of(names: dict[str, str], checks: dict[str, int]) -> bytes:
+        extras = {CHECK: checks[part]}
+        content["buffers"][0] |= {"uri": escaped(names[part]), "extras": extras}
+        return json.dumps(content).encode()
+
+    write_parts(path, {part: buffer.write_to}, text_of, buffers_in)
 
 
 def buffer_of(path: Path) -> tuple[Path, ...]:
-    """Where the buffer of a .gltf lies that is written here."""
-    return () if path.suffix.lower() == ".glb" else (path.with_suffix(".bin"),)
+    """Where the buffer of a .gltf lies, or that of one that is written there."""
+    if path.suffix.lower() == ".glb":
+        return ()
+    return parts_of(path, buffers_in) or (path.with_suffix(".bin"),)

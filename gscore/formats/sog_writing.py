@@ -1,0 +1,175 @@
+"""SOG written: textures of one byte a value, and the meta.json that names them; and its names.
+
+Source: see sog.py.
+"""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..errors import ConfigError
+from ..io.files import atomic_write
+from ..io.splat_rows import opacity_bytes
+from ..nearby import morton_order
+from ..smallest_three import smallest_three
+from ..splats import Splats
+from ..words import count_words
+from . import textures
+from .codebook import codebook, nearest_entries, palette
+from .far_splats import cut_extremes, without_far
+from .parts import write_parts
+from .splat_file import WriteOptions
+
+META = "meta.json"
+PALETTE_WIDTH = 64
+"""Rows of a palette beside each other in its texture."""
+SECTIONS = ("means", "scales", "quats", "sh0", "shN")
+"""Of a meta.json that name files."""
+CHECKS = "crc32"
+"""In the asset of a meta.json: of each file that lies beside it."""
+FIRST_TAG = 252
+ANTIALIASED = "antialiased"
+"""What splat-transform writes as the model's kind; before, a SOG had `antialias`."""
+_FINE = 2.0**-11
+"""Step of positions that is fine enough, as `without_far` asks for it."""
+_LARGEST = {"scales": 80.0, "sh0": 16.0, "shN": 4.0}
+"""Of log scales and SH coefficients: the codebooks of all splats grow coarse with their ends."""
+
+
+def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    if not textures.fits(len(splats)):
+        raise ConfigError(f"{path}: SOG holds 268 million splats at most.")
+    meta, pictures, notes = _textures(splats)
+    meta |= {"antialias": True, "model": ANTIALIASED} if options.antialiased else {}
+    files = textures.encode_all(pictures)
+    if path.suffix.lower() == ".json":
+        write_parts(path, files, lambda *found: _index(meta, *found), parts_in)
+        return notes
+    packed = io.BytesIO()
+    # Stored, not deflated: WebP is packed already, and some readers know nothing else.
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
+        for name, raw in {META: json.dumps(meta).encode(), **files}.items():
+            archive.writestr(zipfile.ZipInfo(name), raw)
+    atomic_write(path, packed.getvalue())
+    return notes
+
+
+def parts_in(meta: dict[str, Any]) -> list[str]:
+    """The textures that a meta.json names."""
+    sections = (meta[name] for name in SECTIONS if name in meta)
+    return [name for section in sections if section for name in section["files"]]
+
+
+def _index(meta: dict[str, Any], names: dict[str, str], checks: dict[str, int]) -> bytes:
+    """The meta.json of textures that lie beside it under other names."""
+    for section in SECTIONS:
+        if section in meta:
+            meta[section]["files"] = [names[name] for name in meta[section]["files"]]
+    stated = {names[name]: check for name, check in checks.items()}
+    return json.dumps(meta | {"asset": meta["asset"] | {CHECKS: stated}}).encode()
+
+
+def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], list[str]]:
+    """The content of meta.json, pictures by name, and sentences on what they do not hold."""
+    splats, notes = without_far(splats, _step, _FINE, "SOG")
+    for field, most in _LARGEST.items():
+        splats, cut = cut_extremes(splats, field, most)
+        if cut:
+            notes.append(
+                f"{count_words(cut, 'splat')} had {field} far beyond usual ones, which were cut: "
+                f"SOG has 256 values for those of all splats."
+            )
+    order = morton_order(splats.means)
+    scales, colors = codebook(splats.scales), codebook(splats.sh0)
+    low, high, ends = _pack_means(splats.means[order])
+    alphas = opacity_bytes(splats.opacities[order])
+    pictures = {
+        "means_l.webp": _texture(low),
+        "means_u.webp": _texture(high),
+        "scales.webp": _texture(nearest_entries(scales, splats.scales[order])),
+        "quats.webp": _texture(*_pack_quats(splats.quats[order])),
+        "sh0.webp": _texture(nearest_entries(colors, splats.sh0[order, 0]), alphas),
+    }
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": f"gscore {__version__}"},
+        "count": len(splats),
+        "means": {**ends, "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": scales.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": colors.tolist(), "files": ["sh0.webp"]},
+    }
+    if splats.sh_degree and len(splats):
+        rows, labels = palette(splats.shN[order].reshape(len(splats), -1))
+        book = codebook(rows)
+        meta["shN"] = {
+            "count": len(rows),
+            "bands": splats.sh_degree,
+            "codebook": book.tolist(),
+            "files": ["shN_centroids.webp", "shN_labels.webp"],
+        }
+        pictures["shN_centroids.webp"] = _palette_texture(nearest_entries(book, rows))
+        pictures["shN_labels.webp"] = _label_texture(labels)
+    return meta, pictures, notes
+
+
+def _pack_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, list[float]]]:
+    """Lower and upper bytes [N, 3], and the bounds between which they are steps."""
+    logs = _logs(means)
+    ends = np.zeros((2, 3))
+    if len(means):
+        ends = np.stack([logs.min(axis=0), logs.max(axis=0)])
+    width = np.where(ends[1] > ends[0], ends[1] - ends[0], 1)
+    steps = np.rint((logs - ends[0]) / width * 65535).astype(np.uint16)
+    bounds = {"mins": ends[0].tolist(), "maxs": ends[1].tolist()}
+    return (steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8), bounds
+
+
+def _logs(means: np.ndarray) -> np.ndarray:
+    """sign(v) ln(|v| + 1), float64."""
+    return np.copysign(np.log1p(np.abs(means.astype(np.float64))), means)
+
+
+def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
+    """Of positions in units, as `without_far` asks for it."""
+    return float(((_logs(high) - _logs(low)) / 65535 * (np.abs(middle) + 1)).max())
+
+
+def _pack_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Three bytes and a tag of each quaternion, as `_quats` reads them."""
+    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    largest, three = smallest_three(unit)
+    parts = three * np.sqrt(0.5) + 0.5
+    return np.rint(np.clip(parts, 0, 1) * 255).astype(np.uint8), (FIRST_TAG + largest).astype(
+        np.uint8
+    )
+
+
+def _texture(colors: np.ndarray, alphas: np.ndarray | int = 255) -> np.ndarray:
+    """[H, W, 4] of bytes [N, 3] and alphas [N]."""
+    width, height = textures.size_for(len(colors))
+    pixels = np.zeros((height * width, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(colors), :3] = colors
+    pixels[: len(colors), 3] = alphas
+    return pixels.reshape(height, width, 4)
+
+
+def _palette_texture(indices: np.ndarray) -> np.ndarray:
+    """64 rows [D] beside each other, a pixel for the three channels of a coefficient."""
+    width = indices.shape[1] // 3
+    lines = -(-len(indices) // PALETTE_WIDTH)
+    pixels = np.full((lines * PALETTE_WIDTH, width, 4), 255, np.uint8)
+    pixels[: len(indices), :, :3] = indices.reshape(-1, width, 3)
+    return pixels.reshape(lines, PALETTE_WIDTH * width, 4)
+
+
+def _label_texture(labels: np.ndarray) -> np.ndarray:
+    parts = np.zeros((len(labels), 3), np.uint8)
+    parts[:, 0], parts[:, 1] = labels & 255, labels >> 8
+    return _texture(parts)
