@@ -6,6 +6,7 @@ from typing import Any
 
 from ..config import DataConfig
 from ..datasets.capture import listing
+from ..io.foreign_cameras import unread_cameras
 from ..sfm.attempts import attempts
 from ..sfm.heic import readable, size_of
 from ..sfm.photos import LEAST, Photo, by_camera, list_photos, photo_folder, read_photos
@@ -46,7 +47,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
         "pairs": work.pairs_expected(first),
         "sfm_seconds": round(work.forecast(first).seconds, 1),
         "next": None if doubtful else typed("train", path, "-o", "run"),
-        "warnings": [doubtful] if doubtful else [],
+        "warnings": [text for text in (doubtful, unread_cameras(path)) if text],
     }
 
 

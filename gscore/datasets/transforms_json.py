@@ -13,6 +13,7 @@ from ..io.colmap.camera_models import MODELS_BY_NAME
 from ..io.colmap.folder import is_safe_name
 from ..io.colmap.model import ColmapCamera
 from ..io.files import LONGEST_NAME, is_file, read_bytes
+from ..io.foreign import foreign
 from ..io.pictures.images import IMAGE_ENDINGS, read_info
 from ..io.ply.points import read_point_cloud
 from ..json_text import parse_json
@@ -110,7 +111,8 @@ def load_transforms(path: Path) -> dict[str, Any]:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
         raise FormatError(
-            f"{path} is no transforms.json: it must hold an object with a list `frames`. Export "
+            foreign(path)
+            or f"{path} is no transforms.json: it must hold an object with a list `frames`. Export "
             "it again, or give the folder of the capture."
         )
     return data

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ..datasets.capture import listing
 from ..errors import GsError
+from ..io.foreign_cameras import unread_cameras
 from ..io.pictures.images import read_info
 from ..sfm.heic import readable, size_of, what_to_do
 from ..sfm.masks import mask_folder
@@ -43,8 +44,8 @@ def bare_facts(source: Path) -> CaptureFacts:
     if len(names) < LEAST:
         few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
         problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))
-    if doubtful := doubt(root, names, len(sizes)):
-        problems.append(Problem(is_error=False, text=doubtful))
+    for text in filter(None, (unread_cameras(source), doubt(root, names, len(sizes)))):
+        problems.append(Problem(is_error=False, text=text))
     if unread:
         left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
         text = f"{left} that is not read: {listing(unread, 2)}. To use them, {what_to_do(unread)}."

@@ -13,6 +13,7 @@ from ..errors import GsError
 from ..words import count_words
 from .block_record import BLOCK_RECORD
 from .file_sample import FileSample, sample_file
+from .foreign_cameras import METASHAPE_EXPORT, REALITYSCAN_EXPORT, foreign_cameras, foreign_index
 from .lod_index import KIND
 from .runs import CAPTURE
 
@@ -36,6 +37,7 @@ _COLMAP = (
     "Export the cameras from that program in COLMAP's format, with undistorted photos, or run "
     "COLMAP on the photos, and give the folder that holds both."
 )
+_WITH_PHOTOS = "Give the folder that holds it and the photos."
 _UNPACK = "Unpack it and give what it holds."
 _MESH = "It holds meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
 _MOVIE = "Find them first with gscore sfm, or give it to gscore train, which does both."
@@ -102,11 +104,14 @@ _FORMATS = (
     _Format("a LAS or LAZ point cloud", _CLOUD, _starts(b"LASF")),
     _Format("the database of COLMAP", "Give the folder with the model that COLMAP's mapper wrote, "
             "sparse/0, and the photos.", _starts(b"SQLite format 3")),
-    _Format("a project or camera file of Metashape", _COLMAP,
-            lambda s: _text(b"<document")(s) and (
-                _text(b"<chunk", b"<cameras")(s) or s.ending in (".psx", ".psz"))),
-    _Format("a camera file or project of RealityCapture", _COLMAP,
-            _text(b"<RealityCapture", b"xcr:", b"capturingreality.com")),
+    _Format("a project of Metashape", METASHAPE_EXPORT,
+            lambda s: _text(b"<document")(s) and s.ending in (".psx", ".psz")),
+    _Format("a camera file of Metashape", _WITH_PHOTOS,
+            lambda s: _text(b"<document")(s) and _text(b"<chunk", b"<cameras")(s), ", not splats"),
+    _Format("a project of RealityScan (RealityCapture)", REALITYSCAN_EXPORT,
+            _text(b"<RealityCapture", b"<RealityScan")),
+    _Format("a camera file of RealityScan (RealityCapture)", _WITH_PHOTOS,
+            _text(b"xcr:", b"capturingreality.com"), _MODEL),
     _Format("a Blocks Exchange file of ContextCapture", _COLMAP, _text(b"<BlocksExchange")),
     _Format("a mesh of FBX", _MESH, _starts(b"Kaydara FBX Binary")),
     _Format("a mesh (OBJ or STL)", _MESH, _ends(".obj", ".stl")),
@@ -137,15 +142,19 @@ def foreign(path: Path) -> str:
 
 
 def _file(path: Path) -> str:
+    if text := foreign_index(path):
+        return text
     sample = sample_file(path)
     found = next((kind for kind in _FORMATS if kind.holds(sample)), None)
-    return f"{path} is {found.name}{found.but}. {found.advice}" if found else ""
+    return f"{path} is {found.name}{found.but}. {found.advice}" if found else foreign_cameras(path)
 
 
 def _folder(path: Path) -> str:
     names = list(islice(path.iterdir(), _MOST_NAMES))
     if told := _ours(path, sorted(n for n in names if n.is_dir())):
         return told
+    if text := foreign_index(path):
+        return text
     if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
         return f"{path} is an unpacked splat file of PlayCanvas (SOG){_MODEL}. {_SPLATS}"
     below = sum(_photos(n) for n in names if n.is_dir() and not n.name.startswith("."))

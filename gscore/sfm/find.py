@@ -13,6 +13,7 @@ from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
+from ..io.foreign_cameras import unread_cameras
 from ..io.runs import MADE_OF
 from ..raster import backend
 from ..words import count_words
@@ -107,9 +108,8 @@ class _Search:
             cancelled=self._stopping,
         )  # fmt: skip
         read, sentences = photos.one_of_each(self._root, read)
-        for sentence in sentences:
-            self._warn(sentence)
-        if sentence := doubt(self._root, names, len(photos.by_camera(read))):
+        doubtful = doubt(self._root, names, len(photos.by_camera(read)))
+        for sentence in filter(None, (*sentences, doubtful, unread_cameras(self._request.photos))):
             self._warn(sentence)
         folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)

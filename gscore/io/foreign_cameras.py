@@ -1,0 +1,122 @@
+"""Cameras of other programs that are not read, and indexes of splats in many files: what a file
+among the photos is, by its name and content, and how to export what is read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from ..errors import GsError
+from .file_sample import FileSample, sample_file
+
+_MOST_NAMES = 10_000
+"""Of a folder that are looked at."""
+_NERFSTUDIO = (
+    "Convert it with nerfstudio's ns-process-data {} to a transforms.json, and give that folder."
+)
+_COLMAP = "Export the cameras in COLMAP's format from that program, with undistorted photos."
+METASHAPE_EXPORT = (
+    "Export the cameras with File > Export > Export Cameras as Agisoft XML, or in COLMAP's format, "
+    "and put the file into the folder of the photos."
+)
+REALITYSCAN_EXPORT = (
+    "Export the cameras with Alignment > Export > Registration as Internal/External Camera "
+    "Parameters (CSV), or in COLMAP's format, and put the file into the folder of the photos."
+)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    name: str
+    advice: str
+    names: tuple[str, ...]
+    """Ends of names, in small letters; each begins with a dot or is the whole name."""
+    holds: Callable[[FileSample], bool] = lambda sample: True
+
+
+def _says(*words: bytes) -> Callable[[FileSample], bool]:
+    """Text in whose beginning all the words stand."""
+    return lambda sample: all(word in sample.head for word in words)
+
+
+_CAMERAS = (
+    _Kind("a project of Metashape", METASHAPE_EXPORT, (".psx", ".psz")),
+    _Kind("a project or component of RealityScan (RealityCapture)", REALITYSCAN_EXPORT,
+          (".rcproj", ".rsproj", ".rcalign", ".rsalign")),
+    _Kind("a camera file of Bundler", "It states no size of the photos, and programs disagree on "
+          f"its axes. {_COLMAP}", (".out",), _says(b"# Bundle file")),
+    _Kind("a camera file of VisualSFM (NVM)", _COLMAP, (".nvm",), _says(b"NVM_V3")),
+    _Kind("a Blocks Exchange file of ContextCapture", _COLMAP, (".xml",),
+          _says(b"<BlocksExchange")),
+    _Kind("a camera file of OpenMVG", "Convert it with openMVG_main_openMVG2Colmap.", (".json",),
+          _says(b'"sfm_data_version"')),
+    _Kind("a camera file of Meshroom (AliceVision)", "Add its node ExportColmap, and give the "
+          "folder that it writes.", (".sfm", ".json"), _says(b'"featuresFolders"')),
+    _Kind("a camera file of Pix4D", _COLMAP, ("_calibrated_camera_parameters.txt", ".p4d",
+          "_calibrated_external_camera_parameters.txt")),
+    _Kind("a capture of Polycam", _NERFSTUDIO.format("polycam"), ("mesh_info.json",)),
+    _Kind("a capture of Record3D", _NERFSTUDIO.format("record3d"), (".r3d",)),
+    _Kind("a capture of Record3D", _NERFSTUDIO.format("record3d"), ("metadata",),
+          _says(b'"poses"', b'"K"')),
+    _Kind("a file of poses in the layout of transforms.json", "Give that file itself, or call it "
+          "transforms.json.", (".json",), _says(b'"frames"', b'"transform_matrix"')),
+)  # fmt: skip
+_INDEXES = (
+    _Kind("the index of a 3D Tiles tileset", "It holds no splats but lists tiles: give a glTF tile "
+          "(.glb or .gltf) with splats, or put the tiles together in the program that made them.",
+          ("tileset.json",), _says(b'"root"', b'"geometricError"')),
+    _Kind("the index of a Streamed SOG of PlayCanvas", "It holds no splats but lists chunks: give "
+          "the meta.json of a chunk, or make one file of all with splat-transform.",
+          ("lod-meta.json",)),
+)  # fmt: skip
+
+
+def foreign_index(path: Path) -> str:
+    """A sentence where a file, or a folder that holds one, is the index of splats in many files;
+    else empty."""
+    names = [name for kind in _INDEXES for name in kind.names]
+    return _named(path, _INDEXES) or next(
+        (text for name in names if (text := _named(path / name, _INDEXES))), ""
+    )
+
+
+def unread_cameras(folder: Path) -> str:
+    """A sentence on what a folder of photos holds besides that looks like their cameras, or splats
+    already, and is not read; empty where there is nothing.
+
+    Args:
+        folder: Of the photos, or the one that holds their folder.
+    """
+    if not folder.is_dir():
+        return ""
+    try:
+        files = sorted(p for p in islice(folder.iterdir(), _MOST_NAMES) if p.is_file())
+    except OSError:
+        return ""  # whoever lists the photos says why it cannot be
+    found = next((text for file in files if (text := _named(file, _INDEXES))), "")
+    if found:
+        return found
+    found = next((text for file in files if (text := _named(file, _CAMERAS))), "")
+    return found.replace(". ", ", whose cameras are not read. ", 1) if found else ""
+
+
+def foreign_cameras(path: Path) -> str:
+    """A sentence where a file is one of cameras that are not read; else empty."""
+    return _named(path, _CAMERAS)
+
+
+def _named(path: Path, kinds: tuple[_Kind, ...]) -> str:
+    name = path.name.lower()
+    fitting = [
+        kind
+        for kind in kinds
+        if any(name == end or (end[0] in "._" and name.endswith(end)) for end in kind.names)
+    ]
+    try:
+        sample = sample_file(path) if fitting and path.is_file() else None
+    except (OSError, ValueError, GsError):
+        return ""
+    if sample is None:
+        return ""
+    found = next((kind for kind in fitting if kind.holds(sample)), None)
+    return f"{path} is {found.name}. {found.advice}" if found else ""
