@@ -10,7 +10,7 @@ def _words(text: str) -> frozenset[str]:
 
 
 MODULES = _words(
-    """__future__ argparse ast atexit base64 codecs collections concurrent contextlib ctypes
+    """__future__ argparse ast atexit base64 codecs collections concurrent contextlib csv ctypes
     dataclasses datetime difflib enum errno fcntl fractions functools hashlib html importlib
     inspect io ipaddress itertools json logging math mmap msvcrt os pathlib platform queue re
     reprlib resource secrets shlex shutil signal stat statistics string struct subprocess sys

@@ -17,6 +17,7 @@ from PIL import Image
 from gscore.commands import main
 from gscore.commands.pictures.video import write_video
 from gscore.config import DataConfig
+from gscore.datasets import read_capture
 from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import MapFolder, _read_picture, read_map
 from gscore.errors import FormatError, GsError
@@ -57,6 +58,7 @@ LISTENS = ROOT / "gscore" / "live" / "server.py"
 """The only file that opens a port."""
 SPEAKS = ROOT / "gscore" / "trainer" / "ranks" / "team.py"
 """The only file that speaks with other processes of one training, through torch's own sockets."""
+PARSES = ROOT / "gscore/io/xml_text.py"
 COLLECTS = ROOT / "addon" / "process" / "garbage.py"
 """The only file that tells Python when to look for garbage."""
 SPOKEN = {"all_gather", "all_to_all_single", "broadcast", "gather"}
@@ -207,6 +209,7 @@ ALLOWED = {
         "names torch.distributed.PrefixStore",
     },
     COLLECTS: {"imports gc"},  # its thresholds alone
+    PARSES: {"imports xml.etree.ElementTree"},  # refuses document types before
 }
 """All that looks dangerous in what is shipped, by file."""
 
@@ -402,6 +405,13 @@ def test_names_from_files_stay_in_their_folder(name: str, tmp_path: Path) -> Non
     (inside / "sequence.json").write_text(json.dumps(index))
     with pytest.raises(FormatError, match=r"folder below the sequence's"):
         read_sequence(inside)
+    (inside / "transforms.json").unlink()
+    shot = {"camera": "c", "rotation": [0, 0, 0], "translation": [0, 0, 0]}
+    camera = {"projection_type": "perspective", "width": 8, "height": 8, "focal": 1}
+    part = {"cameras": {"c": camera}, "shots": {name: shot}}
+    (inside / "reconstruction.json").write_text(json.dumps([part]))
+    for view in read_capture(DataConfig(source=inside), photos_required=False).views:
+        assert view.image.parent == inside and view.name == view.image.name
     assert not name.strip(".") or MapFolder(inside).find(name) is None
 
 

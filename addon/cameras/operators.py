@@ -91,7 +91,8 @@ class ImportCameras(Stepping, OnScene, bpy.types.Operator):
         if properties.browse:
             return (
                 "Bring the cameras, photos and SfM points of a folder into the scene: one with a "
-                "COLMAP model and its photos, or with a transforms.json"
+                "COLMAP model and its photos, a transforms.json, or cameras of RealityScan, "
+                "Metashape or OpenSfM"
             )
         return cls.__doc__ or ""
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..config import DataConfig
+from ..datasets.programs import find_program
 from ..errors import DatasetError
 from ..events import MASKED_OF
 from ..formats import is_splat_file
@@ -69,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
             facts = lod_facts(path, file.index)
     elif is_video(path):
         facts = video_facts(path)
-    elif path.is_file() and (path.suffix.lower() != ".json" or is_splat_file(path)):
+    elif (
+        path.is_file()
+        and find_program(path) is None
+        and (path.suffix.lower() != ".json" or is_splat_file(path))
+    ):
         facts = _model_facts(open_model(path))
     elif path.is_dir() and (index := read_sequence(path)):
         facts = {"kind": "sequence", "path": str(path), **vars(index)}
@@ -204,7 +209,7 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
     record = read_block(path)
     if record is not None:
         facts["block"] = {"index": record.index, "count": record.count}
-    return facts | {"model": _colmap_facts(found)}
+    return facts | {"model": _colmap_facts(found), "cameras_of": _cameras_of(found)}
 
 
 def _colmap_facts(found: CaptureFacts) -> dict[str, Any] | None:
@@ -218,6 +223,13 @@ def _colmap_facts(found: CaptureFacts) -> dict[str, Any] | None:
         "points": found.points,
         "mean_error_px": found.error_px,
     }
+
+
+def _cameras_of(found: CaptureFacts) -> dict[str, Any] | None:
+    """Which program's file the cameras are from; None where a COLMAP model or a video has them."""
+    if found.kind in ("COLMAP", "video") or found.model is None:
+        return None
+    return {"format": found.kind, "path": str(found.model), "cameras": found.cameras}
 
 
 def _text(facts: dict[str, Any]) -> str:
@@ -315,6 +327,9 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
     ]
     if block := facts.get("block"):
         lines.append(f"  block {block['index']} of {block['count']}, which count from 0")
+    if other := facts["cameras_of"]:
+        kinds = ", ".join(f"{n} {kind}" for kind, n in other["cameras"].items())
+        lines.append(f"  {other['format']} {other['path']}: cameras {kinds}")
     model = facts["model"]
     if model:
         kinds = ", ".join(f"{n} {kind}" for kind, n in model["cameras"].items())

@@ -13,6 +13,7 @@ from ..shown import quoted
 from ..words import count_words
 from .capture import listing
 from .pku.case import find_video
+from .programs import find_program
 from .transforms_json import find_transforms
 
 _PATTERNS = ("source", "images", "masks", "depths")
@@ -143,7 +144,8 @@ def frame_pattern(folder: Path, name: str) -> Path:
 
 def _is_capture(folder: Path) -> bool:
     places = (folder, folder / "sparse", folder / "sparse/0", folder / "colmap/sparse/0")
-    return find_transforms(folder) is not None or any(has_model(place) for place in places)
+    stated = find_transforms(folder) or find_program(folder, below=False)
+    return stated is not None or any(has_model(place) for place in places)
 
 
 def _from_pattern(data: DataConfig) -> list[SequenceFrame]:

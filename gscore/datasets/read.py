@@ -6,12 +6,14 @@ from ..io.colmap.folder import find_model
 from .capture import Capture
 from .colmap_source import read_colmap
 from .pku.case import find_video, read_video
+from .programs import find_program, read_program
 from .rig import with_rig
 from .transforms_json import find_transforms, read_transforms
 
 
 def read_capture(config: DataConfig, *, photos_required: bool = True) -> Capture:
-    """Views, cameras and points of a COLMAP model, a transforms.json or a frame of a video.
+    """Views, cameras and points of a COLMAP model, a transforms.json, a frame of a video, or of the
+    camera file of another program.
 
     No photo is decoded. With `config.rig` cameras and world are those of that capture.
 
@@ -41,13 +43,19 @@ def _read(config: DataConfig, photos_required: bool) -> Capture:
             f"{config.source} is no multi-view video, so it has no frame {config.frame}; expected "
             f"a folder with data_COLMAP, per_frame or per_view. Leave --frame out."
         )
+    program = find_program(config.source, config.images) if config.source.is_file() else None
+    if program is not None:
+        return read_program(config, program, photos_required=photos_required)
     transforms = find_transforms(config.source)
     if transforms == config.source:
         return read_transforms(config, photos_required=photos_required)
     try:
         find_model(config.source)
     except DatasetError:
-        if transforms is None:
+        if transforms is not None:
+            return read_transforms(config, photos_required=photos_required)
+        program = find_program(config.source, config.images)
+        if program is None:
             raise
-        return read_transforms(config, photos_required=photos_required)
+        return read_program(config, program, photos_required=photos_required)
     return read_colmap(config, photos_required=photos_required)

@@ -23,12 +23,12 @@ class CaptureFacts:
     source: Path
     """The folder (or transforms file) to train on."""
     kind: str = ""
-    """`COLMAP`, `transforms.json` or `video`; empty: no capture."""
+    """`COLMAP`, `transforms.json`, `video`, or a `ProgramFile.program`; empty: no capture."""
     bare: str = ""
     """`photos` or `a video`: these are all there is, and cameras can be found from them; empty:
     they are there, or it is no source at all."""
     model: Path | None = None
-    """Folder of the COLMAP model, or the transforms file; None for videos."""
+    """Folder of the COLMAP model, or the file of the cameras; None for videos."""
     photos: int = 0
     """Photos that are there."""
     missing: tuple[str, ...] = ()

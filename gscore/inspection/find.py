@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from ..datasets.programs import find_program
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
 from ..io.colmap.folder import find_model
@@ -22,7 +23,7 @@ def find_capture(path: str | Path) -> Path:
         return folder.parent.parent
     if folder.name == "sparse":
         return folder.parent
-    if not _has_capture(folder) and _has_capture(folder.parent):
+    if not _has_capture(folder) and _has_capture(folder.parent):  # which may be a whole disk
         return folder.parent
     return folder
 
@@ -36,4 +37,5 @@ def colmap_of(folder: Path) -> Path | None:
 
 
 def _has_capture(folder: Path) -> bool:
-    return colmap_of(folder) is not None or find_transforms(folder) is not None
+    found = colmap_of(folder) or find_transforms(folder) or find_program(folder, below=False)
+    return found is not None

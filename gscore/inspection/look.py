@@ -14,6 +14,7 @@ from ..datasets.headers import PhotoFit, check_fit, fit_photos, told_of_photos
 from ..datasets.masks import check_mask_size, masks_of_views
 from ..datasets.placement import told_of_axes, told_of_places
 from ..datasets.points import told_of_points
+from ..datasets.programs import find_program
 from ..datasets.resolution import check_resolution
 from ..datasets.split import split_views, told_of_split
 from ..depth.params import DEPTH_FOLDER
@@ -254,6 +255,12 @@ def _facts(
     model = colmap_of(source) if source.is_dir() else None
     folder = Folder(capture.root / config.images) if model else None
     transforms = find_transforms(source) if model is None else None
+    kind, file = ("COLMAP", model) if model else ("transforms.json", transforms)
+    if file is None or source.is_file():
+        program = find_program(source, config.images)
+        kind, file = (program.program, program.path) if program else (kind, file)
+    if file is None:
+        kind = "video"
     cameras = {view.camera.model: set() for view in views}
     for view in views:
         camera = view.camera
@@ -261,8 +268,8 @@ def _facts(
     aspects = [_aspect(view) for view in views if view.camera.model not in NO_PINHOLE]
     return CaptureFacts(
         source=source,
-        kind="COLMAP" if model else "transforms.json" if transforms else "video",
-        model=model or transforms,
+        kind=kind,
+        model=file,
         photos=len(seen.views),
         missing=seen.missing,
         without_camera=max(0, len(folder) - len(seen.views)) if folder else 0,

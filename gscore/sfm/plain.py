@@ -5,6 +5,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..datasets.pku.case import find_video
+from ..datasets.programs import find_program
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
 from ..io.files import read_bytes
@@ -27,7 +28,7 @@ def is_plain(path: Path) -> bool:
     """Whether a folder holds photos and nothing that states their cameras, not even badly."""
     if not path.is_dir() or find_video(path) or find_transforms(path):
         return False
-    if any((path / name).exists() for name in _MODELS):
+    if any((path / name).exists() for name in _MODELS) or find_program(path):
         return False
     names, unread = list_photos(photo_folder(path), ())
     return bool(names or readable(unread)[0])
@@ -95,7 +96,8 @@ def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
 
 def _has_cameras(folder: Path) -> bool:
     """Whether a folder is a capture whose cameras are known."""
-    return any((folder / name).exists() for name in (*_MODELS, "transforms.json"))
+    stated = any((folder / name).exists() for name in (*_MODELS, "transforms.json"))
+    return stated or find_program(folder, below=False) is not None
 
 
 def photos_of(request: Request) -> list[list[Any]]:

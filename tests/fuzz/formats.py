@@ -15,6 +15,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json, load_config
 from gscore.control import Control
 from gscore.datasets.pku.neus import _projections
+from gscore.datasets.read import read_capture
 from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import read_map
 from gscore.depth.params import read_params
@@ -40,6 +41,7 @@ from gscore.trainer.files.folder import RunFolder
 from gscore.trainer.rows.frame import Frame
 from gscore.trainer.session import Session
 from gscore.trainer.trainer import Trainer
+from tests import program_files
 from tests.checkpoint_files import checkpoint_json, with_checkpoint_json
 from tests.formats.test_layouts import ksplat_bytes
 
@@ -329,6 +331,26 @@ def _read_depth(name: str) -> Callable[[Path], Any]:
     return read
 
 
+def _write_program(write: Callable[[Path, program_files.Rig], Any]) -> Callable[[Path], None]:
+    """Three photos and the file in which another program states their cameras."""
+
+    def make(root: Path) -> None:
+        turns, names = np.stack([np.eye(3)] * 3), tuple(f"{i}.png" for i in range(3))
+        for name in names:
+            write_png(root / name, np.zeros((6, 8, 3), np.uint8))
+        terms = {"k1": 0.01, "k2": 0.0, "p1": 0.001}
+        rig = program_files.Rig(names, turns, np.eye(3), (8, 6), 9.0, terms=terms)
+        write(root, rig)
+
+    return make
+
+
+def _read_program(root: Path) -> None:
+    for view in read_capture(DataConfig(source=root)).views:
+        assert np.isfinite(view.viewmat).all() and np.isfinite(view.camera.params).all()
+        assert view.image.is_relative_to(root)
+
+
 def _write_npz(root: Path) -> None:
     np.savez(root / "cameras_sphere.npz", world_mat_0=np.eye(4), world_mat_1=np.eye(4))
 
@@ -516,6 +538,16 @@ FORMATS = [
         )
     ),
     Format("transforms", "transforms.json", _write_transforms, _read_transforms, True),
+    *(
+        Format(f"program_{name}", file, _write_program(write), _read_program, name == "opensfm")
+        for name, file, write in (
+            ("rs_csv", "registration.csv", program_files.write_rs_csv),
+            ("rs_xmp", "0.xmp", program_files.write_rs_xmp),
+            ("metashape", "cameras.xml", program_files.write_metashape),
+            ("opensfm", "reconstruction.json", program_files.write_opensfm),
+            ("llff", "poses_bounds.npy", program_files.write_llff),
+        )
+    ),
     Format("cameras_json", "cameras.json", _write_cameras, _read_cameras, True),
     Format("world", WORLD_FILE, lambda root: write_up(root, np.array([0.0, 0, 1])), read_up, True),
     Format(

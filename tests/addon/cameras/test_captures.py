@@ -16,10 +16,12 @@ from addon.cameras import objects as co
 from addon.cameras.backgrounds import photo_of
 from addon.cameras.objects import cameras_of, is_camera, root_of
 from addon.cameras.render_camera import RenderCamera, render_camera
+from addon.capture.inspection import inspect
 from addon.compat import matrix_to_numpy
 from addon.core import GsError, plan_undistortion, read_capture, read_colmap, write_colmap
 from tests.addon.captures import STUDIO, write_capture
 from tests.held_photos import held_capture
+from tests.program_files import Rig, write_metashape
 
 PIXELS = 1e-3
 """Blender projects in single precision."""
@@ -488,6 +490,24 @@ def test_transforms_json(scene, tmp_path: Path) -> None:
         np.testing.assert_array_equal(own.viewmat, views[own.image].viewmat)
         np.testing.assert_array_equal(own.K, views[own.image].camera.K)
     assert captures.use_camera(bpy.context.scene, made.cameras[0]) == []
+
+
+def test_cameras_of_metashape(scene, tmp_path: Path) -> None:
+    """Oracle: the poses of the bundled model, which an independent script wrote as Metashape does;
+    the panel names the file."""
+    model = read_colmap(STUDIO)
+    turns = np.stack([image.viewmat[:3, :3] for image in model.images])
+    places = np.stack([-i.viewmat[:3, :3].T @ i.viewmat[:3, 3] for i in model.images])
+    names = tuple(image.name for image in model.images)
+    rig = Rig(names, turns, places, (480, 640), 856.7, terms={"k1": -0.01})
+    shutil.copytree(STUDIO / "images", tmp_path / "images")
+    file = write_metashape(tmp_path, rig)
+    assert inspect(tmp_path / "images").lines()[0] == ("Metashape XML", str(file))
+    made = captures.import_capture(bpy.context.scene, tmp_path)
+    assert len(made.cameras) == 60
+    poses = {image.name: image.viewmat for image in model.images}
+    for ob in made.cameras:
+        np.testing.assert_allclose(co.stated(ob).viewmat, poses[co.stated(ob).image], atol=1e-6)
 
 
 def test_one_switch_shows_all_photos_of_the_capture(scene, tmp_path: Path) -> None:

@@ -1,0 +1,6 @@
+"""Cameras that other photogrammetry programs exported among the photos."""
+
+from .find import ProgramFile, find_program
+from .read import read_program
+
+__all__ = ["ProgramFile", "find_program", "read_program"]

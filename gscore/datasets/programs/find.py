@@ -1,0 +1,71 @@
+"""Which program's camera file lies in a folder, by what files hold, not by their names."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from . import metashape, realityscan
+
+_HEAD = 1 << 13
+"""Bytes of a file that are looked at."""
+_RECONSTRUCTIONS = ("reconstruction.json", "opensfm/reconstruction.json")
+_BOUNDS = "poses_bounds.npy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgramFile:
+    """A camera file that can be read."""
+
+    program: str
+    """`RealityScan CSV`, `Metashape XML`, `OpenSfM`, `LLFF` or `RealityScan XMP`."""
+    path: Path
+    """The file; of XMP sidecars the folder below which they lie."""
+    root: Path
+    """Folder of the capture."""
+    others: tuple[Path, ...] = ()
+    """Further camera files in the folder, which are not read."""
+
+
+def find_program(source: Path, images: str = "images", *, below: bool = True) -> ProgramFile | None:
+    """The camera file at or in `source`, or None; XMP sidecars where there is no other.
+
+    Args:
+        source: A file, or the folder of a capture.
+        images: Folder of the photos in it, for sidecars.
+        below: Whether sidecars are looked for in all folders below; else in those two alone, for
+            folders that may hold anything.
+    """
+    if source.is_file():
+        return _of_file(source, source.parent)
+    if not source.is_dir():
+        return None
+    files = sorted(p for p in source.iterdir() if p.suffix.lower() in (".csv", ".xml"))
+    files += [source / name for name in (*_RECONSTRUCTIONS, _BOUNDS)]
+    found = [f for path in files if (f := _of_file(path, source))]
+    if found:
+        return replace(found[0], others=tuple(other.path for other in found[1:]))
+    photos = source / images if (source / images).is_dir() else source
+    if any(realityscan.sidecars_in(photos, below=below)):
+        return ProgramFile(program="RealityScan XMP", path=photos, root=source)
+    return None
+
+
+def _of_file(path: Path, root: Path) -> ProgramFile | None:
+    if not path.is_file():
+        return None
+    ending, program = path.suffix.lower(), ""
+    if ending == ".csv" and realityscan.is_csv(_head(path)):
+        program = "RealityScan CSV"
+    elif ending == ".xml" and metashape.is_xml(_head(path)):
+        program = "Metashape XML"
+    elif path.name == "reconstruction.json" and '"cameras"' in _head(path):
+        program = "OpenSfM"
+    elif path.name == _BOUNDS:
+        program = "LLFF"
+    return ProgramFile(program=program, path=path, root=root) if program else None
+
+
+def _head(path: Path) -> str:
+    """The beginning of a file as text, of any encoding whose letters are ASCII's."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    return head.replace(b"\0", b"").decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")

@@ -1,0 +1,63 @@
+"""The poses_bounds.npy of LLFF, which many scenes of NeRF papers have.
+
+Schema: "Using your own poses without running COLMAP" of the readme of Fyusion/LLFF, and its
+`pose_utils.py`: a row for each photo in the order of the sorted names, 3 x 5 numbers row by row and
+two depths. The first three columns are the camera's axes down, right and backwards in the world,
+the fourth its position, the fifth height, width and focal length in pixels.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import DatasetError, FormatError
+from ...io.files import read_bytes
+from ...io.npy import read_npy
+from ...transforms import invert_rigid
+from ...words import count_words
+from ..poses import rigid_matrix
+from .posed import PosedPhoto, PosedPhotos, brown_camera
+
+_NUMBERS = 17
+
+
+def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
+    """Read poses and the one lens, whose principal point is the middle of the photo.
+
+    Args:
+        path: The file.
+        names: Of all photos, sorted.
+
+    Raises:
+        DatasetError: the file is missing, or there are more or fewer photos than poses.
+        FormatError: it is no array of 17 numbers a row, or a pose or size is unusable.
+    """
+    try:
+        rows = read_npy(read_bytes(path)).astype(np.float64)
+    except ValueError as error:
+        raise FormatError(f"{path} is no array of poses: {error}. Copy it again.") from error
+    if rows.ndim != 2 or rows.shape[1] != _NUMBERS:
+        raise FormatError(
+            f"{path} has the shape {rows.shape}, expected rows of {_NUMBERS} numbers. Make it "
+            "again with LLFF's imgs2poses.py."
+        )
+    if len(rows) != len(names):
+        raise DatasetError(
+            f"{path} has {count_words(len(rows), 'pose')} for {count_words(len(names), 'photo')}, "
+            "and names none of them: which belong together is not known. Keep only the photos that "
+            "it was made from."
+        )
+    return PosedPhotos(photos=[_shot(f"{path}: row {i}", *pair)
+                        for i, pair in enumerate(zip(rows, names, strict=True))])  # fmt: skip
+
+
+def _shot(where: str, row: np.ndarray, name: str) -> PosedPhoto:
+    stated = row[:15].reshape(3, 5)
+    down, right, back, place, (height, width, focal) = stated.T
+    pose = rigid_matrix(where, "the pose", np.column_stack([right, down, -back, place]))
+    if not all(0 < side < 2**31 for side in (height, width)):
+        raise FormatError(f"{where}: the size {width:g} x {height:g} is none. Make it again.")
+    size = (round(width), round(height))
+    lens = brown_camera(where, size, focal=(focal, focal), center=(size[0] / 2, size[1] / 2))
+    return PosedPhoto(name=name, viewmat=invert_rigid(pose), camera=lambda _: lens, size=size)

@@ -1,0 +1,212 @@
+"""Cameras that Agisoft Metashape exports as XML (*Export Cameras*, Agisoft XML).
+
+The schema is that of files with `<document version="1.2.0">` to `"2.0.0"`, as Metashape 1.5 to 2.3
+write them. Lenses are those of the *Metashape User Manual, Professional Edition*, appendix "Camera
+models" (version 2.2, frame and fisheye cameras): f, cx, cy, b1 and b2 in pixels, cx and cy from the
+middle of the picture. A camera's `transform` leads from its axes (x right, y down, z forwards) to
+those of the chunk, and the transform of its component, or of the chunk in older files, from there
+to the world: metres, geocentric where the chunk has a geographic coordinate system.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FormatError
+from ...io.colmap.model import ColmapCamera
+from ...io.xml_text import Element, read_xml
+from ...shown import quoted
+from ...transforms import invert_rigid
+from ...words import count_words
+from ..poses import rigid_matrix
+from .posed import PosedPhoto, PosedPhotos, Size, brown_camera, colmap_camera, numbers
+
+_COEFFICIENTS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+_FISHEYES = ("fisheye", "equidistant_fisheye")
+"""Both are the equidistant lens."""
+_EARTH = (6.2e6, 6.5e6)
+"""Metres from the middle of the Earth within which cameras are geocentric."""
+
+Place = tuple[np.ndarray, np.ndarray, float]
+"""Of a chunk in the world: rotation [3, 3], translation [3], scale."""
+_HERE: Place = (np.eye(3), np.zeros(3), 1.0)
+
+
+def is_xml(head: str) -> bool:
+    """Whether a text begins as such a file does."""
+    return "<document" in head and ("<chunk" in head or "<sensors" in head)
+
+
+def read_metashape(path: Path) -> PosedPhotos:
+    """Read the cameras that are aligned and enabled, of the largest component.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: a value is missing or unusable, there is no aligned camera, or a lens is none
+            of COLMAP's.
+    """
+    chunks = [c for c in read_xml(path).iter("chunk") if any(map(_is_aligned, _cameras(c)))]
+    if len(chunks) != 1:
+        found = f"{len(chunks)} chunks" if chunks else "no chunk"
+        raise FormatError(
+            f"{path} holds {found} with aligned cameras, expected 1. Align the photos and export "
+            "the cameras of one chunk."
+        )
+    (chunk,), warnings = chunks, []
+    every = list(_cameras(chunk))
+    aligned = [camera for camera in every if _is_aligned(camera)]
+    used = [camera for camera in aligned if camera.get("enabled") not in ("false", "0")]
+    if len(used) < len(every):
+        without = len(every) - len(aligned)
+        warnings.append(
+            f"{count_words(len(every) - len(used), 'camera')} of {path} left out: "
+            f"{without} not aligned, {len(aligned) - len(used)} not enabled."
+        )
+    components = Counter(camera.get("component_id", "") for camera in used)
+    if not components:
+        raise FormatError(f"{path}: no aligned camera is enabled. Enable some, and export again.")
+    largest = components.most_common(1)[0][0]
+    if len(components) > 1:
+        others = len(used) - components[largest]
+        warnings.append(
+            f"{count_words(others, 'camera')} of {path} left out: they belong to other components "
+            "than the largest, which lie anywhere. Align or merge them."
+        )
+        used = [camera for camera in used if camera.get("component_id", "") == largest]
+    if any(camera.find("rolling_shutter") is not None for camera in used):
+        warnings.append(
+            f"{path} has cameras that move while the shutter rolls; each is used at its one pose."
+        )
+    place, lenses = _place(path, chunk, largest), _lenses(path, chunk)
+    shots = [_shot(path, camera, place, lenses) for camera in used]
+    return PosedPhotos(photos=shots, up=_up(shots), warnings=tuple(warnings))
+
+
+def _cameras(chunk: Element) -> Iterator[Element]:
+    """Those of the chunk, in groups too."""
+    for cameras in chunk.findall("cameras"):
+        yield from cameras.iter("camera")
+
+
+def _is_aligned(camera: Element) -> bool:
+    return bool((camera.findtext("transform") or "").strip())
+
+
+def _place(path: Path, chunk: Element, component: str) -> Place:
+    """Where the chunk, or a component of it, lies in the world."""
+    found = chunk.find(f"components/component[@id='{component}']/transform")
+    transform = found if found is not None else chunk.find("transform")
+    if transform is None:
+        return _HERE
+    where = f"{path}: the transform of the {'chunk' if found is None else 'component'}"
+    turn = numbers(where, "rotation", transform.findtext("rotation", "1 0 0 0 1 0 0 0 1"), 9)
+    shift = numbers(where, "translation", transform.findtext("translation", "0 0 0"), 3)
+    (scale,) = numbers(where, "scale", transform.findtext("scale", "1"), 1)
+    if scale <= 0:
+        raise FormatError(f"{where}: scale is {scale:g}, expected more than 0. Export it again.")
+    pose = np.column_stack([turn.reshape(3, 3), shift])
+    return rigid_matrix(where, "rotation", pose)[:3, :3], shift, float(scale)
+
+
+def _shot(
+    path: Path, camera: Element, place: Place, lenses: dict[str, Callable[[], ColmapCamera]]
+) -> PosedPhoto:
+    label = camera.get("label", "")
+    where = f"{path}: camera {quoted(label)}"
+    stated = numbers(where, "transform", camera.findtext("transform"), 16).reshape(4, 4)
+    pose = rigid_matrix(where, "transform", stated)
+    turn, shift, scale = place
+    pose[:3, 3] = scale * turn @ pose[:3, 3] + shift
+    pose[:3, :3] = turn @ pose[:3, :3]
+    sensor = camera.get("sensor_id", "")
+    if sensor not in lenses:
+        raise FormatError(
+            f"{where} is of sensor {quoted(sensor)}, which is not there. Export again."
+        )
+    lens = lenses[sensor]()
+    return PosedPhoto(
+        name=label,
+        viewmat=invert_rigid(pose),
+        camera=lambda size: lens,
+        size=(lens.width, lens.height),
+    )
+
+
+def _lenses(path: Path, chunk: Element) -> dict[str, Callable[[], ColmapCamera]]:
+    """By the id of the sensor; called for those that are used, so that others may be unreadable."""
+    sensors = chunk.findall("sensors/sensor")
+    return {sensor.get("id", ""): partial(_lens, path, sensor) for sensor in sensors}
+
+
+def _lens(path: Path, sensor: Element) -> ColmapCamera:
+    where = f"{path}: sensor {quoted(sensor.get('label') or sensor.get('id'))}"
+    calibrations = {c.get("class", "adjusted"): c for c in sensor.findall("calibration")}
+    calibration = calibrations.get("adjusted", calibrations.get("initial"))
+    if calibration is None:
+        raise FormatError(
+            f"{where} has no calibration. Align the photos, and export the cameras again."
+        )
+    size = _size(where, calibration, sensor)
+    values = {
+        name: float(numbers(where, name, calibration.findtext(name, "0"), 1)[0])
+        for name in _COEFFICIENTS
+    }
+    for name in ("p3", "p4"):
+        if values[name] != 0:
+            raise FormatError(
+                f"{where}: {name} is {values[name]:g}, which no camera model of COLMAP has; "
+                "expected 0. Align without it, or export the cameras in COLMAP's format."
+            )
+    kind = calibration.get("type") or sensor.get("type") or "frame"
+    if kind == "frame":
+        return brown_camera(
+            where,
+            size,
+            focal=(values["f"] + values["b1"], values["f"]),
+            center=(size[0] / 2 + values["cx"], size[1] / 2 + values["cy"]),
+            radial=[values[f"k{i}"] for i in (1, 2, 3, 4)],
+            tilt=(values["p2"], values["p1"]),  # the manual's p1 and p2 are OpenCV's p2 and p1
+            skew=values["b2"],
+        )
+    if kind in _FISHEYES:
+        return _fisheye(where, size, values)
+    raise FormatError(
+        f"{where} is of the type {quoted(kind)}, expected frame or fisheye. Export the cameras in "
+        "COLMAP's format, which cuts or straightens the photos."
+    )
+
+
+def _fisheye(where: str, size: Size, values: dict[str, float]) -> ColmapCamera:
+    """The equidistant lens with tilt, which is COLMAP's without its prism."""
+    if values["b2"] != 0:
+        raise FormatError(
+            f"{where}: the skew (b2) of the lens is {values['b2']:g}, which no camera model of "
+            "COLMAP has; expected 0. Align without it."
+        )
+    focal = {"fx": values["f"] + values["b1"], "fy": values["f"]}
+    center = {"cx": size[0] / 2 + values["cx"], "cy": size[1] / 2 + values["cy"]}
+    radial = {name: values[name] for name in ("k1", "k2", "k3", "k4")}
+    tilt = {"p1": values["p2"], "p2": values["p1"]}
+    model = "THIN_PRISM_FISHEYE" if any(tilt.values()) else "OPENCV_FISHEYE"
+    return colmap_camera(where, model, size, focal | center | radial | tilt)
+
+
+def _size(where: str, *elements: Element) -> Size:
+    for element in elements:
+        if (stated := element.find("resolution")) is not None:
+            sides = (stated.get("width"), stated.get("height"))
+            width, height = (numbers(where, "resolution", side, 1)[0] for side in sides)
+            return int(width), int(height)
+    raise FormatError(f"{where} states no resolution. Export the cameras again.")
+
+
+def _up(shots: list[PosedPhoto]) -> np.ndarray | None:
+    """Away from the middle of the Earth where the world is geocentric; else the format says
+    nothing of it."""
+    centers = [-shot.viewmat[:3, :3].T @ shot.viewmat[:3, 3] for shot in shots]
+    middle = np.mean(centers, axis=0)
+    distance = float(np.linalg.norm(middle))
+    return middle / distance if _EARTH[0] < distance < _EARTH[1] else None

@@ -1,0 +1,265 @@
+"""A capture from the camera file of another program and the photos in its folder."""
+
+import re
+import unicodedata
+from collections import defaultdict
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from ...config import DataConfig
+from ...errors import DatasetError
+from ...io.colmap.camera_models import NO_PINHOLE
+from ...io.colmap.folder import is_safe_name
+from ...io.pictures.images import IMAGE_ENDINGS, read_info
+from ...io.ply.points import read_point_cloud
+from ...scene import PointCloud
+from ...words import count_words
+from ..capture import Capture, View, listing, repeated
+from .find import ProgramFile
+from .llff import read_llff
+from .metashape import read_metashape
+from .opensfm import read_opensfm
+from .posed import PosedPhoto, PosedPhotos, Size
+from .realityscan import read_csv, read_xmps, sidecars_in
+
+_POINTS = ("points3D.ply", "points3d.ply", "sparse_pc.ply", "points.ply", "pointcloud.ply")
+"""Names that are points for sure; else the only PLY of the folder is taken."""
+_MASK = re.compile(r"[._@#!]mask$")
+"""Ends the stem of a mask: RealityScan's name of the photo with one of these signs and the name of
+the layer, in the same folder, and Metashape's `{filename}_mask.png`."""
+_LOOKED_AT = 1000
+"""Points of which it is asked whether a photo shows them."""
+_MARGIN = 1.2
+"""Half sizes of the picture, from its middle, within which a point counts as shown: lenses bend."""
+_FARTHEST = 1000.0
+"""Times as far as the cameras stand apart: half of the points of no scene are beyond."""
+
+
+def read_program(
+    config: DataConfig, found: ProgramFile, *, photos_required: bool = True
+) -> Capture:
+    """Read the camera file and find its photos in `config.images`, or in the folder itself.
+
+    Without `photos_required` views whose photo is missing stay where the file states their size.
+
+    Raises:
+        DatasetError: photos are missing, or it is not known which are meant.
+        FormatError: the file is damaged, or a lens is none of COLMAP's.
+    """
+    folder = found.root / config.images
+    photos = _Photos(folder if folder.is_dir() else found.root)
+    listed = _read(found, photos)
+    files = [photos.find(shot.name, found.path) for shot in listed.photos]
+    missing = [s.name for s, file in zip(listed.photos, files, strict=True) if file is None]
+    told = (
+        [
+            f"{count_words(len(found.others), 'further camera file')} in {found.root} not read: "
+            f"{listing([path.name for path in found.others])}; {found.path.name} is."
+        ]
+        if found.others
+        else []
+    )
+    told += _told_of_missing(found, photos, missing, len(files), photos_required)
+    views = [
+        view
+        for shot, file in zip(listed.photos, files, strict=True)
+        if (view := _view(found, photos, shot, file, photos_required)) is not None
+    ]
+    if twice := repeated([view.name for view in views]):
+        raise DatasetError(f"{found.path} has several cameras for {listing(twice)}. Export again.")
+    told += _told_of_turned(found, views) if any(s.size is None for s in listed.photos) else []
+    points, told_of_points = _points(found, listed.points, views)
+    return Capture(
+        root=found.root,
+        views=views,
+        points=points,
+        up=listed.up,
+        warnings=(*listed.warnings, *told, *told_of_points),
+    )
+
+
+def _told_of_missing(
+    found: ProgramFile, photos: "_Photos", missing: list[str], count: int, photos_required: bool
+) -> list[str]:
+    """A sentence on photos that are not there.
+
+    Raises:
+        DatasetError: most are not.
+    """
+    if not count or (photos_required and 2 * len(missing) > count):
+        raise DatasetError(
+            f"{len(missing)} of the {count_words(count, 'photo')} of {found.path} are missing in "
+            f"{photos.root}: {listing(missing)}. Put them there, or give their folder with "
+            "--images."
+        )
+    if not missing:
+        return []
+    rest = f"; going on with the other {count - len(missing)}" if photos_required else ""
+    return [
+        f"{len(missing)} of the {count_words(count, 'photo')} of {found.path} are missing in "
+        f"{photos.root}: {listing(missing)}{rest}."
+    ]
+
+
+def _read(found: ProgramFile, photos: "_Photos") -> PosedPhotos:
+    if found.program == "RealityScan CSV":
+        return read_csv(found.path)
+    if found.program == "RealityScan XMP":
+        return read_xmps(list(sidecars_in(found.path)), found.path)
+    if found.program == "Metashape XML":
+        return read_metashape(found.path)
+    if found.program == "OpenSfM":
+        return read_opensfm(found.path)
+    return read_llff(found.path, photos.names)
+
+
+def _told_of_turned(found: ProgramFile, views: list[View]) -> list[str]:
+    """A sentence on photos that EXIF turns, where the file states no size to tell which way the
+    program had them."""
+    turned = [view.name for view in views if read_info(view.image).is_sideways]
+    if not turned:
+        return []
+    return [
+        f"EXIF asks to turn {count_words(len(turned), 'photo')} by a quarter ({listing(turned)}), "
+        f"and {found.path} does not state which way they were when their cameras were made; they "
+        "are used as stored. If that is wrong, save the photos turned, and align them again."
+    ]
+
+
+class _Photos:
+    """The photos below a folder, found by names that may be paths of another machine."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        below = (p for p in root.rglob("*") if p.suffix.lower() in IMAGE_ENDINGS)
+        files = [p.relative_to(root) for p in below if not _is_apart(p.relative_to(root))]
+        self.names = sorted(path.as_posix() for path in files)
+        self._by_end = defaultdict[str, list[str]](list)
+        for name in self.names:
+            last = _plain(name)[-1]
+            for key in {last, PurePosixPath(last).stem}:
+                self._by_end[key].append(name)
+
+    def find(self, name: str, of: Path) -> Path | None:
+        """The photo of a name with or without ending; of several in sub-folders the one whose
+        folders agree.
+
+        Raises:
+            DatasetError: several agree alike.
+        """
+        wanted = _plain(name)
+        last = wanted[-1] if wanted else ""
+        found = self._by_end.get(last) or self._by_end.get(PurePosixPath(last).stem) or []
+        if len(found) < 2:
+            return self.root / found[0] if found else None
+        shared = [_agreeing(_plain(other)[:-1], wanted[:-1]) for other in found]
+        best = [other for other, n in zip(found, shared, strict=True) if n == max(shared)]
+        if len(best) > 1:
+            raise DatasetError(
+                f"{of} names the photo {name}, which may be any of {listing(best)} in {self.root}. "
+                "Give the photos different names, and export the cameras again."
+            )
+        return self.root / best[0]
+
+
+def _plain(name: str) -> tuple[str, ...]:
+    """The parts of a path as they are compared: letter case and composed letters do not count."""
+    return PurePosixPath(unicodedata.normalize("NFC", name).replace("\\", "/").lower()).parts
+
+
+def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
+    """How many folders agree, from the last on."""
+    count = 0
+    for a, b in zip(reversed(one), reversed(other), strict=False):
+        if a != b:
+            break
+        count += 1
+    return count
+
+
+def _is_apart(path: Path) -> bool:
+    """Whether a picture is a mask or hidden, which no camera took."""
+    hidden = any(part.startswith(".") for part in path.parts)
+    return hidden or path.parts[0] in ("masks", "depths") or bool(_MASK.search(path.stem))
+
+
+def _view(
+    found: ProgramFile,
+    photos: _Photos,
+    shot: PosedPhoto,
+    image: Path | None,
+    photos_required: bool,
+) -> View | None:
+    """The view of a posed photo; None where the photo is missing and required, or the file states
+    neither its size nor a name that may be one."""
+    if image is not None:
+        size = shot.size or _size(image)
+        name, mask = image.relative_to(photos.root).as_posix(), _mask(found.root, image)
+        return View(
+            name=name, image=image, viewmat=shot.viewmat, camera=shot.camera(size), mask=mask
+        )
+    name = PurePosixPath(shot.name.replace("\\", "/")).name
+    if photos_required or not shot.size or not is_safe_name(name):
+        return None
+    camera = shot.camera(shot.size)
+    return View(name=name, image=photos.root / name, viewmat=shot.viewmat, camera=camera)
+
+
+def _size(image: Path) -> Size:
+    """Width and height as the photo is stored."""
+    info = read_info(image)
+    return info.width, info.height
+
+
+def _mask(root: Path, image: Path) -> Path | None:
+    """The mask of a photo as RealityScan or Metashape names it; others are found by the rule for
+    all captures."""
+    places = [image.with_name(f"{image.name}{sign}mask.png") for sign in "._@#!"]
+    places.append(root / "masks" / f"{image.stem}_mask.png")
+    return next((place for place in places if place.is_file()), None)
+
+
+def _points(
+    found: ProgramFile, stated: PointCloud | None, views: list[View]
+) -> tuple[PointCloud, list[str]]:
+    """The points of the file, else of a PLY in the folder if the cameras see it."""
+    if stated is not None and len(stated):
+        return stated, []
+    clouds = sorted(p for p in found.root.glob("*") if p.suffix.lower() == ".ply")
+    named = [p for name in _POINTS for p in clouds if p.name == name]
+    if not named and len(clouds) > 1:
+        return PointCloud.none(), [
+            f"{found.root} holds {len(clouds)} PLY files, and none is called {_POINTS[0]}: no "
+            "points are read. Call the one with the points so."
+        ]
+    if not clouds:
+        return PointCloud.none(), []
+    path = (named or clouds)[0]
+    points = read_point_cloud(path)
+    if (share := _share_seen(points.points, views)) < 0.5:
+        return PointCloud.none(), [
+            f"Only {100 * share:.0f} % of the points of {path} lie where a camera looks, so they "
+            "are in other coordinates and are not used. Export points and cameras in the same "
+            "coordinate system."
+        ]
+    return points, []
+
+
+def _share_seen(points: np.ndarray, views: list[View]) -> float:
+    """Share of the points, of some all over the list, that lie in the picture of any view."""
+    some = points[:: max(1, len(points) // _LOOKED_AT)]
+    seen = np.zeros(len(some), bool)
+    centers = np.array([-v.viewmat[:3, :3].T @ v.viewmat[:3, 3] for v in views]).reshape(-1, 3)
+    apart = float(np.ptp(centers, axis=0).max(initial=0.0)) or np.inf
+    for view in views:
+        at = some @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
+        near = (at[:, 2] > 0) & (at[:, 2] < _FARTHEST * apart)
+        camera = view.camera
+        if camera.model not in NO_PINHOLE and not camera.model.endswith("FISHEYE"):
+            half = np.array([camera.width, camera.height]) / 2
+            with np.errstate(all="ignore"):
+                pixels = at[:, :2] / at[:, 2:] * np.diag(camera.K)[:2] + camera.K[:2, 2]
+            near &= (np.abs(pixels - half) <= _MARGIN * half).all(axis=1)
+        seen |= near
+    return float(seen.mean()) if len(seen) else 1.0

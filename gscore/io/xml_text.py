@@ -1,0 +1,36 @@
+"""XML that other programs wrote, as a tree; documents that define entities are refused."""
+
+import xml.etree.ElementTree as ET
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from pathlib import Path
+
+from ..errors import FormatError
+from ..shown import shown
+from .files import read_bytes
+
+Element = ET.Element
+"""For annotations elsewhere: this file alone imports the parser."""
+
+
+def read_xml(path: Path) -> Element:
+    """The root element of a file in UTF-8, or in UTF-16 with a byte order mark.
+
+    Document types are refused: they can define entities that grow to gigabytes, and camera files
+    have none.
+
+    Raises:
+        DatasetError: the file is missing.
+        FormatError: it is no XML, or has a document type.
+    """
+    raw = read_bytes(path)
+    wide = raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    try:
+        text = raw.decode("utf-16" if wide else "utf-8-sig")
+        if "<!DOCTYPE" in text:
+            raise FormatError(
+                f"{path} defines a document type, which no camera file has; expected plain XML. "
+                "Export it again."
+            )
+        return ET.fromstring(text)
+    except (ET.ParseError, ValueError, RecursionError) as error:
+        raise FormatError(f"{path} is not XML: {shown(error)}. Copy or export it again.") from error
