@@ -38,7 +38,15 @@ def upright_rgb(frame: Any, facts: VideoFacts) -> np.ndarray:
         interpolation=how,
     ).to_ndarray()
     pixels = to_screen(made, facts.hdr, wide=frame.color_primaries == 9) if facts.hdr else made
-    return np.ascontiguousarray(np.rot90(pixels, facts.rotation // 90))
+    return np.ascontiguousarray(_turned(pixels, *facts.orientation))
+
+
+def _turned(pixels: np.ndarray, a: int, b: int, c: int, d: int) -> np.ndarray:
+    """[H, W, 3] or [W, H, 3] turned and mirrored as `VideoFacts.orientation` says."""
+    if b:
+        pixels = pixels.transpose(1, 0, 2)
+    across, down = a + c, b + d
+    return pixels[::down, ::across]
 
 
 def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:

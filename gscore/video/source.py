@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from ..errors import DatasetError, FormatError
 from ..extras import need
 from ..io.files import check_regular, is_file
 from ..shown import shown
-from ..words import count_words
+from ..words import count_words, number
 
 _ENCRYPTED = ("encv", "drmi", "p608")
 """Four letters in the place of the codec's where the stream is encrypted."""
@@ -28,6 +28,8 @@ _LOOK = 12
 _DEINTERLACE = "bwdif"
 _STRICT = ("h264", "hevc")
 """Decoders that would fill damaged places in with something, unless they are told to refuse."""
+_ODD = 0.05
+"""Share of frames of another size that may be damage; more are another video."""
 _HOW = "Save it anew with a program that plays it, as MP4 with H.264"
 
 
@@ -49,8 +51,17 @@ class VideoFacts:
     hdr: str
     """Which kind; empty: none."""
     interlaced: bool
-    rotation: int
-    """Degrees counter-clockwise by which frames are turned to stand upright: 0, 90, 180, 270."""
+    orientation: tuple[int, int, int, int] = (1, 0, 0, 1)
+    """How frames are turned and mirrored to be shown: a, b, c, d of -1, 0 or 1, by which the pixel
+    at x, y from the middle comes to a x + c y, b x + d y."""
+
+    @property
+    def rotation(self) -> int:
+        """Degrees counter-clockwise by which frames are turned to stand upright: 0, 90, 180, 270;
+        of mirrored ones, after they were mirrored left to right."""
+        a, b, c, d = self.orientation
+        mirror = a * d - b * c
+        return {(1, 0): 0, (0, -1): 90, (-1, 0): 180, (0, 1): 270}[mirror * a, mirror * b]
 
 
 class Video:
@@ -69,15 +80,35 @@ class Video:
     def frames(self) -> Iterator[Any]:
         """Whole frames as av.VideoFrame, once, in the order in which they are shown.
 
-        Of interlaced video each is made of the first field's moment.
+        Of interlaced video each is made of the first field's moment. Single frames of another size
+        than the first count as damaged.
+
+        Raises:
+            DatasetError: after the last one: many are of another size.
         """
         frames = self._all()
         return _deinterlaced(self._av, frames) if self.facts.interlaced else frames
 
     def _all(self) -> Iterator[Any]:
         first, self._first = self._first, []
-        yield from first
-        yield from self._decoded
+        size, count, odd = (self.facts.width, self.facts.height), 0, []
+        for frame in chain(first, self._decoded):
+            count += 1
+            if (frame.width, frame.height) == size:
+                yield frame
+            else:
+                odd.append((frame.width, frame.height))
+        if len(odd) > _ODD * count:
+            raise self._joined(odd[-1], count - len(odd))
+        self.damaged += len(odd)
+
+    def _joined(self, size: tuple[int, int], before: int) -> DatasetError:
+        facts = self.facts
+        return DatasetError(
+            f"{shown(self._path)} joins videos of two sizes: {count_words(before, 'frame')} of "
+            f"{facts.width} x {facts.height} px, others of {size[0]} x {size[1]} px. Cut it apart "
+            "into files of one size, take the frames of each, and give gscore sfm their folders."
+        )
 
     def _look(self) -> list[Any]:
         first = []
@@ -91,6 +122,11 @@ class Video:
             raise FormatError(
                 f"No frame of {shown(self._path)} can be decoded: it is damaged or cut short. "
                 f"{_HOW}, or copy it from the camera again."
+            )
+        if len(first) == 1 and self._stream.frames > 1:
+            raise FormatError(
+                f"{shown(self._path)} states {number(self._stream.frames)} frames, but by its "
+                f"times one of them is shown: its time base or edit list is damaged. {_HOW}."
             )
         if len(first) == 1:
             raise DatasetError(
@@ -127,6 +163,10 @@ class Video:
             except self._av.error.FFmpegError:  # the file ends in the middle of something
                 self.damaged += 1
                 return
+            except IndexError:  # PyAV's, of a stream that damage made; what follows is read anew
+                self.damaged += 1
+                packets = self._container.demux(self._stream)
+                continue
             yield packet
 
     def _facts(self) -> VideoFacts:
@@ -145,8 +185,26 @@ class Video:
             codec=stream.codec_context.name,
             hdr=_HDR.get(frame.color_trc, ""),
             interlaced=any(frame.interlaced_frame for frame in self._first),
-            rotation=round(frame.rotation / 90) % 4 * 90,
+            orientation=_orientation(frame),
         )
+
+
+def _orientation(frame: Any) -> tuple[int, int, int, int]:
+    """Of a frame's display matrix (ISO 14496-12, 6.2.2), to the nearest quarter turn; upright where
+    there is none, or one that shows nothing."""
+    stated = frame.side_data.get("DISPLAYMATRIX")
+    if stated is None:
+        return 1, 0, 0, 1
+    a, b, _, c, d, *_ = (float(value) for value in memoryview(bytes(stated)).cast("i"))
+    if a * d == b * c:
+        return 1, 0, 0, 1
+    if abs(a * d) >= abs(b * c):
+        return _sign(a), 0, 0, _sign(d)
+    return 0, _sign(b), _sign(c), 0
+
+
+def _sign(value: float) -> int:
+    return 1 if value > 0 else -1
 
 
 @contextmanager

@@ -64,12 +64,23 @@ def survey(
         on_frame(count)
     seconds, ways, fine, coarse, repeated_rows = (np.array(c) for c in zip(*rows, strict=True))
     return Survey(
-        seconds=seconds - seconds[0],
+        seconds=_continuous(seconds),
         travel=np.maximum.accumulate(ways),
         fine=fine,
         coarse=coarse,
         repeated=repeated_rows.astype(bool),
     )
+
+
+def _continuous(seconds: np.ndarray) -> np.ndarray:
+    """[n] from 0 on. Where recordings were joined the time begins anew: it goes on with the usual
+    distance of two frames."""
+    steps = np.diff(seconds)
+    if (steps >= 0).all():
+        return seconds - seconds[0]
+    forward = steps[steps > 0]
+    steps[steps < 0] = np.median(forward) if len(forward) else 0.0
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _seconds(frame: Any, count: int) -> float:

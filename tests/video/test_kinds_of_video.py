@@ -4,21 +4,36 @@ import wave
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
 
 from gscore.commands import main
+from gscore.commands.video_facts import video_facts
+from gscore.errors import FormatError
 from gscore.video import FrameRequest, Frames, extract_frames
-from gscore.video.source import opened_video
+from gscore.video.source import damage_words, opened_video
 from gscore.video.tone import to_screen
 
 from . import films
 
 Out = pytest.CaptureFixture[str]
-_TURNED = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
-"""a b c d of the matrix of a track (ISO 14496-12, 6.2.2), by degrees clockwise."""
+_TURNED = {
+    "90 clockwise": ((0, 1, -1, 0), lambda p: np.rot90(p, -1)),
+    "180": ((-1, 0, 0, -1), lambda p: np.rot90(p, 2)),
+    "270 clockwise": ((0, -1, 1, 0), lambda p: np.rot90(p, 1)),
+    "mirrored": ((-1, 0, 0, 1), np.fliplr),
+    "flipped": ((1, 0, 0, -1), np.flipud),
+    "transposed": ((0, 1, 1, 0), lambda p: p.transpose(1, 0, 2)),
+    "transposed and turned": ((0, -1, -1, 0), lambda p: np.rot90(p.transpose(1, 0, 2), 2)),
+    "all zero": ((0, 0, 0, 0), lambda p: p),
+    "one line": ((1, 1, 0, 0), lambda p: p),
+}
+"""a b c d of the matrix of a track (ISO 14496-12, 6.2.2): the pixel at x, y comes to a x + c y,
+b x + d y; and the same done to a picture. The last two show nothing, so they are left out."""
 _UPRIGHT = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
 
 
@@ -40,13 +55,14 @@ def _first(frames: Frames) -> tuple[int, np.ndarray]:
     return int(name[6:12]), np.asarray(Image.open(frames.folder / name)).astype(int)
 
 
-@pytest.mark.parametrize("clockwise", [90, 180, 270])
-def test_turned_video_stands_upright(
-    walk: list[np.ndarray], tmp_path: Path, clockwise: int
+@pytest.mark.parametrize("name", list(_TURNED))
+def test_turned_and_mirrored_video_is_shown_as_stated(
+    walk: list[np.ndarray], tmp_path: Path, name: str
 ) -> None:
-    """Oracle: the matrix of ISO 14496-12, written into the file by hand."""
+    """Oracle: the matrix of ISO 14496-12, written into the file by hand; `info` states the size
+    that the frames have."""
     path = films.write(tmp_path / "phone.mp4", walk)
-    a, b, c, d = _TURNED[clockwise]
+    (a, b, c, d), turn = _TURNED[name]
     values = (a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
     matrix = b"".join(n.to_bytes(4, "big", signed=True) for n in values)
     data = path.read_bytes()
@@ -54,9 +70,92 @@ def test_turned_video_stands_upright(
     at = data.index(_UPRIGHT, track)
     path.write_bytes(data[:at] + matrix + data[at + len(matrix) :])
     index, pixels = _first(_frames(path, tmp_path))
-    true = np.rot90(walk[index], -clockwise // 90).astype(int)
+    true = turn(walk[index]).astype(int)
     assert pixels.shape == true.shape
     assert np.abs(pixels - true).mean() < 12
+    stated = video_facts(path)
+    assert (stated["height"], stated["width"]) == true.shape[:2]
+
+
+def _joined(folder: Path, first: list[np.ndarray], second: list[np.ndarray]) -> Path:
+    """Two transport streams one after the other, as recorders and `cat` leave them."""
+    parts = [films.write(folder / f"{i}.ts", film) for i, film in enumerate((first, second))]
+    (folder / "joined.ts").write_bytes(b"".join(part.read_bytes() for part in parts))
+    return folder / "joined.ts"
+
+
+def test_the_time_goes_on_where_videos_were_joined(tmp_path: Path) -> None:
+    """Oracle: 45 frames and 45 more at 30 a second, whatever the times that begin anew say."""
+    walk = films.walk(90)
+    done = _frames(_joined(tmp_path, walk[:45], walk[45:]), tmp_path, count=9)
+    assert done.total == 90
+    assert np.allclose(done.seconds, [int(name[6:12]) / 30 for name in done.names], atol=1e-3)
+
+
+def test_videos_of_two_sizes_in_one_are_refused(
+    walk: list[np.ndarray], tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: both sizes that were written, in one sentence; no frames."""
+    large = [np.repeat(np.repeat(picture, 2, 0), 2, 1) for picture in walk]
+    path = _joined(tmp_path, walk, large)
+    assert main(["frames", str(path), "-o", str(tmp_path / "out"), "--quiet"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "joins videos of two sizes: 45 frames of 480 x 272 px, others of 960 x 544 px" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("box", [b"mdhd", b"mvhd"])
+def test_times_that_hide_all_frames_but_one_are_named(
+    box: bytes, walk: list[np.ndarray], tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: 45 frames are in the file; the time base of its track or of its edit list is changed,
+    so that the edit list ends after the first."""
+    path = films.write(tmp_path / "odd.mp4", walk)
+    data = bytearray(path.read_bytes())
+    at = data.index(box) + 16  # ISO 14496-12, 8.2.2 and 8.4.2: version 0, timescale
+    data[at : at + 4] = (7 if box == b"mdhd" else 90_000).to_bytes(4, "big")
+    path.write_bytes(data)
+    assert main(["frames", str(path), "-o", str(tmp_path / "out"), "--quiet"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "states 45 frames, but by its times one of them is shown" in said
+
+
+@pytest.mark.parametrize("seed", [16, 44, 48, 95])
+def test_flipped_bits_of_packet_headers_are_damage(
+    seed: int, walk: list[np.ndarray], tmp_path: Path
+) -> None:
+    """Oracle: at most the 45 frames that went in, or the sentence that none is left: PyAV ends such
+    transport streams, in which damage makes new streams, with an IndexError."""
+    data = bytearray(_with_sound(tmp_path / "hurt.ts", walk).read_bytes())
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 40))
+    for at in rng.integers(0, len(data) // 188, count) * 188 + rng.integers(0, 4):
+        data[at] ^= 1 << int(rng.integers(8))
+    (tmp_path / "hurt.ts").write_bytes(data)
+    try:
+        with opened_video(tmp_path / "hurt.ts") as video:
+            assert 1 < sum(1 for _ in video.frames()) < 45
+            assert "damaged frame" in damage_words(video, 1.5)
+    except FormatError as error:
+        assert "can be decoded: it is damaged" in str(error)
+
+
+def _with_sound(path: Path, walk: list[np.ndarray]) -> Path:
+    with av.open(str(path), "w") as file:
+        video: Any = file.add_stream("libx264", rate=30, options={"crf": "12", "g": "10"})
+        sound: Any = file.add_stream("mp2", rate=44100)
+        video.height, video.width, video.pix_fmt = *walk[0].shape[:2], "yuv420p"
+        for index, picture in enumerate(walk):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = index, Fraction(1, 30)
+            file.mux(video.encode(frame))
+            quiet = np.zeros((1, 2304), np.int16)
+            silence = av.AudioFrame.from_ndarray(quiet, format="s16", layout="stereo")
+            silence.rate, silence.pts = 44100, index * 1152
+            file.mux(sound.encode(silence))
+        file.mux(video.encode())
+        file.mux(sound.encode())
+    return path
 
 
 def test_times_are_those_of_a_variable_rate(walk: list[np.ndarray], tmp_path: Path) -> None:
