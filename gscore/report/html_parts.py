@@ -24,7 +24,8 @@ def whole_page(
     css = "".join(map(_asset, ("report.css", *styles)))
     js = "".join(map(_asset, ("charts.js", *scripts)))
     return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<!doctype html>\n<!-- written by gscore -->\n<html lang="en">\n<head>\n'
+        '<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{html.escape(title)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n"
         f"{body}</main>\n<script>\n{js}</script>\n</body>\n</html>\n"

@@ -1,14 +1,20 @@
 """Files under the names of outputs: gscore's own are replaced, others only with --overwrite."""
 
+import json
 import os
+import zipfile
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
-from gscore.commands.terminal.output import check_folder, check_replaced, is_ours
+from gscore.commands.terminal.marks import is_ours
+from gscore.commands.terminal.output import check_folder, check_replaced
 from gscore.depth.maps import SHEET
 from gscore.errors import ConfigError
+from gscore.report.html_parts import whole_page
 
 HOLIDAY = b"a film of a holiday"
 
@@ -103,6 +109,128 @@ def test_what_is_no_file_is_refused_before_the_work(gscore, run_folder, tmp_path
         code, _, err = gscore(*line)
         assert code == 2 and words in err
     assert (tmp_path / "pipe.png").is_fifo() and (tmp_path / "folder.png").is_dir()
+
+
+WRITERS = {
+    "a.ply": ("convert",),
+    "a.compressed.ply": ("convert",),
+    "a.sog": ("convert",),
+    "a.glb": ("convert",),
+    "a.gltf": ("convert",),
+    "a.lod": ("lod",),
+    "a.html": ("view", "--photos", 0),
+}
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_what_a_verb_writes_is_its_own(gscore, run_folder, tmp_path, name):
+    """Oracle: a second call of the verb over the file of the first."""
+    verb, *more = WRITERS[name]
+    folder = run_folder()
+    given = folder if verb == "view" else folder / "point_cloud.ply"
+    words = (verb, given, *((tmp_path / name,) if verb == "convert" else ("-o", tmp_path / name)))
+    assert gscore(*words, *more, "--quiet")[0] == 0 and is_ours(tmp_path / name)
+    beside = ["--overwrite"] if name == "a.gltf" else []
+    assert gscore(*words, *more, *beside, "--quiet")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("title", "ours"),
+    [
+        ("lund: gscore report", True),
+        ("a and b: two runs compared by gscore", True),
+        ("My gscore report", False),
+    ],
+)
+def test_pages_written_before_their_mark_are_known(title, ours, tmp_path):
+    """Oracle: the first lines that reports and comparisons had then."""
+    page = whole_page(title, "<p>x</p>")
+    (tmp_path / "a.html").write_text(page)
+    assert is_ours(tmp_path / "a.html")
+    (tmp_path / "a.html").write_text(page.replace("<!-- written by gscore -->\n", "", 1))
+    assert is_ours(tmp_path / "a.html") == ours
+
+
+def _png(path):
+    note = PngInfo()
+    note.add_text("Comment", "compared with gscore; Software: gscore")
+    note.add_text("Software", "gscore-like viewer")
+    Image.new("RGB", (4, 4)).save(path, pnginfo=note)
+
+
+def _ply(path):
+    header = "ply\nformat ascii 1.0\ncomment thanks to gscore convert\nelement vertex 0\n"
+    path.write_text(f"{header}property float x\nend_header\n")
+
+
+def _zip(path):
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("meta.json", json.dumps({"asset": {"generator": "PlayCanvas, not gscore"}}))
+        file.writestr("gscore.txt", "gscore")
+
+
+def _gltf(path):
+    path.write_text(json.dumps({"asset": {"generator": "Blender"}, "extras": {"by": "gscore"}}))
+
+
+def _glb(path):
+    text = json.dumps({"asset": {"generator": "Blender"}, "nodes": [{"name": "gscore"}]}).encode()
+    text += b" " * (-len(text) % 4)
+    sizes = [n.to_bytes(4, "little") for n in (2, 20 + len(text), len(text))]
+    path.write_bytes(b"glTF" + b"".join(sizes) + b"JSON" + text)
+
+
+def _page(path):
+    link = '<a href="https://example.org/gscore">written by gscore</a>'
+    path.write_text(f"<!doctype html>\n<html><title>Me</title>{link}<!-- gscore view --></html>")
+
+
+def _json(path):
+    path.write_text(json.dumps({"notes": ["gscore"], "tools": {"gscore": "0.1"}}))
+
+
+def _svg(path):
+    path.write_text("<svg width='1'><text>gscore</text><metadata>gscore</metadata></svg>")
+
+
+def _film(path):
+    with av.open(str(path), "w", format="mp4") as file:
+        file.metadata["title"] = "Rendered by gscore"
+        file.metadata["comment"] = "my walk, not Rendered by gscore"
+        stream = file.add_stream("libx264", rate=30)
+        stream.width, stream.height = 32, 32
+        for packet in stream.encode(av.VideoFrame(32, 32, "yuv420p")):
+            file.mux(packet)
+        file.mux(stream.encode())
+
+
+def _lod(path):
+    path.write_bytes(b"my list of gscore levels of detail 1\n")
+
+
+THEIRS = {
+    "a.png": _png, "a.ply": _ply, "a.sog": _zip, "a.gltf": _gltf, "a.glb": _glb, "a.html": _page,
+    "results.json": _json, "a.svg": _svg, "a.mp4": _film, "a.lod": _lod,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(THEIRS))
+def test_files_of_others_that_name_gscore_stay(name, tmp_path):
+    """Oracle: what users and other programs wrote, with gscore's name in it, though not where
+    gscore leaves its mark."""
+    THEIRS[name](tmp_path / name)
+    assert b"gscore" in (tmp_path / name).read_bytes() and not is_ours(tmp_path / name)
+    with pytest.raises(ConfigError, match="says that gscore wrote it"):
+        check_replaced([tmp_path / name], overwrite=False)
+
+
+@pytest.mark.parametrize(
+    "text", [b"{", b'{"gscore": 1}', b"[" * 9000, b"PK\x03\x04gscore", b"glTF"]
+)
+def test_damaged_files_are_nobodys(text, tmp_path):
+    """Oracle: no mark can be read, so they stay."""
+    (tmp_path / "a").write_bytes(text)
+    assert not is_ours(tmp_path / "a")
 
 
 def test_empty_files_may_be_replaced(tmp_path):

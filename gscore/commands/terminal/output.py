@@ -1,7 +1,6 @@
 """What a verb gives back: JSON on stdout, and where it may write, asked before the work."""
 
 import contextlib
-import mmap
 import os
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from ...errors import ConfigError
 from ...events import strict_json
 from ...io.files import reason
 from ...shown import shown
+from .marks import is_ours
 
 _NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
 """Endings of formats that hold no comment."""
@@ -26,7 +26,7 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
 
     Args:
         paths: Where files are going to be written.
-        overwrite: Files that do not hold gscore's name may be replaced too. Others always may; its
+        overwrite: Files that do not bear gscore's mark may be replaced too. Others always may; its
             own SPZ, .splat, USD and buffers of .gltf, without a name in them, count as anybody's.
 
     Raises:
@@ -51,18 +51,6 @@ def _never(paths: list[Path]) -> str:
     if any(path.suffix.lower() in _NAMELESS for path in paths):
         return " (SPZ, .splat, USD and .bin files never do)"
     return ""
-
-
-def is_ours(path: Path) -> bool:
-    """Whether nothing of anybody else's is lost with a file: it is empty, or names gscore."""
-    try:
-        with path.open("rb") as file:
-            if os.fstat(file.fileno()).st_size == 0:
-                return True
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                return content.find(b"gscore") >= 0
-    except (OSError, ValueError):
-        return False
 
 
 def check_folder(folder: Path) -> None:
