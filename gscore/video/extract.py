@@ -117,6 +117,15 @@ class _Extraction:
         folder = FrameFolder(self._request, overwrite=overwrite)
         if folder.found is not None:
             return self._done(folder.found, found=True)
+        with folder.writing():
+            if folder.found is not None:
+                return self._done(folder.found, found=True)
+            record = self._record(folder)
+            folder.publish(record)
+        return self._done(record, found=False)
+
+    def _record(self, folder: FrameFolder) -> dict[str, Any]:
+        """Look, choose and write; what is to be known of it."""
         with opened_video(self._request.video) as video:
             facts = video.facts
             looked = survey(
@@ -130,19 +139,16 @@ class _Extraction:
         self._check(looked, choice)
         if facts.hdr:
             self._warn(f"The video is {facts.hdr}; its frames are brought to a screen's range.")
-        with folder.writing():
-            written, size = self._write(folder, facts, choice, looked)
-            record = {
-                "width": size[0],
-                "height": size[1],
-                "total": len(looked.seconds),
-                "blurred": choice.blurred,
-                "repeated": choice.repeated,
-                "warnings": self._warnings,
-                "frames": written,
-            }
-            folder.publish(record)
-        return self._done(record, found=False)
+        written, size = self._write(folder, facts, choice, looked)
+        return {
+            "width": size[0],
+            "height": size[1],
+            "total": len(looked.seconds),
+            "blurred": choice.blurred,
+            "repeated": choice.repeated,
+            "warnings": self._warnings,
+            "frames": written,
+        }
 
     def _check(self, looked: Survey, choice: Choice) -> None:
         """Raise where no cameras could be found, warn where it will be hard."""

@@ -14,6 +14,7 @@ import numpy as np
 from .._version import __version__
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write, read_bytes, reason
+from ..io.lock import FolderLock
 from ..io.pictures.images import write_png
 from ..io.pictures.pillow import pillow
 from ..json_text import parse_json
@@ -24,7 +25,11 @@ FRAMES_FILE = "frames.json"
 """File among the frames that says of which video they are, and when each was."""
 _QUALITY = 97
 """Of JPEG, with full colour resolution: see docs/video.md for what that costs."""
+_LOCK, _FRAMES = "lock", "frames"
+"""What the folder holds in which frames are written: whoever works there, and the frames."""
 _FRAME = re.compile(r"frame_\d{6,}\.(jpg|png)")
+_COUNTS = ("width", "height", "total", "blurred", "repeated")
+"""Whole numbers of the record."""
 _METHOD = 1
 """Changes where the same video would give other frames."""
 
@@ -44,7 +49,15 @@ class FrameFolder:
         """
         self._request, self._place = request, request.output
         whole = request.output.absolute()
-        self._work = whole.parent / f".{whole.name}.frames"
+        self._overwrite = overwrite
+        self._aside = whole.parent / f".{whole.name}.frames"
+        self._work = self._aside / _FRAMES
+        self._lock = FolderLock(self._aside, _LOCK, "run of gscore frames")
+        self._made = [p for p in whole.parents if not p.exists()]
+        self._look()
+
+    def _look(self) -> None:
+        """Find the frames of this request, or what makes room for them."""
         there = _record(self._place / FRAMES_FILE)
         self._replaced: list[str] = []
         """Files of another run that make room, the record last: without it nobody knows them."""
@@ -53,24 +66,42 @@ class FrameFolder:
         if there is not None and self._is_same(there) and self._is_whole(there):
             self.found = there
         elif self._place.exists() and not _is_empty_folder(self._place):
-            self._check_replaceable(there, overwrite)
+            self._check_replaceable(there)
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """A block in which `put` may be called; what is there is removed where it fails.
+        """A block in which `put` may be called, by one process at a time; nothing is left where it
+        fails. `found` is looked up again: another process may have written the frames meanwhile.
 
         Raises:
-            GsError: the folder cannot be written.
+            ConfigError: what is there now, or in the hidden folder beside it, is somebody else's.
+            GsError: the folder cannot be written, or another process does so.
         """
+        self._check_aside()
+        self._lock.take()
         try:
+            self._look()
             # What a killed run left behind: its frames are soon made again.
             shutil.rmtree(self._work, ignore_errors=True)
-            self._work.mkdir(parents=True)
+            self._work.mkdir()
             yield
         except OSError as error:
             raise GsError(f"Cannot write {shown(self._place)}: {reason(error)}") from error
         finally:
             shutil.rmtree(self._work, ignore_errors=True)
+            self._lock.release()
+            for folder in (self._aside, *self._made):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()  # only an empty one can be removed
+
+    def _check_aside(self) -> None:
+        """ConfigError where the hidden folder was made by somebody else: ours has a lock."""
+        names = {path.name for path in self._aside.iterdir()} if self._aside.is_dir() else set()
+        if names and (_LOCK not in names or names - {_LOCK, _FRAMES}):
+            raise ConfigError(
+                f"{shown(self._aside)} is where frames are written before they are complete, but "
+                "holds something else. Move it away, or choose another output with -o."
+            )
 
     def put(self, number: int, pixels: np.ndarray) -> str:
         """Write one frame; its name.
@@ -115,17 +146,17 @@ class FrameFolder:
             "format": request.format,
         }
 
-    def _check_replaceable(self, there: dict[str, Any] | None, overwrite: bool) -> None:
+    def _check_replaceable(self, there: dict[str, Any] | None) -> None:
         """Take note of what makes room, or raise ConfigError."""
         place = shown(self._place)
         if there is None:
             raise ConfigError(
                 f"{place} holds something else. Choose a new folder with -o, or remove it."
             )
-        if not overwrite:
+        if not self._overwrite:
             raise ConfigError(
-                f"{place} holds frames of another video, or of other options. Choose a new folder "
-                "with -o, or replace them with --overwrite."
+                f"{place} holds frames of another video, of other options, or not all of them. "
+                "Choose a new folder with -o, or replace them with --overwrite."
             )
         rows = there.get("frames")
         listed = rows if isinstance(rows, list) else []
@@ -143,10 +174,21 @@ class FrameFolder:
         return self._request.video.is_file() and record.get("request") == self._stamp()
 
     def _is_whole(self, record: dict[str, Any]) -> bool:
-        rows = record.get("frames")
-        return isinstance(rows, list) and all(
-            isinstance(row, dict) and (self._place / str(row.get("name"))).is_file() for row in rows
+        """Whether a record states what `publish` wrote, and its frames are there."""
+        rows, warnings = record.get("frames"), record.get("warnings")
+        return (
+            all(type(record.get(name)) is int for name in _COUNTS)
+            and isinstance(warnings, list)
+            and all(isinstance(text, str) for text in warnings)
+            and isinstance(rows, list)
+            and all(map(self._is_there, rows))
         )
+
+    def _is_there(self, row: Any) -> bool:
+        if not isinstance(row, dict) or type(row.get("seconds")) not in (int, float):
+            return False
+        name = str(row.get("name"))
+        return _FRAME.fullmatch(name) is not None and (self._place / name).is_file()
 
 
 def _record(path: Path) -> dict[str, Any] | None:

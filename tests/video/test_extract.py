@@ -1,6 +1,7 @@
 """Frames of a video as files: what they hold, the folder they come in, and running again."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from gscore.control import Control
 from gscore.errors import Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import Event, FramesDone, FramesProgress
 from gscore.video import FrameRequest, extract_frames, is_video
+from gscore.video.folder import FrameFolder
 
 from . import films
 from .conftest import Film
@@ -108,6 +110,88 @@ def test_frames_are_replaced_where_that_is_asked_for(
     names = {row["name"] for row in rows} | {"frames.json"}
     assert {path.name for path in out.iterdir()} == names and len(rows) == 12
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_one_process_at_a_time_writes_into_a_folder(film: Film, tmp_path: Path) -> None:
+    """Oracle: the sentence of the second, begun while the first looks and while it writes, and the
+    frames of the first alone; a third finds them."""
+    request = FrameRequest(video=film.path, output=tmp_path / "new/out", frames=10)
+    refused: set[str] = set()
+
+    def show(event: Event) -> None:
+        if isinstance(event, FramesProgress) and event.phase not in refused:
+            with pytest.raises(GsError, match="in use by another run of gscore frames"):
+                extract_frames(replace(request, format="png"))
+            refused.add(event.phase)
+
+    first = extract_frames(request, on_event=show)
+    assert refused == {"looking at frames", "writing frames"}
+    assert {p.name for p in (tmp_path / "new/out").iterdir()} == {*first.names, "frames.json"}
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["out"]
+    assert extract_frames(request).found
+
+
+def test_frames_of_another_process_that_has_ended_meanwhile_are_found(
+    film: Film, tmp_path: Path
+) -> None:
+    """Oracle: the names and times of the files that it wrote."""
+    request = FrameRequest(video=film.path, output=tmp_path / "out", frames=10)
+    waiting = FrameFolder(request)
+    extract_frames(request)
+    with waiting.writing():
+        assert waiting.found is not None and len(waiting.found["frames"]) == 10
+
+
+@pytest.mark.parametrize("name", ["mine.jpg", "frames", "lock2"])
+def test_a_hidden_folder_of_somebody_else_stays(film: Film, tmp_path: Path, name: str) -> None:
+    """Oracle: the user's file in `.new.frames`, and the sentence that names the folder."""
+    theirs = tmp_path / ".new.frames" / name
+    theirs.parent.mkdir()
+    theirs.write_text("mine")
+    with pytest.raises(ConfigError, match=r"\.new\.frames is where frames are written"):
+        extract_frames(FrameRequest(video=film.path, output=tmp_path / "new"))
+    assert theirs.read_text() == "mine" and not (tmp_path / "new").exists()
+
+
+def test_what_a_killed_run_left_is_replaced(film: Film, tmp_path: Path) -> None:
+    """Oracle: the folder afterwards: a lock that nobody has and half of the frames are gone."""
+    left = tmp_path / ".out.frames"
+    (left / "frames").mkdir(parents=True)
+    (left / "lock").write_text('{"pid": 1}')
+    (left / "frames/frame_000001.jpg").write_bytes(b"half")
+    done = extract_frames(FrameRequest(video=film.path, output=tmp_path / "out", frames=10))
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert "frame_000001.jpg" not in done.names
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["width", "height", "total", "blurred", "repeated", "warnings", "frames", "name", "seconds"],
+)
+@pytest.mark.parametrize("value", ["gone", None, "x", {}, [1]])
+def test_a_record_that_lacks_something_is_no_record(
+    film: Film, taken: Path, key: str, value: object
+) -> None:
+    """Oracle: the frames are not taken for complete; the sentence says how to replace them."""
+    path = taken / "frames.json"
+    before = path.read_text()
+    record = json.loads(before)
+    place = record["frames"][0] if key in ("name", "seconds") else record
+    place.pop(key) if value == "gone" else place.update({key: value})
+    path.write_text(json.dumps(record))
+    try:
+        with pytest.raises(ConfigError, match=r"or not all of them.*--overwrite"):
+            extract_frames(FrameRequest(video=film.path, output=taken, frames=10))
+    finally:
+        path.write_text(before)
+
+
+@pytest.fixture(scope="module")
+def taken(film: Film, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of ten frames."""
+    out = tmp_path_factory.mktemp("taken") / "out"
+    extract_frames(FrameRequest(video=film.path, output=out, frames=10))
+    return out
 
 
 def test_a_folder_of_others_is_left_alone(film: Film, tmp_path: Path) -> None:
