@@ -3,7 +3,9 @@
 import bpy
 
 from .. import stored_paths
+from ..interface import framing
 from ..interface.operators import make_active_in
+from .footprint import frame_capture
 from .importing import ImportedCapture
 
 
@@ -13,12 +15,13 @@ def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool 
     Args:
         scene: Has it.
         made: It.
-        set_up_views: Let the 3D views of the scene's windows show its points' colors.
+        set_up_views: Let the 3D views of the scene's windows show its points' colors, and turn them
+            to it unless it was there before.
     """
     activate(scene, made.root)
     if set_up_views:
-        for window in _windows(scene):
-            _set_up_views(window.screen)
+        for space in framing.views_of(scene) if made.renewed else frame_capture(scene, made.root):
+            _set_up_view(space)
     settings = getattr(scene, "gscore", None)  # None where cameras alone are registered
     if settings is not None and not settings.capture_path.strip():
         settings.capture_path = made.root[stored_paths.SOURCE]
@@ -42,8 +45,7 @@ def _windows(scene: bpy.types.Scene) -> list[bpy.types.Window]:
     return [window for window in bpy.context.window_manager.windows if window.scene == scene]
 
 
-def _set_up_views(screen: bpy.types.Screen) -> None:
-    for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
-        space.shading.color_type = "VERTEX"
-        space.shading.show_object_outline = False  # around a dot it leaves nothing but outline
-        space.overlay.show_relationship_lines = False
+def _set_up_view(space: bpy.types.SpaceView3D) -> None:
+    space.shading.color_type = "VERTEX"
+    space.shading.show_object_outline = False  # around a dot it leaves nothing but outline
+    space.overlay.show_relationship_lines = False

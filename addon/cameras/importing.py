@@ -22,9 +22,10 @@ from ..interface.clearing import clear, clearing
 from ..interface.temporary import Temporary, release
 from ..process import garbage
 from ..process.pieces import BUDGET, Pieces, aside
+from . import footprint, sfm_points, straightening
 from . import objects as co
-from . import sfm_points, straightening
 from .backgrounds import KnownImages, set_photo, shows_photo
+from .lookup import roots_of
 from .placing import HELD_UP, UP, root_scale, set_root_matrix, size_drawing
 from .present import Present, find_present, held_elsewhere, in_another_world, uid_of
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
@@ -71,7 +72,8 @@ def importing(
         photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn. Those
             of lenses that bend lines are straightened in the background, in a window.
         points: Make an object of the SfM points.
-        align: Put z up and the ground at z = 0; else the empty keeps COLMAP's axes.
+        align: Put z up and the ground at z = 0, beside the captures that are there; else the empty
+            keeps COLMAP's axes.
         into: The empty of the capture, which has it already; None: one of the same folder.
 
     Raises:
@@ -86,7 +88,7 @@ def importing(
         while True:
             yield from clearing()
             known = KnownImages()
-            coming = _Coming(found, known, there)
+            coming = _Coming(found, known, there, align)
             try:
                 yield from coming.fill(find_present(_scene(uid), found.source, there))
                 made = coming.arrive(_scene(uid))
@@ -118,9 +120,9 @@ def _state_of(ob: bpy.types.Object) -> tuple[Any, ...]:
 class _Coming:
     """Cameras and points on their way, in a collection that no scene has."""
 
-    def __init__(self, found: ReadCapture, known: KnownImages, into: int) -> None:
+    def __init__(self, found: ReadCapture, known: KnownImages, into: int, align: bool) -> None:
         """Make the collection, with the capture's empty."""
-        self._found, self._known, self._into = found, known, into
+        self._found, self._known, self._into, self._align = found, known, into, align
         self._there = 0
         """Session number of the capture's empty in the scene, when cameras were begun."""
         self._compared: dict[str, _Compared] = {}
@@ -240,10 +242,14 @@ class _Coming:
         for ob in outer.all_objects:
             if ob != root:
                 ob.parent = root
+        cameras, points = co.by_image(outer.children[0].objects), co.points_among(outer.objects)
+        if self._align and (others := roots_of(scene)):
+            matrix = self._found.matrix
+            reach = footprint.reach_of(matrix, cameras, points)
+            set_root_matrix(root, footprint.beside(matrix, reach, others))
         self._temporary.take()
         scene.collection.children.link(outer)
-        cameras = co.by_image(outer.children[0].objects)
-        return Present(root=root, cameras=cameras, points=co.points_among(outer.objects))
+        return Present(root=root, cameras=cameras, points=points)
 
     def _restate(self, one: ReadCamera, ob: bpy.types.Object, root: bpy.types.Object) -> None:
         image = one.setup.own.image

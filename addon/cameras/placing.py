@@ -8,9 +8,10 @@ import numpy as np
 from ..compat import matrix_to_numpy
 from ..core import rotmat_to_quat
 from ..interface import writable
-from . import alignment, sfm_points
+from . import alignment, footprint, sfm_points
 from . import formulas as cm
 from . import objects as co
+from .lookup import roots_of
 from .objects import cameras_of
 
 UP = "gs_up"
@@ -30,7 +31,8 @@ def stated_up(root: bpy.types.Object, key: str = UP) -> np.ndarray | None:
 
 
 def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:
-    """Find up and ground again and put them into a capture's empty; its scale stays.
+    """Find up and ground again and put them into a capture's empty, beside other captures; its
+    scale stays.
 
     Args:
         root: The empty.
@@ -47,7 +49,11 @@ def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignmen
     cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
     found = alignment.align(viewmats, cloud, up)
     scale = root_scale(root)
-    set_root_matrix(root, np.diag([scale, scale, scale, 1.0]) @ found.matrix)
+    matrix = np.diag([scale, scale, scale, 1.0]) @ found.matrix
+    others = [one for scene in root.users_scene for one in roots_of(scene) if one != root]
+    if others:
+        matrix = footprint.beside(matrix, footprint.reach_of(matrix, cameras, made), others)
+    set_root_matrix(root, matrix)
     return found
 
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import bpy
 
 from ..interface.operators import make_active
-from ..splats import files
+from ..splats import files, framed
 from ..splats.arriving import Arriving
 from . import results, training
 
@@ -34,6 +34,8 @@ class ImportResult(Arriving, bpy.types.Operator):
         ob = results.adopt(context.scene, made[0], self._run, self._source)
         if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
             make_active(context, ob)
+            context.view_layer.update()
+            framed.turn_views(context.scene, ob)
         return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
 
 

@@ -13,9 +13,9 @@ from ..process.pieces import Check, Pieces, aside
 from ..splats import carried, objects, parts
 from ..splats.carried import Column
 from ..splats.edit_operators import Editing
+from ..splats.framed import frame_of
 from ..splats.held import Held
 from ..splats.leaving import Leaving
-from .show import frame_of
 
 _VIEWS, _WIDTH = 4, 256
 """Pictures that are compared, and the pixels of their larger side."""

@@ -4,42 +4,20 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 import bpy
-import numpy as np
 from bpy.props import BoolProperty
-from mathutils import Vector
 
 from .. import stored_paths
 from ..cameras import photos
 from ..interface.operators import Acting, make_active
-from ..splats import places
+from ..splats import framed
 from ..splats.error_maps import is_map, show_map, siblings
 from ..splats.objects import in_question, is_splats
 from .operators import use_engine
 
-_MOST = 0.9
-"""Share of the splats, on each axis and then those nearest to their middle, that a view is turned
-to: the rest is sky."""
-_ROOM = 2.5
-"""Distance from the middle, in radii of what is framed, at which Blender's usual lens shows it."""
-
-
-def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
-    """Middle [3] and radius of most of an object's splats, in Blender's world.
-
-    Raises:
-        ValueError: there are none, or their attributes are out of reach in Edit Mode.
-    """
-    placed = places.in_world(ob)
-    if not len(placed):
-        raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
-    # Of a box, as the median lies on the ground wherever that has the most splats.
-    middle = np.quantile(placed, [(1 - _MOST) / 2, (1 + _MOST) / 2], axis=0).mean(axis=0)
-    return middle, float(np.quantile(np.linalg.norm(placed - middle, axis=1), _MOST))
-
 
 class ShowSplats(Acting, bpy.types.Operator):
     """Show the splats as they were trained: engine, colors and shading are set, photos hidden, and
-    the view is turned to the splats"""
+    views are turned to the splats, as the photo's camera that looks most as they do sees them"""
 
     bl_idname = "gscore.show_splats"
     bl_label = "Show Splats"
@@ -59,7 +37,7 @@ class ShowSplats(Acting, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Set all of it."""
         ob = _wanted(context, trained=self.trained)
-        middle, radius = frame_of(ob)
+        framed.frame_of(ob)  # refuses what shows nothing, before anything is set
         if any(map(is_map, _of_run(context, ob))):
             show_map(ob, False)
         ob.hide_set(False)
@@ -68,9 +46,9 @@ class ShowSplats(Acting, bpy.types.Operator):
         make_active(context, ob)
         use_engine(context.scene)
         photos.show(context.scene, False)
-        for area in context.screen.areas if context.screen else ():
-            if area.type == "VIEW_3D":
-                _turn(area.spaces.active, middle, radius)
+        context.view_layer.update()  # what was hidden has no place yet
+        for space in framed.turn_views(context.scene, ob):
+            space.shading.type = "RENDERED"
         return ""
 
 
@@ -90,15 +68,6 @@ def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.
         return []
     splats, maps = siblings(ob)
     return [other for other in (*splats, *maps) if other.name in context.view_layer.objects]
-
-
-def _turn(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -> None:
-    """Shade a view and look at the splats from where it looks; a camera's view stays its own."""
-    space.shading.type = "RENDERED"
-    region = space.region_3d
-    if region.view_perspective != "CAMERA":
-        region.view_location = Vector(middle)
-        region.view_distance = max(_ROOM * radius, 1e-3)
 
 
 CLASSES = (ShowSplats,)

@@ -19,7 +19,7 @@ from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.operators import make_active
 from ..interface.stepping import Stepping
 from ..process.pieces import Pieces
-from . import exporting, files
+from . import exporting, files, framed
 from .arriving import Arriving
 from .objects import can_export, hide_points, is_splats, meant
 
@@ -97,6 +97,11 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
         min=-1,
         max=15,
     )
+    turn_views: BoolProperty(
+        name="Turn Views",
+        description="Turn the 3D views to the splats that come",
+        default=True,
+    )
     in_crop: BoolProperty(
         name="Only in the Crop",
         description="Of a file of levels of detail, only what lies in the box of the active splat "
@@ -138,6 +143,9 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
                 ob.select_set(True)
         for root in {root_of(ob) for ob in made} - {None}:
             hide_points(context.scene, root)
+        if here and self.turn_views and not self.in_crop:
+            context.view_layer.update()
+            framed.turn_views(context.scene, here[-1])
         total = sum(len(ob.data.vertices) for ob in made)
         return f"Imported {total:,} splats from {len(made)} file(s)."
 

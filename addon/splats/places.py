@@ -21,8 +21,22 @@ def in_world(ob: bpy.types.Object) -> np.ndarray:
     objects.catch_up(ob)
     if not len(ob.data.vertices):
         return np.zeros((0, 3))
-    means = attributes.column(ob.data, attributes.POSITION)
-    x, y, z = means[:: -(-len(means) // _MOST) or 1].T.astype(np.float64)
+    x, y, z = _some(ob, attributes.POSITION).T.astype(np.float64)
     matrix = compat.matrix_to_numpy(ob.matrix_world)
     # Spelled out, as to wake the threads of a matrix product takes longer than the product.
     return np.stack([a * x + b * y + c * z + d for a, b, c, d in matrix[:3]]).T
+
+
+def opacities(ob: bpy.types.Object) -> np.ndarray:
+    """[M] float64, 0 to 1: of the splats of `in_world`.
+
+    Raises:
+        ValueError: as `in_world`.
+    """
+    return _some(ob, attributes.BASE)[:, 3].astype(np.float64)
+
+
+def _some(ob: bpy.types.Object, name: str) -> np.ndarray:
+    """An even choice of the rows of an attribute."""
+    values = attributes.column(ob.data, name)
+    return values[:: -(-len(values) // _MOST) or 1]

@@ -1,0 +1,80 @@
+"""How far captures reach in Blender's world: one stands beside others, views show all of it."""
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from ..compat import matrix_to_numpy
+from ..interface import framing
+from . import objects as co
+from . import sfm_points
+
+_POINTS = 20_000
+"""Points that are looked at, at most."""
+_GAP = 0.1
+"""Between two captures, in the width of the one that comes."""
+
+
+def frame_capture(scene: bpy.types.Scene, root: bpy.types.Object) -> list[bpy.types.SpaceView3D]:
+    """Turn the 3D views of a scene's windows to a capture's cameras and most of its points; these
+    views."""
+    views = framing.views_of(scene)
+    reach = reach_of(matrix_to_numpy(root.matrix_basis), *co.parts_of(root)) if views else []
+    for space in views if len(reach) else ():
+        framing.show_ball(space, *framing.ball(reach))
+    return views
+
+
+def reach_of(
+    matrix: np.ndarray, cameras: Sequence[bpy.types.Object], points: bpy.types.Object | None
+) -> np.ndarray:
+    """[N, 3] float64: where cameras and points of a capture are in Blender's world, with as many
+    rows of either where there are any of both.
+
+    Args:
+        matrix: [4, 4] of the capture's empty.
+        cameras: Directly below it.
+        points: The same; None: there are none, or they are in Edit Mode.
+    """
+    found = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras]).reshape(-1, 3)
+    if points is not None and points.mode != "EDIT" and len(points.data.vertices):
+        cloud = sfm_points.positions_of(points).astype(np.float64)
+        cloud = cloud[:: -(-len(cloud) // _POINTS)]
+        found = (
+            found[np.linspace(0, len(found) - 1, len(cloud)).astype(int)] if len(found) else found
+        )
+        found = np.concatenate([found, cloud])
+    return found @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def beside(matrix: np.ndarray, reach: np.ndarray, others: Sequence[bpy.types.Object]) -> np.ndarray:
+    """[4, 4]: the matrix of a capture's empty, moved along +x until the capture stands beside those
+    that it would stand in.
+
+    Args:
+        matrix: [4, 4] of the empty.
+        reach: [N, 3] as `reach_of` gives with this matrix.
+        others: The empties of the other captures.
+    """
+    taken = [_box(reach_of(matrix_to_numpy(o.matrix_basis), *co.parts_of(o))) for o in others]
+    taken = sorted((box for box in taken if box is not None), key=lambda box: box[0, 0])
+    own = _box(reach)
+    if own is None:
+        return matrix
+    moved, gap = 0.0, _GAP * (own[1, 0] - own[0, 0])
+    for low, high in taken:  # from left to right, so that none is met again
+        if (own[0] < high).all() and (own[1] > low).all():
+            step = high[0] - own[0, 0] + gap
+            own[:, 0] += step
+            moved += step
+    out = matrix.copy()
+    out[0, 3] += moved
+    return out
+
+
+def _box(reach: np.ndarray) -> np.ndarray | None:
+    """[2, 2] lowest and highest x and y of most of a capture; None: there is nothing of it."""
+    if not len(reach):
+        return None
+    return np.quantile(reach[:, :2], [(1 - framing.MOST) / 2, (1 + framing.MOST) / 2], axis=0)

@@ -1,0 +1,107 @@
+"""What 3D views are turned to: most of some places, from where a view looks or from a camera."""
+
+from collections.abc import Iterable, Sequence
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+MOST = 0.9
+"""Share of the weight, on each axis and then nearest to their middle, that a view shows: the rest
+is sky."""
+_ROOM = 2.5
+"""Distance from the middle, in radii of what is framed, at which Blender's usual lens shows it."""
+_USUAL_LENS = 50.0
+_CENTRAL = 0.25
+"""Tangent of the angle from a camera's axis within which its subject is looked for."""
+
+
+def ball(places: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+    """Middle [3] and radius of most of places [N, 3], N > 0, with weights [N]; None: equal ones."""
+    weights = np.ones(len(places)) if weights is None else weights
+    low, high = (1 - MOST) / 2, (1 + MOST) / 2
+    # Of a box, as the median lies on the ground wherever that has the most places.
+    middle = np.array([np.mean(quantiles(axis, weights, (low, high))) for axis in places.T])
+    away = np.linalg.norm(places - middle, axis=1)
+    return middle, float(quantiles(away, weights, (MOST,))[0])
+
+
+def quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> np.ndarray:
+    """[S] quantiles of values [N] that have weights [N], N > 0; where all are 0, equal ones."""
+    order = np.argsort(values)
+    ranks = np.cumsum(weights[order] if weights.any() else np.ones(len(values)))
+    at = np.searchsorted(ranks, np.multiply(shares, ranks[-1]))
+    return values[order][np.minimum(at, len(values) - 1)]
+
+
+def views_of(scene: bpy.types.Scene) -> list[bpy.types.SpaceView3D]:
+    """The 3D views of all windows that show a scene."""
+    windows = (one for one in bpy.context.window_manager.windows if one.scene == scene)
+    areas = (area for window in windows for area in window.screen.areas)
+    return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+
+
+def show_ball(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -> None:
+    """Look at a ball from where a view looks; a camera's view stays its own."""
+    region, radius = space.region_3d, max(radius, 1e-3 / _ROOM)
+    if region.view_perspective != "CAMERA":
+        region.view_location = Vector(middle)
+        region.view_distance = _ROOM * radius * space.lens / _USUAL_LENS
+        _see(space, region.view_distance + radius)
+
+
+def show_from(
+    space: bpy.types.SpaceView3D,
+    cameras: Iterable[Matrix],
+    places: np.ndarray,
+    weights: np.ndarray,
+) -> None:
+    """Look as the one of some cameras does whose direction is nearest to a view's, level, and turn
+    around what it has in its middle; a camera's view stays its own.
+
+    Args:
+        space: The view.
+        cameras: Their matrices in Blender's world, at least one.
+        places: [N, 3] what there is to see, N > 0.
+        weights: [N].
+    """
+    region = space.region_3d
+    if region.view_perspective == "CAMERA":
+        return
+    now = region.view_rotation @ Vector((0, 0, -1))
+    ahead, eye = max(
+        ((-m.col[2].xyz.normalized(), m.translation) for m in cameras),
+        key=lambda one: one[0].dot(now),
+    )
+    depth = depth_of(places, weights, np.array(eye), np.array(ahead))
+    if region.view_perspective == "PERSP" and not region.lock_rotation:
+        region.view_rotation = ahead.to_track_quat("-Z", "Y")
+    region.view_distance = depth
+    region.view_location = eye + depth * ahead
+    _see(space, 2 * depth)
+
+
+def depth_of(places: np.ndarray, weights: np.ndarray, eye: np.ndarray, ahead: np.ndarray) -> float:
+    """Distance along a camera's axis of what is in its middle: the weighted median of what stands
+    there, nearer places counting as much as their size in its picture; of all where nothing does.
+
+    Args:
+        places: [N, 3].
+        weights: [N].
+        eye: [3], of the camera.
+        ahead: [3], where it looks; a unit vector.
+    """
+    offsets = places - eye
+    depths = offsets @ ahead
+    across = np.linalg.norm(offsets - depths[:, None] * ahead, axis=1)
+    seen = (depths > 0) & (across < _CENTRAL * depths)
+    if not seen.any():
+        return max(float(np.median(np.linalg.norm(offsets, axis=1))), 1e-3)
+    depths = depths[seen]
+    return float(quantiles(depths, weights[seen] / depths**2, (0.5,))[0])
+
+
+def _see(space: bpy.types.SpaceView3D, distance: float) -> None:
+    """Have a view reach at least so far."""
+    space.clip_end = max(space.clip_end, 10 * distance)
+    space.clip_start = min(space.clip_start, 1e-2 * distance)

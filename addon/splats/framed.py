@@ -1,0 +1,48 @@
+"""3D views turned to what an object's splats show."""
+
+import bpy
+import numpy as np
+
+from ..cameras.objects import cameras_of, root_of
+from ..interface import framing
+from . import places
+
+
+def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
+    """Middle [3] and radius of most of what an object's splats show, in Blender's world: haze, of
+    many faint splats, counts as little as it hides.
+
+    Raises:
+        ValueError: there are none, or their attributes are out of reach in Edit Mode.
+    """
+    return framing.ball(*_shown(ob))
+
+
+def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.SpaceView3D]:
+    """Turn the 3D views of a scene's windows to an object's splats; these views.
+
+    Splats are good where photos were taken: where the cameras of their capture are there, a view
+    stands with the one that looks most as it does, so that it is inside of a room. Else it shows
+    the ball of `frame_of`.
+
+    Raises:
+        ValueError: as `frame_of`.
+    """
+    placed, weights = _shown(ob)
+    root = root_of(ob)
+    cameras = [] if root is None else [camera.matrix_world for camera in cameras_of(root)]
+    views = framing.views_of(scene)
+    for space in views:
+        if cameras:
+            framing.show_from(space, cameras, placed, weights)
+        else:
+            framing.show_ball(space, *framing.ball(placed, weights))
+    return views
+
+
+def _shown(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """[M, 3] places and [M] weights of splats."""
+    placed = places.in_world(ob)
+    if not len(placed):
+        raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
+    return placed, places.opacities(ob)
