@@ -21,7 +21,16 @@ from ..words import number
 from . import spz
 from .axes import X, Z, half_turn
 from .gltf import GLB_MAGIC, Gltf, as_object
-from .gltf_writing import EXTENSION, MARK, PACKED, POINTS, buffer_of, harmonic, write, write_packed
+from .gltf_writing import (
+    EXTENSION,
+    GLTF_MARK,
+    PACKED,
+    POINTS_MODE,
+    buffer_of,
+    harmonic,
+    write_gltf,
+    write_packed_gltf,
+)
 from .joined import joined
 from .splat_file import Decoded, SplatFormat
 
@@ -57,7 +66,7 @@ def _read(path: Path) -> Decoded:
         _check_repeated(file, count, len(parts) + 1)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
-        marks.append(flagged or as_object(primitive.get("extras")).get(MARK) is True)
+        marks.append(flagged or as_object(primitive.get("extras")).get(GLTF_MARK) is True)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
@@ -131,7 +140,7 @@ def _of_mesh(file: Gltf, index: Any) -> Iterator[dict[str, Any]]:
         extensions = as_object(as_object(primitive).get("extensions"))
         _check_drafts(file, extensions)
         if EXTENSION in extensions:
-            if primitive.get("mode", 4) != POINTS:
+            if primitive.get("mode", 4) != POINTS_MODE:
                 raise file.damaged(f"mesh {index} has splats whose mode is not POINTS")
             yield primitive
 
@@ -301,7 +310,7 @@ GLTF = SplatFormat(
     endings=(".glb", ".gltf"),
     holds=_is_gltf,
     read=_read,
-    write=write,
+    write=write_gltf,
     beside=buffer_of,
 )
 GLTF_SPZ = SplatFormat(
@@ -310,6 +319,6 @@ GLTF_SPZ = SplatFormat(
     endings=(".spz.glb", ".spz.gltf"),
     holds=lambda path, sample: False,  # `GLTF` reads both
     read=_read,
-    write=write_packed,
+    write=write_packed_gltf,
     beside=buffer_of,
 )

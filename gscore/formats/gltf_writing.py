@@ -22,7 +22,7 @@ from .splat_file import WriteOptions
 
 EXTENSION = "KHR_gaussian_splatting"
 PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
-POINTS = 0
+POINTS_MODE = 0
 """The mode of primitives."""
 _PROPERTIES = {
     "kernel": "ellipse",
@@ -30,7 +30,7 @@ _PROPERTIES = {
     "projection": "perspective",
     "sortingMethod": "cameraDistance",
 }
-MARK = "antialiased"
+GLTF_MARK = "antialiased"
 """In the extras of a primitive; the extension has no place for it."""
 _TURN = np.array([-1, -1, 1], np.float32)
 """Of positions, between left-up-front and right-down-front."""
@@ -41,7 +41,7 @@ def harmonic(degree: int, index: int) -> str:
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"
 
 
-def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+def write_gltf(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     """Write a file with all numbers as float32."""
     buffer = GltfBuffer()
     content = _content(_attributes(buffer, half_turn(splats, Z)), {}, options, buffer)
@@ -49,7 +49,7 @@ def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     return []
 
 
-def write_packed(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+def write_packed_gltf(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     """Write a file that holds an SPZ."""
     buffer = GltfBuffer()
     raw, notes, means = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
@@ -115,11 +115,11 @@ def _content(
     """The JSON of a file with one node, but for its buffer."""
     primitive: dict[str, Any] = {
         "attributes": attributes,
-        "mode": POINTS,
+        "mode": POINTS_MODE,
         "extensions": {EXTENSION: {**_PROPERTIES, **packed}},
     }
     if options.antialiased:
-        primitive["extras"] = {MARK: True}
+        primitive["extras"] = {GLTF_MARK: True}
     return {
         "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
         "extensionsUsed": [EXTENSION],

@@ -25,7 +25,7 @@ from ..words import count_words, number
 from . import textures
 from .codebook import CODEBOOK_SIZE
 from .parts import check_part, parts_of
-from .sog_writing import ANTIALIASED, CHECKS, FIRST_TAG, META, PALETTE_WIDTH, parts_in, write
+from .sog_writing import ANTIALIASED, CHECKS, FIRST_TAG, META, PALETTE_WIDTH, parts_in, write_sog
 from .splat_file import Decoded, SplatFormat
 
 _MOST_META = 1 << 22
@@ -285,6 +285,6 @@ SOG = SplatFormat(
     endings=(".sog", META),
     holds=_is_sog,
     read=_read,
-    write=write,
+    write=write_sog,
     beside=_textures_of,
 )

@@ -41,7 +41,7 @@ _LARGEST = {"scales": 80.0, "sh0": 16.0, "shN": 4.0}
 """Of log scales and SH coefficients: the codebooks of all splats grow coarse with their ends."""
 
 
-def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+def write_sog(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     if not textures.fits(len(splats)):
         raise ConfigError(f"{path}: SOG holds 268 million splats at most.")
     meta, pictures, notes = _textures(splats)
