@@ -338,7 +338,7 @@ def _write_program(write: Callable[[Path, program_files.Rig], Any]) -> Callable[
         turns, names = np.stack([np.eye(3)] * 3), tuple(f"{i}.png" for i in range(3))
         for name in names:
             write_png(root / name, np.zeros((6, 8, 3), np.uint8))
-        terms = {"k1": 0.01, "k2": 0.0, "p1": 0.001}
+        terms = {"k1": 0.01, "k2": 0.002, "p1": 0.001}
         rig = program_files.Rig(names, turns, np.eye(3), (8, 6), 9.0, terms=terms)
         write(root, rig)
 

@@ -192,6 +192,8 @@ REFUSED = {
         {},
         "DistortionModel is 'division'",
     ),
+    "division in a CSV": (files.write_rs_csv, {"k1": -0.2}, "may be the division model"),
+    "division for OpenCV": (files.write_rs_opencv_csv, {"k1": -0.2}, "may be the division model"),
     "skewed": (lambda folder, rig: files.write_rs_xmp(folder, rig, Skew="0.1"), {}, "xcr:Skew"),
     "aspect": (
         lambda folder, rig: files.write_rs_xmp(folder, rig, AspectRatio="1.01"),

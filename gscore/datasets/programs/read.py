@@ -181,7 +181,7 @@ def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
 def _is_apart(path: Path) -> bool:
     """Whether a picture is a mask or hidden, which no camera took."""
     hidden = any(part.startswith(".") for part in path.parts)
-    return hidden or path.parts[0] in ("masks", "depths") or bool(_MASK.search(path.stem))
+    return hidden or path.parts[0] in ("masks", "mask", "depths") or bool(_MASK.search(path.stem))
 
 
 def _view(

@@ -89,6 +89,7 @@ def _shot(where: str, row: Mapping[str, str]) -> PosedPhoto:
         return np.array([numbers(where, name, row.get(name, "0"), 1)[0] for name in names])
 
     radial, tilt = get("k1", "k2", "k3", "k4"), get("t2", "t1")  # swapped, (47), (48)
+    _check_no_division(where, radial, tilt)
     if "f_pix" in row:
         pose = np.column_stack([get(*_ROTATION).reshape(3, 3), get("tx", "ty", "tz")])
         (focal,), center = get("f_pix"), get("px_pix", "py_pix")
@@ -105,6 +106,17 @@ def _shot(where: str, row: Mapping[str, str]) -> PosedPhoto:
         viewmat=viewmat_from_opengl(rigid_matrix(where, "the pose", pose)),
         camera=_normalized(where, get("f")[0], get("px", "py"), radial=radial, tilt=tilt),
     )
+
+
+def _check_no_division(where: str, radial: np.ndarray, tilt: np.ndarray) -> None:
+    """Raise FormatError where k1 alone is not zero: so does the division model look, which a CSV
+    does not tell from Brown's."""
+    if radial[0] != 0 and not radial[1:].any() and not tilt.any():
+        raise FormatError(
+            f"{where}: of the lens only k1 is not zero, {radial[0]:g}: this may be the division "
+            "model, which the CSV does not tell from Brown's. Export XMP files, which state the "
+            "model, or align with a Brown model and export again."
+        )
 
 
 def _normalized(
