@@ -25,6 +25,7 @@ from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .gps import Gps, read_gps, to_metres
 from .heic import what_to_do
 from .looks import Look, blurred, exposure_jumps
+from .panorama import check_lens, refused_panoramas
 from .plain import apart_of, captures_inside, doubt, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
@@ -64,6 +65,7 @@ def find_cameras(
         BackendError: pycolmap is missing or too old, or the native library is missing.
         GsError: the output cannot be written.
     """
+    check_lens(request.camera_model)
     colmap()
     backend.available_isas()  # raises where the library is missing, before any work
     search = _Search(request, on_event, control or Control())
@@ -107,6 +109,10 @@ class _Search:
             self._root, names, on_photo=self._counted("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
+        if sentence := refused_panoramas(
+            {photo.name: photo.panorama for photo in read}, self._request
+        ):
+            raise DatasetError(sentence)
         read, sentences = photos.one_of_each(self._root, read)
         doubtful = doubt(self._root, names, len(photos.by_camera(read)))
         for sentence in filter(None, (*sentences, doubtful, unread_cameras(self._request.photos))):

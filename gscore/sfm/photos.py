@@ -17,6 +17,7 @@ from ..io.pictures.raw import RAW_ENDINGS
 from ..words import count_words, number
 from .heic import what_to_do
 from .looks import Look, look_of
+from .panorama import SEEN, STATED, looks_panoramic, states_panorama
 
 LEAST = 3
 """Photos that a model needs; with two, nothing tells a wrong match from a right one."""
@@ -44,6 +45,8 @@ class Photo:
     """How sharp and bright it is; None where its header alone was read."""
     shot: Shot | None = None
     """By which photos of one exposure are known; None as before."""
+    panorama: str = ""
+    """Whether it shows all directions: `STATED` by its XMP or `SEEN`; empty: neither."""
 
 
 def photo_folder(path: Path) -> Path:
@@ -127,6 +130,7 @@ def read_photos(
         try:
             with opened_picture(root / names[i]) as image:
                 camera, look, shot = _camera(image), None, None
+                panorama = STATED if states_panorama(image) else ""
                 if image.format == "TIFF" and image.tell():
                     raise FormatError(
                         f"{root / names[i]} begins with a reduced picture, which COLMAP would "
@@ -135,8 +139,10 @@ def read_photos(
                 if whole:
                     check_whole(root / names[i], image)
                     look, shot = look_of(image), shot_of(names[i], image)
+                    panorama = panorama or (SEEN if looks_panoramic(image) else "")
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
-                return Photo(names[i], alias, image.width, image.height, camera, look, shot)
+                size = image.width, image.height
+                return Photo(names[i], alias, *size, camera, look, shot, panorama)
         except (DatasetError, FormatError) as error:
             return str(error)
 

@@ -1,0 +1,142 @@
+"""360-degree photos, by XMP and by their look, and ordinary ones of the same proportions."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import gscore
+from gscore.commands import main
+from gscore.sfm.panorama import looks_panoramic, states_panorama
+
+from .conftest import STUDIO
+
+Out = pytest.CaptureFixture[str]
+XMP = (
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description '
+    b'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" '
+    b'GPano:ProjectionType="equirectangular"/></x:xmpmeta>'
+)
+FACES = {  # rows of rotations, world to camera: right, down and ahead of each face of a cube
+    "front": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "right": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "back": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    "left": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+    "down": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "up": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+}
+
+
+def panorama(place: np.ndarray, width: int = 512) -> Image.Image:
+    """An equirectangular picture of splats all around, from a place [3]; y is down."""
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(3000, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    light = np.clip(0.5 - 0.5 * ways[:, 1:2], 0, 1)  # sky above, ground below
+    colours = 1.2 * (2 * light - 1) + rng.uniform(-0.5, 0.5, (3000, 3))
+    splats = gscore.Splats(
+        means=(5 * ways).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (3000, 1)),
+        scales=np.log(rng.uniform(0.2, 0.4, (3000, 3))).astype(np.float32),
+        opacities=np.full(3000, 4.0, np.float32),
+        sh0=colours[:, None].astype(np.float32),
+        shN=np.zeros((3000, 0, 3), np.float32),
+    )
+    side = width // 2
+    K = np.array([[side / 2, 0, side / 2], [0, side / 2, side / 2], [0, 0, 1.0]])
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(side) + 0.5) / side)
+    longitude, latitude = 2 * np.pi * (u - 0.5), np.pi * (v - 0.5)
+    rays = np.stack(
+        [np.cos(latitude) * np.sin(longitude), np.sin(latitude),
+         np.cos(latitude) * np.cos(longitude)], axis=-1,
+    )  # fmt: skip
+    best, out = np.full(u.shape, -1.0), np.zeros((side, width, 3))
+    for rows in FACES.values():
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = rows
+        viewmat[:3, 3] = -viewmat[:3, :3] @ place
+        face = gscore.render(splats, K, viewmat, side, side).rgb
+        local = rays @ viewmat[:3, :3].T
+        mine = local[..., 2] > best
+        best[mine] = local[..., 2][mine]
+        at = local[mine][:, :2] / local[mine][:, 2:] * side / 2 + side / 2
+        columns, rows_at = np.clip(at.astype(int), 0, side - 1).T
+        out[mine] = face[rows_at, columns]
+    return Image.fromarray((np.clip(out, 0, 1) * 255).round().astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def panoramas() -> list[Image.Image]:
+    """Four of one scene."""
+    return [panorama(np.array([0.3 * i, 0.0, 0.1 * i])) for i in range(4)]
+
+
+def test_panoramas_are_known_by_their_look(panoramas: list[Image.Image]) -> None:
+    """Oracle: pictures of all directions, each also turned about the vertical; half of one and one
+    that is not twice as wide as high are none."""
+    for picture in panoramas:
+        for shift in (0, 100, 333):
+            rolled = Image.fromarray(np.roll(np.asarray(picture), shift, axis=1))
+            assert looks_panoramic(rolled)
+    width, height = panoramas[0].size
+    assert not looks_panoramic(panoramas[0].crop((0, height // 4, width // 2, height // 2)))
+    assert not looks_panoramic(panoramas[0].crop((0, 0, width, height - 10)))
+
+
+def test_ordinary_photos_twice_as_wide_as_high_are_none() -> None:
+    """Oracle: strips of photos, one colour, and a thing before white."""
+    for i in range(0, 60, 6):
+        with Image.open(STUDIO / f"images/view_{i:03}.jpg") as photo:
+            for top in (0, photo.height - photo.width // 2):
+                strip = photo.crop((0, top, photo.width, top + photo.width // 2))
+                assert strip.width == 2 * strip.height and not looks_panoramic(strip)
+    white = np.full((200, 400, 3), 255, np.uint8)
+    assert not looks_panoramic(Image.fromarray(white))
+    white[60:150, 120:280] = np.random.default_rng(0).integers(0, 255, (90, 160, 3))
+    assert not looks_panoramic(Image.fromarray(white))
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png", "webp"])
+def test_xmp_states_a_panorama(ending: str, tmp_path: Path) -> None:
+    """Oracle: the packet of Photo Sphere XMP, written by Pillow and, in PNG, as its text chunk."""
+    from PIL.PngImagePlugin import PngInfo
+
+    picture = Image.fromarray(np.zeros((20, 30, 3), np.uint8))
+    picture.save(tmp_path / f"plain.{ending}")
+    if ending == "png":
+        text = PngInfo()
+        text.add_itxt("XML:com.adobe.xmp", XMP.decode())
+        picture.save(tmp_path / "stated.png", pnginfo=text)
+    else:
+        picture.save(tmp_path / f"stated.{ending}", xmp=XMP)
+    for name, wanted in (("plain", False), ("stated", True)):
+        with Image.open(tmp_path / f"{name}.{ending}") as image:
+            assert states_panorama(image) == wanted
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_search_refuses_panoramas_and_says_how_to_cut_them(
+    stated: bool, panoramas: list[Image.Image], tmp_path: Path, capsys: Out
+) -> None:
+    """Oracle: one sentence and no capture; a focal length states that they are ordinary photos, and
+    then no model is found of them for another reason."""
+    (tmp_path / "walk").mkdir()
+    for i, picture in enumerate(panoramas):
+        picture.save(tmp_path / f"walk/{i}.jpg", xmp=XMP if stated else b"")
+    asked = ["sfm", str(tmp_path / "walk"), "-o", str(tmp_path / "found"), "--quiet"]
+    assert main(asked) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "4 photos show all directions" in told and "v360=equirect:flat" in told
+    assert "Traceback" not in told and not (tmp_path / "found").exists()
+    main([*asked, "--focal-length", "500"])
+    assert "all directions" not in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_lens_model_of_panoramas_is_refused(photos: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: one sentence that says how to cut them; pycolmap divides by zero."""
+    asked = ["sfm", str(photos), "-o", str(tmp_path / "found"), "--quiet"]
+    assert main([*asked, "--camera-model", "EQUIRECTANGULAR"]) != 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "camera_model EQUIRECTANGULAR is that of 360-degree photos" in told
+    assert "v360=equirect:flat" in told and "Traceback" not in told
