@@ -1,6 +1,7 @@
 """A capture from a COLMAP model and a folder of photos."""
 
 from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from ..errors import DatasetError
 from ..io.block_record import read_block
 from ..io.colmap.folder import ColmapModel, read_model
 from ..io.colmap.model import ColmapPoints, PointIndex
+from ..io.files import is_file
 from ..scene import PointCloud, within_reach
 from ..words import count_words
 from .capture import Capture, View, listing, repeated
@@ -38,14 +40,14 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
             f"The COLMAP model in {model.path} has several images of the same name: "
             f"{listing(twice)}. Export the model anew from COLMAP."
         )
-    root = config.source / config.images
+    root = _photo_root(config, names)
     if photos_required and not root.is_dir():
         raise DatasetError(
             f"There is no image folder {root}. Give the folder that holds both the photos and the "
             f"model, and the name of the photo folder in it with --images."
         )
     folder = Folder(root)
-    files = [folder.find_image(name) for name in names]
+    files = folder.find_images(names)
     warnings = [*model.warnings, *told_of_search(config.source, len(names))]
     missing = [name for name, file in zip(names, files, strict=True) if file is None]
     if photos_required and 2 * len(missing) > len(names):
@@ -97,6 +99,18 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     )
 
 
+def _photo_root(config: DataConfig, names: list[str]) -> Path:
+    """The folder of the photos: that of the option, and where its default is not there `input` or
+    the capture itself, if they hold photos of the model."""
+    root = config.source / config.images
+    if root.is_dir() or config.images != "images":
+        return root
+    if (config.source / "input").is_dir():
+        return config.source / "input"
+    beside = (config.source / part for name in names for part in (name, PurePosixPath(name).name))
+    return config.source if any(map(is_file, beside)) else root
+
+
 def _mean_error(points: ColmapPoints) -> float | None:
     """Pixels; None where no point states its error."""
     stated = points.error[points.error >= 0]
@@ -110,8 +124,8 @@ def _all_black(points: ColmapPoints) -> bool:
 
 
 def _observed(model: ColmapModel) -> Sequence[np.ndarray | None]:
-    """Indices of the points seen in each image, [M] int64; None where that is not wanted."""
-    if not _all_black(model.points):
+    """Indices of the points seen in each image, [M] int64; None: not wanted, or unknown."""
+    if not (_all_black(model.points) and model.points.track_lengths.any()):
         return [None] * len(model.images)
     index = PointIndex(model.points)
     return [np.unique(index.find(image.point3D_ids)[1]) for image in model.images]

@@ -1,7 +1,10 @@
-"""Files of a folder found by the names a capture uses, which may differ in case or ending."""
+"""Files of a folder found by the names a capture uses, which may differ in case, ending or
+Unicode form."""
 
 import os
-from collections.abc import Sequence
+import unicodedata
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
 from ..io.files import is_file
@@ -21,7 +24,7 @@ class Folder:
                 if Path(name).suffix.lower() not in IMAGE_ENDINGS:
                     continue
                 path = name if prefix == "." else f"{prefix}/{name}"
-                self._files[path.lower()] = path
+                self._files[_key(path)] = path
                 self._stems.setdefault(_stem(path), []).append(path)
 
     def __len__(self) -> int:
@@ -34,28 +37,55 @@ class Folder:
         # Asked of the disk first: files with unusual endings are not in the list.
         if is_file(path):
             return path
-        if name.lower() in self._files:
-            return self.root / self._files[name.lower()]
+        if _key(name) in self._files:
+            return self.root / self._files[_key(name)]
         same = self._stems.get(_stem(name), [])
         return self.root / same[0] if len(same) == 1 else None
 
     def find_mask(self, name: str) -> Path | None:
         """The mask of image `name`: `name.png` as COLMAP has it, else the same stem."""
         name = _clean(name)
-        if f"{name}.png".lower() in self._files:
-            return self.root / self._files[f"{name}.png".lower()]
+        if _key(f"{name}.png") in self._files:
+            return self.root / self._files[_key(f"{name}.png")]
         return self.find_image(str(PurePosixPath(name).with_suffix(".png")))
 
+    def find_images(self, names: Sequence[str]) -> list[Path | None]:
+        """The files of images; where none is there, their common folders may lack here, and then
+        the only file of an image's name in any folder is taken."""
+        files = _without_common(self.find_image, names)
+        if any(files):
+            return files
+        own = [_key(PurePosixPath(_clean(name)).name) for name in names]
+        wanted = Counter(own)
+        there: dict[str, list[str]] = {}
+        for path in self._files.values():
+            there.setdefault(_key(PurePosixPath(path).name), []).append(path)
+        hits = [there.get(name, []) if wanted[name] == 1 else [] for name in own]
+        return [self.root / hit[0] if len(hit) == 1 else None for hit in hits]
+
     def find_masks(self, names: Sequence[str]) -> list[Path | None]:
-        """The masks of images; where no name has one, their common folders may lack here."""
-        paths = [PurePosixPath(_clean(name)) for name in names]
-        while True:
-            files = [self.find_mask(path.as_posix()) for path in paths]
-            if any(files):
-                return files
-            if any(len(path.parts) < 2 for path in paths) or len({p.parts[0] for p in paths}) != 1:
-                return files
-            paths = [PurePosixPath(*path.parts[1:]) for path in paths]
+        """The masks of images, as `find_images`."""
+        return _without_common(self.find_mask, names)
+
+
+def same_name(name: str) -> str:
+    """A name as it is compared: of the two ways to write an accented letter the composed one
+    (NFC of Unicode's annex 15; macOS and some tools write NFD)."""
+    return unicodedata.normalize("NFC", name)
+
+
+def _without_common(find: Callable[[str], Path | None], names: Sequence[str]) -> list[Path | None]:
+    paths = [PurePosixPath(_clean(name)) for name in names]
+    while True:
+        files = [find(path.as_posix()) for path in paths]
+        alone = any(len(path.parts) < 2 for path in paths)
+        if any(files) or alone or len({path.parts[0] for path in paths}) != 1:
+            return files
+        paths = [PurePosixPath(*path.parts[1:]) for path in paths]
+
+
+def _key(path: str) -> str:
+    return same_name(path).lower()
 
 
 def _clean(name: str) -> str:
@@ -63,4 +93,4 @@ def _clean(name: str) -> str:
 
 
 def _stem(path: str) -> str:
-    return str(PurePosixPath(path).with_suffix("")).lower()
+    return _key(str(PurePosixPath(path).with_suffix("")))

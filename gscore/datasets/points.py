@@ -25,7 +25,8 @@ def told_of_points(points: PointCloud, usable: np.ndarray) -> list[str]:
         return [
             f"The capture has no {'usable ' if len(usable) else ''}points. Where photos do "
             "not tell better, a training starts from random ones, which takes longer and gives "
-            "floaters. Run COLMAP's triangulation for better results."
+            "floaters. For better results run COLMAP's triangulation, or put a PLY of points "
+            "called points3D.ply beside the cameras."
         ]
     told = []
     if not usable.all():

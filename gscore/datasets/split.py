@@ -8,6 +8,7 @@ from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
 from ..words import count_words, number
 from .capture import listing
+from .folder import same_name
 
 
 def split_views(
@@ -46,7 +47,8 @@ def split_views(
         test = {i for i in range(count) if i < config.test_first or i >= count - config.test_last}
         rule = f"the first {config.test_first} and last {count_words(config.test_last, 'view')}"
     elif stated and config.test_offset is None:
-        test = {i for i, name in enumerate(names) if name in stated}
+        known = set(map(same_name, stated))
+        test = {i for i, name in enumerate(names) if same_name(name) in known}
         rule = "the capture's own split"
     else:
         if config.test_every < 2:
@@ -105,14 +107,14 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
             f"{path} is not UTF-8 text. Give a text file with the name of a test view on each line."
         ) from error
     lookup: dict[str, set[int]] = {}
-    for i, name in enumerate(names):
+    for i, name in enumerate(map(same_name, names)):
         pure = PurePosixPath(name)
         for form in {name, pure.name, pure.stem, str(pure.with_suffix(""))}:
             lookup.setdefault(form, set()).add(i)
-    for i, name in enumerate(names):  # a whole name is never ambiguous
+    for i, name in enumerate(map(same_name, names)):  # a whole name is never ambiguous
         lookup[name] = {i}
     wanted = [line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    unknown = [name for name in wanted if len(lookup.get(name, ())) != 1]
+    unknown = [name for name in wanted if len(lookup.get(same_name(name), ())) != 1]
     if unknown:
         raise DatasetError(
             f"{path} names {count_words(len(unknown), 'view')} that the capture does not have, or "
@@ -120,4 +122,4 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
             f"{listing(unknown)}. Names look like "
             f"{names[0]}."
         )
-    return {next(iter(lookup[name])) for name in wanted}
+    return {next(iter(lookup[same_name(name)])) for name in wanted}

@@ -1,6 +1,7 @@
 """Captures described by transforms.json: nerfstudio, Instant-NGP and the synthetic NeRF scenes."""
 
 import math
+import unicodedata
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -36,7 +37,7 @@ _MODELS = {
     "OPENCV": "OPENCV",
     "OPENCV_FISHEYE": "OPENCV_FISHEYE",
 }
-_POINT_FILES = ("points3d.ply", "points3D.ply", "sparse_pc.ply")
+_POINT_FILES = ("points3d.ply", "points3D.ply", "sparse_pc.ply", "init.ply")
 
 
 def find_transforms(source: Path) -> Path | None:
@@ -157,7 +158,7 @@ def views_of_file(
                     rigid_matrix(where, "transform_matrix", frame.get("transform_matrix"))
                 ),
                 camera=_camera(where, data | frame, image),
-                mask=path.parent / inside(where, "mask_path", mask) if mask else None,
+                mask=_mask(path.parent, inside(where, "mask_path", mask)) if mask else None,
             )
         )
     return views, missing
@@ -184,8 +185,13 @@ def inside(where: str, key: str, value: Any) -> str:
 
 def _find(root: Path, name: str) -> Path | None:
     """The photo; synthetic NeRF scenes leave the ending out."""
-    candidates = [name, *(name + ending for ending in IMAGE_ENDINGS)]
+    forms = dict.fromkeys((name, *(unicodedata.normalize(form, name) for form in ("NFC", "NFD"))))
+    candidates = [form + ending for form in forms for ending in ("", *IMAGE_ENDINGS)]
     return next((root / c for c in candidates if is_file(root / c)), None)
+
+
+def _mask(root: Path, name: str) -> Path:
+    return _find(root, name) or root / name
 
 
 def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:

@@ -9,13 +9,14 @@ from types import ModuleType
 import numpy as np
 
 from ...errors import DatasetError, FormatError
-from ...scene import FARTHEST, FOCAL_RANGE, is_focal
+from ...scene import FARTHEST, FOCAL_RANGE, PointCloud, is_focal
 from ...shown import quoted
 from ...words import count_words
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from ..foreign import foreign
 from ..pictures.images import IMAGE_ENDINGS
 from ..pictures.raw import RAW_ENDINGS
+from ..ply.points import read_point_cloud
 from ..world_file import read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
@@ -34,6 +35,7 @@ __all__ = [
 
 _OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", *RAW_ENDINGS)
 """Endings of photos that are not read here."""
+_POINT_CLOUDS = ("points3D.ply", "points3d.ply", "init.ply")
 _ADVICE = (
     "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training "
     "that found them keeps them in the folder `capture` of its output."
@@ -132,19 +134,26 @@ def read_model(
     reader, end = _reader(folder)
     cameras = _cameras(folder / f"cameras{end}", reader)
     points_file = folder / f"points3D{end}"
-    if points_file.is_file():
-        points = reader.read_points(points_file)
-    else:
-        points = ColmapPoints.none()
-        warnings = (*warnings, f"{points_file} is missing; the model has no points.")
+    points = reader.read_points(points_file) if points_file.is_file() else ColmapPoints.none()
+    if not len(points) and (file := _point_cloud(folder, Path(path))) is not None:
+        points = _without_tracks(read_point_cloud(file))
+        warnings = (*warnings, f"The model has no points of its own; those of {file} are used.")
+    elif not points_file.is_file():
+        warnings = (
+            *warnings,
+            f"{points_file} is missing; the model has no points. Put it there, or a PLY of points "
+            f"called {' or '.join(_POINT_CLOUDS)}.",
+        )
     images = _images(folder / f"images{end}", reader, cameras, observations(points))
     if most is not None:
         index = PointIndex(points)
         images = (longest_seen(image, points, index, most) for image in images)
     by_id = _by_id(folder / f"images{end}", images)
+    named, told = _relative(folder / f"images{end}", list(by_id.values()))
+    warnings = (*warnings, *told)
     return ColmapModel(
         cameras=cameras,
-        images=list(by_id.values()),
+        images=named,
         points=points,
         path=folder,
         warnings=warnings,
@@ -296,12 +305,72 @@ def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera
             f"numbers up to {FARTHEST:g} and a quaternion that is not zero. "
             f"Export the model anew from COLMAP."
         )
-    if not is_safe_name(image.name):
+    if not is_safe_name("/".join(_inner(image.name))):
         raise FormatError(
             f"{path}: image {image.id} has the name {quoted(image.name)}; expected a path inside "
-            f"the image folder, without '..', not absolute and with names of {LONGEST_NAME} bytes "
+            f"the image folder, without '..' and with names of {LONGEST_NAME} bytes "
             f"at most. Run COLMAP with all images below one folder."
         )
+
+
+def _inner(name: str) -> tuple[str, ...]:
+    """Parts of a name without the root, drive or share of an absolute one."""
+    whole = PureWindowsPath(name)
+    return whole.parts[1:] if whole.anchor else (name,)
+
+
+def _relative(path: Path, images: list[ColmapImage]) -> tuple[list[ColmapImage], tuple[str, ...]]:
+    """The images with the file name alone where theirs is absolute, or with what lies below the
+    folder that all absolute ones share, where file names are there twice; and a sentence on it.
+
+    Raises:
+        FormatError: the names are still not unique.
+    """
+    parts = {i: _inner(m.name) for i, m in enumerate(images) if PureWindowsPath(m.name).anchor}
+    if not parts:
+        return images, ()
+    names = [image.name for image in images]
+    shared = 0
+    while len({p[:shared] for p in parts.values()}) == 1 and all(
+        len(p) > shared for p in parts.values()
+    ):
+        shared += 1
+    for begin in (-1, shared - 1):
+        for i, inner in parts.items():
+            names[i] = "/".join(inner[begin:])
+        if len(set(names)) == len(names):
+            break
+    else:
+        raise FormatError(
+            f"{path}: images have absolute names, of which the part below their folder is there "
+            "twice. Export the model anew from COLMAP, with all images below one folder."
+        )
+    first = next(iter(parts))
+    told = (
+        f"{count_words(len(parts), 'image has an absolute name', 'images have absolute names')}; "
+        f"used is what lies below their folder, {quoted(names[first])} of "
+        f"{quoted(images[first].name)}."
+    )
+    return [replace(m, name=name) for m, name in zip(images, names, strict=True)], (told,)
+
+
+def _point_cloud(folder: Path, source: Path) -> Path | None:
+    """A PLY of points beside a model's files or in the folder of the capture."""
+    places = dict.fromkeys((folder, folder.parent, source))
+    files = (place / name for place in places for name in _POINT_CLOUDS)
+    return next((file for file in files if file.is_file()), None)
+
+
+def _without_tracks(cloud: PointCloud) -> ColmapPoints:
+    """Points that no image observes: their ids are beyond those that COLMAP gives."""
+    count = len(cloud)
+    return ColmapPoints(
+        ids=np.arange(count, dtype=np.int64) + (1 << 62),
+        xyz=cloud.points,
+        rgb=cloud.colors,
+        error=np.full(count, -1.0),
+        track_lengths=np.zeros(count, np.int32),
+    )
 
 
 def _tracks(images: list[ColmapImage], points: ColmapPoints) -> tuple[np.ndarray, np.ndarray]:
