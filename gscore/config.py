@@ -7,6 +7,7 @@ from pathlib import Path
 from .choices import Background, Doubling, Skip, Stereo, Strategy, Switch
 from .errors import ConfigError
 from .options import LARGEST, Range, check_options, option
+from .shown import quoted
 
 _MOST_THREADS = 1024
 """Most that the library takes."""
@@ -24,7 +25,9 @@ _DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
 def checked_threads(threads: int) -> int:
     """`threads` if so many may be asked for, 0: all cores; ConfigError otherwise."""
     if not isinstance(threads, int) or not 0 <= threads <= _MOST_THREADS:
-        raise ConfigError(f"threads must be 0 (all cores) to {_MOST_THREADS}, got {threads}.")
+        raise ConfigError(
+            f"threads must be 0 (all cores) to {_MOST_THREADS}, got {quoted(threads)}."
+        )
     return threads
 
 

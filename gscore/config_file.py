@@ -114,6 +114,8 @@ def _check_removed(name: str, value: Any, where: str) -> None:
 
 
 def _shown(value: Any) -> Any:
+    if value in ("", "missing"):  # without quotes these read as if nothing had been stated
+        return quoted(str(value))
     return f"{value:g}" if isinstance(value, float) else to_json(value)
 
 

@@ -25,6 +25,7 @@ from ..io.block_record import BlockRecord
 from ..io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from ..io.pictures.images import IMAGE_ENDINGS
 from ..scene import within_reach
+from ..shown import quoted
 from ..transforms import rotmat_to_quat
 from ..words import count_words
 from .cells import Cells, make_cells
@@ -111,7 +112,7 @@ def cut_capture(
 
 def _check(count: int, margin: float, share: float) -> None:
     if not 2 <= count <= MOST_BLOCKS:
-        raise ConfigError(f"The number of blocks must be 2 to {MOST_BLOCKS}, got {count}.")
+        raise ConfigError(f"The number of blocks must be 2 to {MOST_BLOCKS}, got {quoted(count)}.")
     if not 0 <= margin <= 1:
         raise ConfigError(f"margin must be 0 to 1, got {margin:g}.")
     if not 0 < share <= 1:

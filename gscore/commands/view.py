@@ -11,6 +11,7 @@ from ..io.places import check_apart
 from ..page.pack import PAGE_DEGREE, pack
 from ..page.page import Page, most_splats, write_page
 from ..report.page_link import PAGE, link_page
+from ..shown import quoted
 from ..words import count_words, number, size_words
 from .given.model import GivenModel, add_model_argument, model_path, open_model
 from .parser import add_threads_option
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 def _output(args: argparse.Namespace, model: GivenModel) -> Path:
     """Where the page goes, if it may be written there."""
     if args.photos < 0:
-        raise ConfigError(f"--photos must be at least 0, got {args.photos}.")
+        raise ConfigError(f"--photos must be at least 0, got {quoted(args.photos)}.")
     if args.output is None and model.run is None:
         raise ConfigError(f"{model.path} lies in no run's folder; say with -o where the page goes.")
     output: Path = args.output or model.run / PAGE  # pyright: ignore

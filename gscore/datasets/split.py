@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
+from ..shown import quoted
 from ..words import count_words, number
 from .capture import listing
 from .folder import same_name
@@ -37,8 +38,8 @@ def split_views(
         return list(range(count)), []
     if config.test_first < 0 or config.test_last < 0:
         raise ConfigError(
-            f"test_first and test_last must not be negative, got {config.test_first} and "
-            f"{config.test_last}."
+            f"test_first and test_last must not be negative, got {quoted(config.test_first)} and "
+            f"{quoted(config.test_last)}."
         )
     if config.test_list is not None:
         test = _listed(names, config.test_list)
@@ -52,7 +53,7 @@ def split_views(
         rule = "the capture's own split"
     else:
         if config.test_every < 2:
-            raise ConfigError(f"test_every must be at least 2, got {config.test_every}.")
+            raise ConfigError(f"test_every must be at least 2, got {quoted(config.test_every)}.")
         offset = config.test_offset or 0
         if not 0 <= offset < config.test_every:
             raise ConfigError(

@@ -181,5 +181,5 @@ def reason(error: OSError | ValueError) -> str:
     Names that hold a zero byte or half of a surrogate pair are ValueErrors of Python.
     """
     if isinstance(error, OSError):
-        return _REASONS.get(error.errno or 0, f"{error.strerror or error}.")
+        return _REASONS.get(error.errno or 0, f"{error.strerror or error}".rstrip(".") + ".")
     return "the name holds letters that no file name can hold. Choose another one."

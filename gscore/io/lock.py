@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 from typing import IO
 
-from ..errors import ConfigError, GsError
+from ..errors import ConfigError, DatasetError, GsError
 from ..json_text import parse_json
 from ..shown import shown
-from .files import reason
+from .files import check_regular, reason
 
 _FAR = 1 << 20
 
@@ -41,8 +41,9 @@ class FolderLock:
         """The process that holds the folder: its number, 0 where it cannot be read; None: nobody
         does."""
         try:
+            check_regular(self._path)
             file = self._path.open("r+", encoding="utf-8")
-        except (OSError, ValueError):  # no folder, no lock
+        except (OSError, ValueError, DatasetError):  # no folder, no lock
             return None
         with file:
             return None if _try_lock(file) else _written_in(file)
@@ -84,11 +85,17 @@ class FolderLock:
         while True:
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
+                check_regular(self._path)
                 file = self._path.open("a+", encoding="utf-8")
             except FileExistsError:
                 raise ConfigError(
                     f"{self._folder} is a file; an output folder is needed."
                 ) from None
+            except DatasetError as error:
+                raise ConfigError(
+                    f"{shown(self._path)}, by which a {self._work} holds its folder, is no regular "
+                    "file. Remove it, or choose another output folder."
+                ) from error
             except (OSError, ValueError) as error:
                 raise GsError(
                     f"Cannot write into {shown(self._folder)}: {reason(error)}"

@@ -45,8 +45,8 @@ class FrameRequest:
     def __post_init__(self) -> None:
         if self.frames != 0 and not FEWEST_FRAMES <= self.frames <= MOST_FRAMES:
             raise ConfigError(
-                f"frames is {self.frames}, expected {FEWEST_FRAMES} to {number(MOST_FRAMES)}, or 0 "
-                "for as many as the motion asks for."
+                f"frames is {quoted(self.frames)}, expected {FEWEST_FRAMES} to "
+                f"{number(MOST_FRAMES)}, or 0 for as many as the motion asks for."
             )
         if self.format not in FRAME_FORMATS:
             raise ConfigError(

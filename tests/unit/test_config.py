@@ -8,11 +8,13 @@ from typing import Any
 
 import pytest
 
+from gscore.choices import Stereo
 from gscore.commands.given.data_options import add_data_options, with_data_options
-from gscore.config import Background, DataConfig, Strategy, TrainConfig
+from gscore.config import Background, DataConfig, Strategy, TrainConfig, checked_threads
 from gscore.config_file import config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
 from gscore.presets import PRESETS
+from gscore.video import FrameRequest
 
 ODD = TrainConfig(
     iterations=7,
@@ -168,3 +170,21 @@ def test_minus_one_is_as_is_under_every_preset() -> None:
         data, _ = make(Path("in"))
         assert with_data_options(data, parser.parse_args(["-r", "-1"])).max_width == 1600
         assert with_data_options(data, parser.parse_args([])) == data
+
+
+def test_numbers_of_400_digits_are_not_repeated_whole() -> None:
+    """Oracle: the length of the sentence, and the ends of the number in it."""
+    many = int("12" + 396 * "0" + "34")
+    for ask in (lambda: checked_threads(many), lambda: FrameRequest(**_PLACES, frames=many)):
+        with pytest.raises(ConfigError, match=r"12000.*00034") as told:
+            ask()
+        assert len(str(told.value)) < 400
+
+
+def test_words_that_read_as_absence_are_quoted() -> None:
+    """Oracle: the value `missing` of an option is not mistaken for an option that was missing."""
+    old, new = TrainConfig(stereo=Stereo.MISSING), TrainConfig(stereo=Stereo.AUTO)
+    assert differences(old, new) == ["stereo was 'missing', is auto"]
+
+
+_PLACES = {"video": Path("a.mp4"), "output": Path("out")}

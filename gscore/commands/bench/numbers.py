@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from ...errors import ConfigError
 from ...options import flag_of
-from ...shown import shown
+from ...shown import quoted, shown
 from ...words import number
 
 _MOST = 10**8
@@ -18,7 +18,7 @@ def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
         value = getattr(args, name)
         for given in value if isinstance(value, Sequence) else [value]:
             if given < least:
-                raise ConfigError(f"{flag_of(name)} must be at least {least}, got {given}.")
+                raise ConfigError(f"{flag_of(name)} must be at least {least}, got {quoted(given)}.")
             if given > _MOST:
                 raise ConfigError(
                     f"{flag_of(name)} must be at most {number(_MOST)}, got {shown(given)}."

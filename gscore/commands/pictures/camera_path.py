@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ...errors import ConfigError
+from ...shown import quoted
 from ...transforms import invert_rigid, quat_to_rotmat, rotmat_to_quat
 from ...upright import find_up
 
@@ -209,4 +210,4 @@ def _check(viewmats: np.ndarray, frames: int) -> None:
     if len(viewmats) < 2:
         raise ConfigError(f"A path needs at least two cameras, got {len(viewmats)}.")
     if frames < 2:
-        raise ConfigError(f"A path needs at least two frames, got {frames}.")
+        raise ConfigError(f"A path needs at least two frames, got {quoted(frames)}.")

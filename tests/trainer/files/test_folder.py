@@ -399,3 +399,16 @@ def test_other_names_are_no_checkpoints(tmp_path: Path) -> None:
     (good.parent / "step_x.safetensors").write_text("")
     good.write_text("")
     assert folder.checkpoints() == [good]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="named pipes of POSIX")
+def test_a_lock_that_is_no_file_is_named(tmp_path: Path) -> None:
+    """Oracle: the pipe stays, nobody waits for its other end, and the sentence ends once."""
+    os.mkfifo(tmp_path / ".gscore.lock")
+    with (
+        pytest.raises(ConfigError, match=r"is no regular file\. Remove it") as told,
+        open_folder(tmp_path, resume=False, overwrite=False),
+    ):
+        pass
+    assert ".." not in str(told.value).replace(str(tmp_path), "")
+    assert (tmp_path / ".gscore.lock").is_fifo()
