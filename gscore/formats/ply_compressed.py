@@ -14,6 +14,7 @@ from ..importance import importance_of
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write
 from ..io.ply.compressed import CHUNK
+from ..io.ply.elements import header_bytes
 from ..io.ply.splats import is_antialiased_ply
 from ..io.splat_rows import opacity_bytes
 from ..nearby import distances_from_middle, morton_order
@@ -57,19 +58,20 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     chunks = -(-len(splats) // CHUNK)
     rest = 3 * splats.shN.shape[1]
     lines = [line for text in ply.comments_of(options) for line in text.splitlines()]
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
+    header = ["format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
     header += [f"element chunk {chunks}", *(f"property float {name}" for name in _BOUNDS)]
     header += [f"element vertex {len(splats)}", *(f"property uint {name}" for name in _PACKED)]
     if rest:
         header += [f"element sh {len(splats)}"]
         header += [f"property uchar f_rest_{k}" for k in range(rest)]
+    text = header_bytes(header)
     packed = [
         _pack(splats.subset(order[at : at + _CHUNKS_A_BLOCK * CHUNK]))
         for at in range(0, len(splats), _CHUNKS_A_BLOCK * CHUNK)
     ]
 
     def write(file: BinaryIO) -> None:
-        file.write("\n".join([*header, "end_header\n"]).encode("ascii", "backslashreplace"))
+        file.write(text)
         for element in range(3):
             file.writelines(parts[element] for parts in packed)
 

@@ -2,10 +2,14 @@
 
 import contextlib
 import errno
+import math
 import os
+import re
 import secrets
 import stat
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path
@@ -32,6 +36,7 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
     """Write a file under a temporary name beside `path`, flush it to the disk, then rename it.
 
     Whoever looks at `path` sees the old file or the whole new one. The folder is made if need be.
+    What writes of the same file left that were killed is removed.
 
     Args:
         path: The file to write.
@@ -44,9 +49,8 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
     temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Beside the target, because a rename is atomic only within one file system.
-        candidate = path.with_name(_temporary_name(path.name))
-        with candidate.open("xb") as file:
+        candidate, opened = _temporary(path)
+        with opened as file:
             temporary = candidate
             if callable(content):
                 content(file)
@@ -54,9 +58,12 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
                 file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        if (check := getattr(_of_thread, "check", None)) is not None:
-            check()
-        candidate.replace(path)
+            if (check := getattr(_of_thread, "check", None)) is not None:
+                check()
+            if sys.platform != "win32":  # where an open file cannot be renamed, or removed
+                candidate.replace(path)
+        if sys.platform == "win32":
+            candidate.replace(path)
         temporary = None
     except (OSError, ValueError) as error:
         if isinstance(error, ValueError) and temporary is not None:
@@ -75,6 +82,53 @@ def _temporary_name(name: str) -> str:
     # A name that is too long itself stays so: the system says why it cannot be written.
     most = max(LONGEST_NAME - len(end) - 1, 0) if len(raw) <= LONGEST_NAME else len(raw)
     return f".{os.fsdecode(raw[:most]) if len(raw) > most else name}{end}"
+
+
+_remains: dict[Path, tuple[float, list[str]]] = {}
+"""By folder: when it was looked through, and the temporary files that were in it."""
+
+
+def _temporary(path: Path) -> tuple[Path, BinaryIO]:
+    """A new file, locked and open, beside the one that is written, because a rename is atomic only
+    within one file system."""
+    while True:
+        candidate = path.with_name(_temporary_name(path.name))
+        _remove_remains(candidate)
+        file = candidate.open("xb")
+        # Before it was locked, another process may have taken it for what a killed one left.
+        if _try_lock(file, otherwise=True) and candidate.exists():
+            return candidate, file
+        file.close()
+
+
+def _remove_remains(candidate: Path) -> None:
+    """Remove temporary files of the same name as `candidate` whose process is gone."""
+    folder, now = candidate.parent, time.monotonic()
+    seen, names = _remains.get(folder, (-math.inf, []))
+    if now - seen > _LOOK_AGAIN:
+        with contextlib.suppress(OSError):
+            names = [entry.name for entry in os.scandir(folder) if entry.name.endswith(".tmp")]
+        _remains[folder] = now, names
+    for name in names:
+        same = name[: -len(_RANDOM)] == candidate.name[: -len(_RANDOM)]
+        if same and _IS_RANDOM.fullmatch(name[-len(_RANDOM) :]):
+            with contextlib.suppress(OSError), (folder / name).open("r+b") as file:
+                if _try_lock(file, otherwise=False):
+                    (folder / name).unlink()
+
+
+def _try_lock(file: BinaryIO, *, otherwise: bool) -> bool:
+    """Hold a file until it is closed, however that happens; False where another process or thread
+    holds it, and `otherwise` where the file system knows no locks."""
+    if sys.platform == "win32":
+        return True  # the system removes no file that is open
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK) and otherwise
+    return True
 
 
 def check_regular(path: str | Path) -> None:
@@ -147,6 +201,11 @@ LONGEST_PATH = 4095
 """Bytes of a path that Linux takes; other systems take fewer."""
 _TEMPORARY = 8
 """Bytes of a temporary name that make it unique."""
+_RANDOM = f".{'0' * _TEMPORARY}.tmp"
+_IS_RANDOM = re.compile(rf"\.[0-9a-f]{{{_TEMPORARY}}}\.tmp")
+"""Ends of temporary names."""
+_LOOK_AGAIN = 30.0
+"""Seconds after which a folder is looked through again: it may hold thousands of files."""
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFCHR: "a device",

@@ -1,13 +1,17 @@
 """Atomic writing against real failures of the file system."""
 
 import os
+import subprocess
+import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO
 
 import pytest
 
 from gscore.errors import DatasetError, GsError
+from gscore.io import files
 from gscore.io.files import atomic_write, given_up_by, is_file, read_bytes
 
 
@@ -56,6 +60,57 @@ def test_a_file_that_was_given_up(tmp_path: Path) -> None:
     with given_up_by(lambda: None):
         atomic_write(path, b"newer")
     assert path.read_bytes() == b"newer"
+
+
+_DYING = """
+import os, sys
+from pathlib import Path
+from gscore.io.files import atomic_write
+def write(file):
+    file.write(b"half")
+    file.flush()
+    print("ready", flush=True)
+    sys.stdin.readline()
+    os._exit(9)
+atomic_write(Path(sys.argv[1]), write)
+"""
+
+
+@pytest.mark.parametrize("name", ["o.ply", "a" * 250, "größer.ply"])
+def test_remains_of_killed_writes_are_removed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the names in the folder: what a process writes stays while it lives, and goes with
+    the next write of the same file once it was killed; all other files stay."""
+    monkeypatch.setattr(files, "_LOOK_AGAIN", -1.0)
+    others = [f".other{name[:200]}.0123abcd.tmp", ".o.ply.tmp", ".o.ply.notrandm.tmp", "x.tmp"]
+    for other in others:
+        (tmp_path / other).write_bytes(b"mine")
+    child = subprocess.Popen(
+        [sys.executable, "-c", _DYING, str(tmp_path / name)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    )  # fmt: skip
+    with child:
+        assert child.stdout is not None and child.stdout.readline() == b"ready\n"
+        atomic_write(tmp_path / name, b"one")
+        assert len(_listing(tmp_path)) == len(others) + 2
+        child.kill()
+    assert len(_listing(tmp_path)) == len(others) + 2
+    atomic_write(tmp_path / "another", b"")
+    assert len(_listing(tmp_path)) == len(others) + 3
+    atomic_write(tmp_path / name, b"two")
+    assert _listing(tmp_path) == sorted([name, "another", *others])
+    assert (tmp_path / name).read_bytes() == b"two"
+
+
+def test_threads_that_write_one_file_leave_each_other_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: one of the contents, and no error, of forty writes on eight threads."""
+    monkeypatch.setattr(files, "_LOOK_AGAIN", -1.0)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda k: atomic_write(tmp_path / "a", bytes([k]) * 1000), range(40)))
+    assert len(set((tmp_path / "a").read_bytes())) == 1 and _listing(tmp_path) == ["a"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

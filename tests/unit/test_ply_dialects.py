@@ -8,7 +8,9 @@ import plyfile
 import pytest
 
 import gscore
+from gscore.errors import ConfigError
 from gscore.formats import read_splat_file, write_splat_file
+from gscore.io.ply import elements
 from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
 from gscore.io.ply.up_axis import stated_up
 from gscore.splats import Splats
@@ -131,3 +133,41 @@ def test_flat_splats_are_written(splats: Splats, name: str, tmp_path: Path) -> N
 def test_the_axis_that_a_comment_states(line: str, axis: str) -> None:
     """Oracle: the comments of nerfstudio, Brush (always y, whatever is up) and gscore."""
     assert stated_up(["made by hand", line]) == axis
+
+
+@pytest.mark.parametrize("text", ["ü" * 1000, "end_header", "element vertex 7", "c " * 200_000])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize("line_end", [b"\n", b"\r\n", b"\r"])
+def test_comments_cost_no_letter_of_the_rows(
+    splats: Splats, text: str, mark: bytes, line_end: bytes, tmp_path: Path
+) -> None:
+    """Oracle: the model without comments; plyfile, which reads headers letter by letter, is given
+    less than a thousand of them."""
+    write_splats(tmp_path / "a.ply", splats)
+    head, rows = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
+    comments = f"comment {text}\nobj_info {text}\ncomment\n".encode()
+    head = head.replace(b"element", comments + b"element", 1)
+    head = (head + b"end_header\n").replace(b"\n", line_end)
+    (tmp_path / "b.ply").write_bytes(mark + head + rows)
+    asked = []
+
+    class Counted(elements._PlainHeader):
+        def read(self, size: int | None = -1, /) -> bytes:
+            asked.append(size)
+            return super().read(size)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(elements, "_PlainHeader", Counted)
+        _assert_equal(read_ply(tmp_path / "b.ply"), splats)
+    assert 100 < len(asked) < 1000
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply"])
+def test_comments_that_no_reader_takes(splats: Splats, name: str, tmp_path: Path) -> None:
+    """Oracle: one sentence and no file, where a header would be longer than is read; just below
+    that it is read."""
+    with pytest.raises(ConfigError, match="Shorten its comments"):
+        write_splat_file(tmp_path / name, splats, comments=("ü" * 300_000,))
+    assert not [*tmp_path.iterdir()]
+    write_splat_file(tmp_path / name, splats, comments=("ü" * 250_000,))
+    assert len(read_ply(tmp_path / name)) == 40

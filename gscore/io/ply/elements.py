@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import BackendError, DatasetError, FormatError
+from ...errors import BackendError, ConfigError, DatasetError, FormatError
 from ...shown import quoted, shown
 from ..files import open_regular, reason
 from ..foreign import foreign
@@ -21,6 +21,8 @@ HEADER_LIMIT = 1 << 20
 """Bytes that a header may have; those of known programs have a few thousand."""
 HEADER_END = re.compile(rb"[\r\n]end_header(?:\r\n|[\r\n])")
 """The last line of a header, with the end of the line before it."""
+_REMARK = re.compile(rb"(?<=[\r\n])(?:comment|obj_info)(?:[ \t][^\r\n]*)?(?:\r\n|[\r\n])")
+"""A line of a header that says nothing about its rows."""
 _MOST_DIGITS = 18
 """Of a number of rows; no file has more."""
 _ASCII = bytes(byte if byte < 128 else ord("?") for byte in range(256))
@@ -39,7 +41,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
         DatasetError: the file is missing or cannot be opened.
         FormatError: it is no PLY file, or truncated or corrupt.
     """
-    start, end = _check_header(path)
+    header, end = _check_header(path)
     try:
         import plyfile
     except ImportError as error:
@@ -47,7 +49,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
             "Reading PLY files takes the package plyfile: pip install plyfile"
         ) from error
     try:
-        with _PlainHeader(path.open("rb", buffering=0), start, end) as file:
+        with _PlainHeader(path.open("rb", buffering=0), header, end) as file:
             data = plyfile.PlyData.read(file, mmap="c")
         _warn_of_rest(path, data, end)
         return {element.name: np.asarray(element.data) for element in data.elements}
@@ -67,6 +69,22 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
     ) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
         raise _corrupt(path, shown(reason)) from error
+
+
+def header_bytes(lines: list[str]) -> bytes:
+    """The header of a PLY of these lines between the first and the last; letters that are not ASCII
+    as Python's escapes.
+
+    Raises:
+        ConfigError: it is longer than readers take.
+    """
+    text = "\n".join(["ply", *lines, "end_header\n"]).encode("ascii", "backslashreplace")
+    if len(text) > HEADER_LIMIT:
+        raise ConfigError(
+            f"The header of the PLY would have {len(text)} bytes, and may have {HEADER_LIMIT}. "
+            f"Shorten its comments."
+        )
+    return text
 
 
 def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
@@ -96,27 +114,28 @@ def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
 
 
 class _PlainHeader(io.BufferedReader):
-    """A PLY file from the word ply on, with a question mark for each byte of its header that is not
-    ASCII: comments in any language concern nobody who wants the rows."""
+    """A PLY file from the word ply on, whose header has no comments, in any language and of any
+    length, and question marks for other bytes that are not ASCII: plyfile takes it apart letter by
+    letter."""
 
-    def __init__(self, raw: io.FileIO, start: int, end: int) -> None:
+    def __init__(self, raw: io.FileIO, header: bytes, end: int) -> None:
         super().__init__(raw)
-        self.seek(start)
-        self._end = end
+        self.seek(end)
+        self._header = io.BytesIO(_REMARK.sub(b"", header).translate(_ASCII))
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As any file, but for what stands before the end of the header."""
-        at = self.tell()
-        found = super().read(size)
-        head = max(self._end - at, 0)
-        return found[:head].translate(_ASCII) + found[head:] if head else found
+        head = self._header.read(size)
+        if size is None or size < 0:
+            return head + super().read()
+        return head if len(head) == size else head + super().read(size - len(head))
 
 
-def _check_header(path: Path) -> tuple[int, int]:
+def _check_header(path: Path) -> tuple[bytes, int]:
     """Refuse what is no PLY, and counts that the file cannot hold, before anything is allocated.
 
     Returns:
-        Where the word ply stands, after a byte order mark, and where the header ends.
+        The header, from the word ply on, after a byte order mark, and where it ends.
     """
     try:
         with open_regular(path) as file:
@@ -144,7 +163,7 @@ def _check_header(path: Path) -> tuple[int, int]:
             name = shown(words[1].decode("ascii", "replace"))
             rows = int(words[2])
             raise _corrupt(path, f"its header announces {rows} rows of {name} in {size} bytes")
-    return start, found.end()
+    return head[start : found.end()], found.end()
 
 
 def _warn_of_rest(path: Path, data: Any, end: int) -> None:

@@ -13,7 +13,7 @@ from ..files import atomic_write, open_regular, reason
 from ..splat_rows import drawable, drawable_rows, warn_of_left_out
 from .compressed import decompress, is_compressed
 from .dialects import DC, POSITION, QUAT, SCALE, parameters_of, rest_by_coefficient
-from .elements import HEADER_END, HEADER_LIMIT, read_elements
+from .elements import HEADER_END, HEADER_LIMIT, header_bytes, read_elements
 
 __all__ = [
     "MIP_COMMENT",
@@ -129,6 +129,7 @@ def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] 
 
     Raises:
         GsError: the file cannot be written.
+        ConfigError: the comments are longer than readers take.
     """
     write_splat_parts(
         path, [splats], count=len(splats), sh_degree=splats.sh_degree, comments=comments
@@ -148,11 +149,12 @@ def write_splat_parts(
     names = [*POSITION, "nx", "ny", "nz", *DC, *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *SCALE, *QUAT]
     lines = [line for text in comments for line in text.splitlines()]
-    header = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
-    header += [f"element vertex {count}", *(f"property float {name}" for name in names)]
+    lines = ["format binary_little_endian 1.0", *(f"comment {line}" for line in lines)]
+    lines += [f"element vertex {count}", *(f"property float {name}" for name in names)]
+    header = header_bytes(lines)
 
     def write(file: BinaryIO) -> None:
-        file.write("\n".join([*header, "end_header\n"]).encode("ascii", "backslashreplace"))
+        file.write(header)
         for splats in parts:
             # Blocks keep the memory small and the transposition in cache.
             for at in range(0, len(splats), _ROWS_A_BLOCK):
