@@ -281,8 +281,12 @@ _MOST_LOG = 700.0
 
 
 def _mean_error(splats: Splats, errors: np.ndarray) -> float:
-    """The root of the mean square, weighted by what the splats cover."""
+    """The root of the mean square, weighted by what the splats cover; a tenth of them counts for
+    about half at most: a few giants that cover all the world would hide the errors of all others.
+    """
     weights = covered_by(splats)
+    usual = np.sort(weights)[: -(-9 * len(weights) // 10)]
+    weights = np.minimum(weights, 10 * usual.mean())
     return float(np.sqrt((weights * errors**2).sum() / weights.sum()))
 
 

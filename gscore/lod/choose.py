@@ -87,9 +87,12 @@ def _pixels_of(level: LodLevel, view: Frustum) -> np.ndarray:
     outside = np.maximum(np.maximum(level.low - eye, eye - level.high), 0)
     away = np.linalg.norm(outside, axis=1)
     focal = max(float(view.K[0, 0]), float(view.K[1, 1]))
+    # An error of 0 of splats that stand for others is believed where these lie in one place alone.
+    spacing = np.linalg.norm(level.high - level.low, axis=1) / np.sqrt(level.counts)
+    errors = np.where(level.errors > 0, level.errors, spacing)
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = level.errors * focal / away
-    return np.where(level.errors > 0, found, 0.0)
+        found = errors * focal / away
+    return np.where(errors > 0, found, 0.0)
 
 
 def _may_be_seen(level: LodLevel, view: Frustum, eps2d: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from gscore.io.lod_file import HEADER_BYTES, is_lod_file, open_lod_file
 from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
 from gscore.lod import order
 from gscore.lod.build import LodFacts, build_lod
+from gscore.lod.choose import choose_chunks
+from gscore.raster.request import Frustum
 from gscore.splats import PARAMETERS
 
-from .conftest import CHUNK, COUNT, wall
+from .conftest import CHUNK, COUNT, camera, wall
 
 
 def as_rows(splats) -> np.ndarray:
@@ -206,3 +209,31 @@ def test_bytes_turned_at_random(lod: Path, tmp_path: Path) -> None:
                     list(file.chunks(level))
         except GsError as error:
             assert "bad.lod" in str(error)
+
+
+@pytest.mark.parametrize("size", [20.0, 60.0])
+def test_giants_do_not_hide_the_errors_of_others(
+    lod: Path, tmp_path: Path, size: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the errors of the levels without the giants, one splat of a thousand."""
+    monkeypatch.setattr(order, "MOST_IN_A_CHUNK", CHUNK)
+    splats = wall()
+    splats.scales[::1000] = size
+    write_splats(tmp_path / "a.ply", splats)
+    found = build_lod(tmp_path / "a.ply", tmp_path / "a.lod", LodFacts(near=0.02))
+    with open_lod_file(lod) as file:
+        for level, plain in zip(found.levels[1:], file.index.levels[1:], strict=True):
+            np.testing.assert_allclose(level.errors, plain.errors, rtol=0.4)
+
+
+def test_errors_of_zero_are_not_believed(lod: Path) -> None:
+    """Oracle: what is chosen by the true errors: finest chunks close up, the coarsest far away."""
+    with open_lod_file(lod) as file:
+        index = file.index
+    levels = tuple(replace(one, errors=np.zeros(len(one.errors))) for one in index.levels)
+    for away, wanted in ((2.0, 0), (1e5, 2)):
+        K, viewmat = camera(away)
+        view = Frustum(K=K, viewmat=viewmat, width=96, height=64, near=0.02)
+        for one in (index, replace(index, levels=levels)):
+            chosen = choose_chunks(one, view, 1.0, eps2d=0.3).by_level(3)
+            assert chosen[wanted] > 0 and sum(chosen) == chosen[wanted]
