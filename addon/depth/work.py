@@ -147,9 +147,10 @@ def _start(
     python: str | Path | None,
 ) -> DepthJob:
     other = JOBS.of_source(source)
-    if other is not None and not other.ended:
+    if other is not None and other.busy:
         raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
-    job = launch(lambda program: DepthJob(program, arguments, source=source), python)
+    how = {"source": source, "after": other}
+    job = launch(lambda program: DepthJob(program, arguments, **how), python)
     JOBS.add(job)
     beat.ensure()
     follow(lambda: wait and not job.ended)

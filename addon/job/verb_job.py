@@ -33,7 +33,13 @@ class VerbJob:
     """What to do where memory ran out."""
 
     def __init__(
-        self, python: str | Path, arguments: Sequence[str], *, source: Path, later: bool = False
+        self,
+        python: str | Path,
+        arguments: Sequence[str],
+        *,
+        source: Path,
+        later: bool = False,
+        after: "VerbJob | None" = None,
     ) -> None:
         """Start it.
 
@@ -42,6 +48,8 @@ class VerbJob:
             arguments: Of `gscore`.
             source: What it works on.
             later: It starts with `begin`, once all that it needs is there.
+            after: A job of the same source that was asked to end: it starts by itself once that
+                has ended, which this one polls from now on. None: at once.
 
         Raises:
             OSError: `python` cannot be run.
@@ -55,7 +63,8 @@ class VerbJob:
         self._stopped_at = 0.0
         self._command = [str(python), "-u", "-m", "gscore", *arguments]
         self._process: Process | None = None
-        if not later:
+        self._after = None if after is None or after.ended else after
+        if not later and self._after is None:
             self.begin()
 
     def begin(self) -> None:
@@ -71,8 +80,15 @@ class VerbJob:
         """Whether nothing will change any more."""
         return self.status in (FINISHED, CANCELLED, FAILED)
 
+    @property
+    def busy(self) -> bool:
+        """Whether it is under way and was not asked to end."""
+        return not self.ended and self.status != STOPPING
+
     def poll(self, budget: float = session.BUDGET) -> bool:
         """Take in what it told since the last call; whether something changed."""
+        if self._after is not None:
+            return self._poll_before(self._after, budget)
         if self.ended or self._process is None:
             return False
         changed = False
@@ -95,25 +111,34 @@ class VerbJob:
         """Ask it to end."""
         if self.status != RUNNING:
             return
-        if self._process is None:
+        if self._process is None and self._after is None:
             self.status, self.sentence = CANCELLED, self.kept
-        else:
-            self.status, self._stopped_at = STOPPING, time.monotonic()
+            return
+        self.status, self._stopped_at = STOPPING, time.monotonic()
+        if self._process is not None:
             self._process.send("stop")
 
     def leave(self) -> None:
         """Let go because Blender ends: it ends by itself soon."""
+        if self._after is not None:
+            self._after.leave()
         if self._process is not None:
             self._process.end_input()
 
     def kill(self, *, wait: float = 0.0) -> None:
         """End it at once."""
+        if self._after is not None:
+            self._after.kill(wait=wait)
         if self._process is not None:
             self._process.kill(wait=wait)
 
     def take(self, event: Event) -> None:
         """Take note of an event of its own."""
         raise NotImplementedError
+
+    def takes(self, other: "VerbJob") -> bool:
+        """Whether what the job before has done after all is what this one was to do; taken then."""
+        return False
 
     def finish(self) -> str:
         """The sentence of work that came to its end; empty: it did not.
@@ -122,6 +147,25 @@ class VerbJob:
             ValueError: what it told makes no sense.
         """
         raise NotImplementedError
+
+    def _poll_before(self, other: "VerbJob", budget: float) -> bool:
+        """Wait for the end of the job before; whether something changed."""
+        other.poll(budget)
+        if not other.ended:
+            return False
+        self._after = None
+        if self.status == STOPPING:
+            self.status, self.sentence = CANCELLED, self.kept
+            return True
+        if other.status == FINISHED and self.takes(other):
+            self.status, self.sentence = FINISHED, self.finish()
+            return True
+        try:
+            self.begin()
+        except OSError as error:
+            self.status = FAILED
+            self.sentence = f"{self.python} cannot be run ({error.strerror or error})."
+        return True
 
     def _end(self) -> None:
         asked = self.status == STOPPING

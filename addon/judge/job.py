@@ -16,7 +16,14 @@ class ErrorsJob(VerbJob):
     kept = "Stopped; nothing was measured."
     less = "close other programs, then measure again"
 
-    def __init__(self, python: str | Path, arguments: Sequence[str], *, source: Path) -> None:
+    def __init__(
+        self,
+        python: str | Path,
+        arguments: Sequence[str],
+        *,
+        source: Path,
+        after: VerbJob | None = None,
+    ) -> None:
         """As `VerbJob`."""
         self.progress: EvalProgress | None = None
         self.done: EvalDone | None = None
@@ -27,7 +34,7 @@ class ErrorsJob(VerbJob):
         """The map on its way into the open file."""
         self.chores: list[Callable[[], Any]] = []
         """What is to be made ready in it before, one at a beat."""
-        super().__init__(python, arguments, source=source)
+        super().__init__(python, arguments, source=source, after=after)
 
     @property
     def share(self) -> float:

@@ -40,7 +40,7 @@ def measure(
     """
     run = run_of(ob)
     other = JOBS.of_source(run)
-    if other is not None and not (other.ended and not other.wanted):
+    if other is not None and (other.busy or other.wanted):
         raise ValueError(f"{run} is being measured already; wait, or stop it.")
     if not (run / "point_cloud.ply").is_file():
         raise ValueError(f"{run} holds no finished training; train to the end first.")
@@ -52,7 +52,7 @@ def measure(
         line += ["-s", source]
     if threads := preferences.get().threads:
         line += ["--threads", str(threads)]
-    job = launch(lambda program: ErrorsJob(program, line, source=run), python)
+    job = launch(lambda program: ErrorsJob(program, line, source=run, after=other), python)
     JOBS.add(job)
     beat.ensure()
     follow(lambda: wait and (not job.ended or job.wanted))

@@ -73,7 +73,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: ShownFacts) -> None:
     """The button that finds cameras; or why that is not possible yet."""
     job = work.job_of(context.scene)
-    if job is not None and not job.ended:
+    if job is not None and job.busy:
         layout.label(text="Finding cameras; see Progress", icon="TIME")
         return
     what = "A video" if found.photos == 0 else "Photos"

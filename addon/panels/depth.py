@@ -48,10 +48,11 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
         row = layout.row(align=True)
         row.progress(factor=job.share, text=bar_text(job))
         row.operator("gscore.cancel_depth", text="", icon="X")
-        return
+        if job.busy:
+            return
     if not has_python(layout, context):
         return
-    if job is not None:
+    if job is not None and job.ended:
         icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
         sentence(layout, context, job.sentence, icon=icon)
         for text in job.warnings[-2:]:

@@ -41,8 +41,9 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
             text = told.view if told is not None and told.view else "Starting"
             row.progress(factor=job.share, text=text)
             row.operator("gscore.stop_errors", text="", icon="SNAP_FACE")
-            return
-        if job is not None:
+            if job.busy:
+                return
+        elif job is not None:
             draw_end(layout, context, job)
         if has_python(layout, context):
             layout.operator("gscore.measure_errors", icon="VIEWZOOM")

@@ -24,6 +24,7 @@ class SearchJob(VerbJob):
         source: Path,
         capture: Path,
         scene_uid: int,
+        after: VerbJob | None = None,
     ) -> None:
         """Start it.
 
@@ -33,6 +34,7 @@ class SearchJob(VerbJob):
             source: The photos or the video.
             capture: The capture that is made.
             scene_uid: Session number of the scene that it was started from.
+            after: As `VerbJob`.
 
         Raises:
             OSError: `python` cannot be run.
@@ -48,7 +50,7 @@ class SearchJob(VerbJob):
         self.coming: Going | None = None
         """They, on their way into it."""
         self._began = time.monotonic()
-        super().__init__(python, arguments, source=source)
+        super().__init__(python, arguments, source=source, after=after)
 
     @property
     def share(self) -> float:
@@ -83,6 +85,11 @@ class SearchJob(VerbJob):
             self.estimated = event
         elif isinstance(event, SfmDone):
             self.done = event
+
+    def takes(self, other: VerbJob) -> bool:
+        """Cameras that were found are those that were to be found."""
+        self.done = other.done if isinstance(other, SearchJob) else None
+        return self.done is not None
 
     def finish(self) -> str:
         """How many photos have a camera."""

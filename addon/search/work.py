@@ -50,7 +50,7 @@ def places(scene: bpy.types.Scene) -> Places:
         raise ValueError(problem or f"{source} holds no photos without cameras, and is no video.")
     if errors := [p.text for p in found.problems if p.is_error]:
         raise ValueError(errors[0])
-    if (other := JOBS.of_source(source)) is not None and not other.ended:
+    if (other := JOBS.of_source(source)) is not None and other.busy:
         raise ValueError(f"The cameras of {source} are being looked for already.")
     beside = capture_beside(source)
     return Places(source=source, capture=beside.capture, is_there=beside.is_there)
@@ -77,6 +77,7 @@ def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> Search
         "source": where.source,
         "capture": where.capture,
         "scene_uid": scene.session_uid,
+        "after": JOBS.of_source(where.source),
     }
     job = launch(lambda program: SearchJob(program, arguments, **given), None)
     JOBS.add(job)

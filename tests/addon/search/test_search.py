@@ -138,6 +138,42 @@ def test_a_video_takes_frames_first(holiday: bpy.types.Scene, tmp_path: Path, pl
         bpy.ops.gscore.cancel_search()
 
 
+@pytest.mark.parametrize("late", ["cancelled", "found", "again"])
+def test_a_search_follows_one_that_is_ending(
+    holiday: bpy.types.Scene, tmp_path: Path, play: Play, late: str
+) -> None:
+    """Oracle: the panel, and processes that need their time after Cancel: never two at once. What
+    the first has found after all is taken, and what waits can be cancelled too."""
+    capture = tmp_path / "holiday-capture"
+    ending = _made(capture) if late == "found" else [{"await": "go"}]
+    play({"say": STEP | {"eta_s": 9.0}}, {"await": "stop"}, *ending)
+    bpy.ops.gscore.find_cameras()
+    first = work.job_of(holiday)
+    until(lambda: first.progress is not None)
+    bpy.ops.gscore.cancel_search()
+    assert "(Find Cameras)" in drawn(CapturePanel)
+    assert bpy.ops.gscore.find_cameras() == {"FINISHED"}
+    second = work.job_of(holiday)
+    assert second is not first and second._process is None and not first.ended
+    assert "see Progress" in drawn(CapturePanel)
+    if late == "again":
+        bpy.ops.gscore.cancel_search()
+    if late == "found":
+        (tmp_path / "waiting").rename(capture)
+    first._process.send("go")
+    until(lambda: first.ended)
+    if late == "cancelled":
+        until(lambda: second.progress is not None)
+        assert second._process.pid != first._process.pid
+        bpy.ops.gscore.cancel_search()
+        second._process.send("go")
+    until(lambda: second.ended and not second.wanted)
+    found = late == "found"
+    assert second.status == (verb_job.FINISHED if found else verb_job.CANCELLED)
+    assert (second._process is None) is (late != "cancelled")
+    assert (chosen_root(holiday) is not None) is found
+
+
 def test_a_package_that_is_missing(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: gscore's sentence, and the add-on's way to get the package."""
     message = 'Reading a video needs the package av; install it with: pip install "gscore[video]".'
