@@ -60,11 +60,14 @@ def _may_bound(_: bpy.types.PropertyGroup, ob: bpy.types.Object) -> bool:
 
 
 def preset_items() -> list[tuple[str, str, str]]:
-    """Presets as an enum: gscore's names and its own sentences about them."""
-    return [
-        (name, name.capitalize(), (preset.__doc__ or "").strip().rstrip("."))
-        for name, preset in PRESETS.items()
-    ]
+    """Presets as an enum: gscore's names, and what each is for."""
+    return [(name, name.capitalize(), purpose_of(name)) for name in PRESETS]
+
+
+def purpose_of(preset: str) -> str:
+    """The beginning of gscore's own sentence about a preset, without a full stop. Its end says how
+    long a usual capture takes; the panel has an estimate of this one on this computer."""
+    return (PRESETS[preset].__doc__ or "").partition(", ")[0].strip()
 
 
 def _items(kinds: Any, texts: dict[Any, tuple[str, str]]) -> list[tuple[str, str, str]]:

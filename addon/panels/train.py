@@ -12,6 +12,7 @@ from ..interface.flags import error_words
 from ..job import facts, forecast, guides, results, within
 from ..job.earlier import EarlierRun
 from ..job.options import AS_PRESET, BY_WIDTH, continuation
+from ..job.properties import purpose_of
 from ..paths import output_folder
 from ..sequence import work as sequence
 from .widgets import TabPanel, found, has_python, job, limit, sentence
@@ -118,10 +119,10 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
 
 def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
     """What the chosen preset is for, and the size at which it trains."""
-    preset = PRESETS[settings.preset]
-    text = (preset.__doc__ or "").strip()
+    text = f"{purpose_of(settings.preset)}."
     if settings.resolution == AS_PRESET:
-        text += f" Photos up to {preset(Path())[0].max_width} px wide."
+        width = PRESETS[settings.preset](Path())[0].max_width
+        text += f" Photos up to {width} px wide."
     return text
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -14,6 +15,7 @@ import pytest
 from addon import paths, preferences
 from addon.core import PRESETS, Background, GsError, RunInfo, Strategy
 from addon.job import facts, lookups, options
+from addon.panels.train import preset_sentence
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 ROOT = Path(__file__).parents[3]
@@ -106,6 +108,18 @@ def test_a_preset_fills_in_its_numbers(scene: bpy.types.Scene, name: str) -> Non
     settings = scene.gscore
     assert (settings.iterations, settings.max_splats) == (train.iterations, train.max_splats)
     assert (settings.sh_degree, settings.resolution) == (train.sh_degree, options.AS_PRESET)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_no_preset_contradicts_the_estimate(scene: bpy.types.Scene, name: str) -> None:
+    """Oracle: words of time, which the estimate below the presets alone has; what it is for stays
+    as gscore says it."""
+    scene.gscore.preset = name
+    item = scene.gscore.bl_rna.properties["preset"].enum_items[name]
+    said = f"{preset_sentence(scene.gscore)} {item.description}"
+    assert not re.search(r"minute|hour|second|cores", said)
+    assert PRESETS[name].__doc__.startswith(f"{item.description},") and len(item.description) > 10
+    assert preset_sentence(scene.gscore).startswith(f"{item.description}. Photos up to ")
 
 
 def test_a_preset_alone_is_that_preset(scene: bpy.types.Scene) -> None:
