@@ -1,15 +1,16 @@
 """Operators that take long: bit by bit where a user waits in a window, at once for scripts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 
 from ..core import GsError
+from ..process.pace import Pace
 from ..process.pieces import Going, Pieces, ResultT, at_once
 from . import writable
 from .clearing import finish
 from .operators import Acting
-from .waiting import Waiting
+from .waiting import INTERVAL, Waiting
 
 
 class Stepping(Acting):
@@ -65,7 +66,7 @@ class Stepping(Acting):
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}
         try:
-            done = own.going.step()
+            done = own.step()
         except (GsError, ValueError, OSError) as error:
             own.give_up()
             return self.refuse(error)
@@ -96,8 +97,18 @@ class _UnderWay:
     going: Going
     waiting: Waiting
 
+    pace: Pace = field(default_factory=Pace)
+
     def __post_init__(self) -> None:
         _UNDER_WAY.add(self)
+
+    def step(self) -> bool:
+        """As many pieces as the pace allows; whether all is done."""
+        self.pace.begin()
+        while not (done := self.going.step()) and self.pace.more():
+            pass
+        self.pace.end(INTERVAL)
+        return done
 
     def end(self) -> None:
         """Nothing tells of it any more."""

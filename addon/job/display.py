@@ -60,8 +60,9 @@ def waits(job: Job) -> bool:
 
 
 def filling() -> bool:
-    """Whether splats are on their way, so that the next beat should come soon."""
-    return any(job.filling is not None for job in registry.jobs())
+    """Whether splats are on their way, or what shows them, so that the next beat should come
+    soon."""
+    return any(job.filling is not None or job.chores for job in registry.jobs())
 
 
 def update(job: Job) -> bool:

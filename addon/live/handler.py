@@ -13,6 +13,7 @@ from bpy.app.handlers import persistent
 from ..compat import draws_into_views, matrix_to_numpy
 from ..interface.flags import error_words
 from ..interface.views import redraw_views
+from ..process.pace import Pace
 from ..render import copies, viewport
 from ..render.engine import final_cache
 from ..render.regions import drawn_window
@@ -49,6 +50,8 @@ class _State:
     """Sentences of views, by the pointer of their region."""
     copying: set[int] = field(default_factory=set)
     """Pointers of regions in whose last redraw splats were copied, but not all."""
+    pace: Pace = field(default_factory=Pace)
+    """Of `_poll`: how slow redraws are, and so how much each may copy and upload."""
 
 
 _state = _State()
@@ -117,7 +120,9 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
     # In the engine's own shading a view shows what a render does.
-    placed, _ = copies.SHARED.copied(found, always_filtered=not is_own(context))
+    placed, _ = copies.SHARED.copied(
+        found, always_filtered=not is_own(context), spare=_state.pace.spare
+    )
     if copies.SHARED.under_way(found):
         _state.copying.add(pointer)
         _ensure()
@@ -162,6 +167,7 @@ def _show(
             front=front,
             cuts=cuts,
             tinted=tinted,
+            spare=_state.pace.spare,
         )
         if picture is not None:
             photo = photos.in_front(context, window, *part[2:])
@@ -227,7 +233,15 @@ def _ensure() -> None:
 
 
 def _poll() -> float | None:
-    """Have views drawn again that have something new, or have come to rest."""
+    _state.pace.begin()
+    interval = POLL if _redraw_stale() else None
+    _state.pace.end(interval)
+    return interval
+
+
+def _redraw_stale() -> bool:
+    """Have views drawn again that have something new, or have come to rest; whether any may have
+    soon."""
     regions = {}
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
@@ -244,7 +258,7 @@ def _poll() -> float | None:
         if view.stale(time.monotonic()):
             regions[pointer].tag_redraw()
         waiting |= view.waits
-    return POLL if waiting else None
+    return waiting
 
 
 @persistent

@@ -204,6 +204,7 @@ class View:
         front: bool,
         cuts: Cuts,
         tinted: Tinted = Tinted.NONE,
+        spare: float = 0.0,
     ) -> Canvas | None:
         """Draw what is there, and ask for what is missing.
 
@@ -218,6 +219,7 @@ class View:
             front: Whether some of it has no depth: then `meshes` is called in a moving view too.
             cuts: Where the view ends.
             tinted: Of which objects what is selected is seen.
+            spare: Seconds that uploads may take besides `UPLOAD`.
 
         Returns:
             The picture; None where there is none.
@@ -234,7 +236,7 @@ class View:
         detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
         wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
-        self._take_in(card)
+        self._take_in(card, UPLOAD + spare)
         self.complete = False
         for one in placed:  # the card would draw them at once, where it has their splats already
             check_similar(one)
@@ -270,9 +272,9 @@ class View:
         self.seconds = time.perf_counter() - began
         return canvas
 
-    def _take_in(self, card: Card) -> None:
+    def _take_in(self, card: Card, seconds: float) -> None:
         """Upload answers that have come, bit by bit."""
-        until = time.perf_counter() + UPLOAD
+        until = time.perf_counter() + seconds
         self.sorter.fresh = False
         answer = self.sorter.answer
         if self._coming is None and answer is not None and answer[0] is not self._answered:

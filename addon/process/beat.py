@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import bpy
 from bpy.app.handlers import persistent
 
+from .pace import Pace
+
 INTERVAL = 0.1
 """Seconds between two beats."""
 FAST = 0.01
@@ -48,18 +50,24 @@ FOLLOWERS: list[Follower] = []
 class _Screen:
     """What panels show."""
 
+    changed: bool = False
+    """Whether the last tick has changed it."""
     stale: bool = False
+    """Whether it is not what there is to show."""
     drawn: float = 0.0
     """Time of the last redraw, monotonic seconds."""
 
 
 _screen = _Screen()
+_pace = Pace()
 
 
 def tick() -> bool:
     """Do a small piece of whatever there is to do; whether anything is under way."""
+    _screen.changed = False
     for follower in FOLLOWERS:
-        _screen.stale |= follower.collect()
+        _screen.changed |= follower.collect()
+    _screen.stale |= _screen.changed
     if _screen.stale and time.monotonic() - _screen.drawn > REDRAW:
         redraw()
     waits = any(follower.waits() for follower in FOLLOWERS)
@@ -85,14 +93,25 @@ def redraw() -> None:
 
 
 def _beat() -> float | None:
+    _pace.begin()
+    interval = _go_on()
+    _pace.end(interval)
+    return interval
+
+
+def _go_on() -> float | None:
+    """As many ticks as the pace allows; seconds to the next."""
     try:
-        waits = tick()
+        while True:
+            waits, hurries = tick(), any(follower.hurries() for follower in FOLLOWERS)
+            if not (waits and hurries and _pace.more(did=_screen.changed)):
+                break
     except Exception:  # Blender would never call again, and a training would seem to stand still
         _log.exception("An error in the add-on; please report it.")
         return AFTER_ERROR
     if not waits:
         return None
-    return FAST if any(follower.hurries() for follower in FOLLOWERS) else INTERVAL
+    return FAST if hurries else INTERVAL
 
 
 @persistent

@@ -128,11 +128,17 @@ class Copies:
                 del kept[uid]
 
     def copied(
-        self, found: list[Source], *, always_filtered: bool = False
+        self, found: list[Source], *, always_filtered: bool = False, spare: float = 0.0
     ) -> tuple[list[Placed], bool]:
         """Some objects as they are, where their copying is under way as they were, or left out;
-        and whether all are as they are. Filters as in `place`."""
-        until = time.perf_counter() + COPY_BUDGET
+        and whether all are as they are.
+
+        Args:
+            found: The objects.
+            always_filtered: As `place`.
+            spare: Seconds that copying may take besides `COPY_BUDGET`.
+        """
+        until = time.perf_counter() + COPY_BUDGET + spare
         placed, complete = [], True
         for source in found:
             frozen = self._copy(source, until) if source.moment is None else self._frame(source)

@@ -1,0 +1,146 @@
+"""How much is done at a time where redraws are slow. Oracles: in the tests."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from addon.interface import stepping, waiting
+from addon.process import beat, pace
+from addon.process.pieces import Going, Pieces
+
+PIECE = 0.008
+
+
+class Clock:
+    """Time that passes only where it is said."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def monotonic(self) -> float:
+        """As `time.monotonic`."""
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """That of `Pace`."""
+    made = Clock()
+    monkeypatch.setattr(pace, "time", made)
+    return made
+
+
+class Work:
+    """Pieces that are done at beats."""
+
+    def __init__(self, clock: Clock, pieces: int, seconds: float = PIECE) -> None:
+        self.clock, self.left, self.seconds = clock, pieces, seconds
+        self.stuck = False
+        """Whether none can be done now."""
+
+    def collect(self) -> bool:
+        """One piece; those that take no time say that they did something."""
+        if not self.left or self.stuck:
+            return False
+        self.clock.now += self.seconds
+        self.left -= 1
+        return self.seconds == 0
+
+    def waits(self) -> bool:
+        """Whether there are more."""
+        return self.left > 0
+
+
+@pytest.fixture
+def follow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Work], None]:
+    """Have the beat do some work alone, as if it was registered just now."""
+
+    def begin(work: Work) -> None:
+        follower = beat.Follower(work.collect, work.waits, work.waits)
+        monkeypatch.setattr(beat, "FOLLOWERS", [follower])
+        monkeypatch.setattr(beat, "_pace", pace.Pace())
+
+    return begin
+
+
+def beats(work: Work, clock: Clock, redraw: float) -> Iterator[int]:
+    """How many pieces each beat does until all are done; redraws take so many seconds."""
+    while work.left:
+        before = work.left
+        interval = beat._beat()
+        yield before - work.left
+        clock.now += max(redraw, interval or 0.0)
+
+
+def test_slow_redraws_do_not_starve_work(clock: Clock, follow: Callable[[Work], None]) -> None:
+    """Oracle: the first beat is not late; each other is 0.49 s late, of which it may use a quarter
+    of what is beyond a twentieth, 0.1 s at most, and finishes the piece it has begun: 13."""
+    work = Work(clock, 40)
+    follow(work)
+    assert list(beats(work, clock, 0.5)) == [1, 13, 13, 13]
+
+
+def test_pieces_that_take_no_time_are_done_at_once(
+    clock: Clock, follow: Callable[[Work], None]
+) -> None:
+    """Oracle: all are done at the first beat that is late, as of node groups that are there."""
+    work = Work(clock, 12, seconds=0.0)
+    follow(work)
+    assert list(beats(work, clock, 0.5)) == [1, 11]
+
+
+@pytest.mark.parametrize("redraw", [0.0, 0.016, 0.05])
+def test_fast_redraws_stay_fast(
+    clock: Clock, follow: Callable[[Work], None], redraw: float
+) -> None:
+    """Oracle: one piece a beat, as always."""
+    work = Work(clock, 20)
+    follow(work)
+    assert set(beats(work, clock, redraw)) == {1}
+
+
+def test_a_beat_that_has_nothing_to_do_ends(
+    clock: Clock, follow: Callable[[Work], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: how often it looked: once a late beat, where splats wait for the end of Edit Mode."""
+    work = Work(clock, 5)
+    work.stuck = True
+    follow(work)
+    looks = []
+    tick = beat.tick
+    monkeypatch.setattr(beat, "tick", lambda: looks.append(0) or tick())
+    for _ in range(3):
+        beat._beat()
+        clock.now += 2.0
+    assert len(looks) == 3
+
+
+def test_a_pause_is_no_slow_redraw(clock: Clock, follow: Callable[[Work], None]) -> None:
+    """Oracle: one piece at the first beat after a minute in which none was wanted."""
+    work = Work(clock, 1)
+    follow(work)
+    assert beat._beat() is None
+    clock.now += 60.0
+    work.left = 5
+    beat._beat()
+    assert work.left == 4
+
+
+def test_an_operator_does_more_where_redraws_are_slow(clock: Clock) -> None:
+    """Oracle: as the beat: of 0.49 s a tenth of a second, which is 13 pieces."""
+
+    def pieces() -> Pieces[str]:
+        for number in range(30):
+            clock.now += PIECE
+            yield str(number)
+        return "done"
+
+    own = stepping._UnderWay(Going(pieces()), None)
+    said = []
+    try:
+        while not own.step():
+            said.append(int(own.going.sentence) + 1)
+            clock.now += 0.49 + waiting.INTERVAL
+    finally:
+        stepping._UNDER_WAY.discard(own)
+    assert said == [1, 14, 27] and own.going.result == "done"
