@@ -2,7 +2,8 @@
 
 Splats are sorted along the axis of a picture, and their outlines are those of a projection that is
 exact on that axis. So each side of the cube is nine patches with axes of their own: where two of
-them meet, a picture differs by half of what it does where whole sides meet.
+them meet, their pictures differ by half of what those of whole sides do. Patches overlap, and fade
+into each other there: the difference would show as an edge.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,6 +32,8 @@ _SIDES = np.array(
 above."""
 _ALONG = 3
 """Patches along a side, of equal angles."""
+_OVERLAP = 0.25
+"""How far a patch reaches into its neighbors, in patches."""
 _DETAIL = 1.25
 """Pixels of a patch, in its middle, for each of the panorama."""
 _LARGEST = 8192
@@ -49,7 +52,10 @@ def _patches() -> tuple[np.ndarray, float]:
     """Right, down and forward of all patches [P, 3, 3], and how far a patch reaches to its sides,
     for each unit forward."""
     middles = np.tan(((np.arange(_ALONG) + 0.5) / _ALONG - 0.5) * np.pi / 2)
-    ends = np.tan((np.arange(_ALONG + 1) / _ALONG - 0.5) * np.pi / 2)
+    low, high = (
+        np.tan(((np.arange(_ALONG) + end) / _ALONG - 0.5) * np.pi / 2)
+        for end in (-_OVERLAP, 1 + _OVERLAP)
+    )
     axes, reach = [], 0.0
     for side in _SIDES:
         for row, column in np.ndindex(_ALONG, _ALONG):
@@ -59,7 +65,9 @@ def _patches() -> tuple[np.ndarray, float]:
             right /= np.linalg.norm(right)
             own = np.stack([right, np.cross(forward, right), forward])
             corners = [
-                own @ (x, y, 1.0) for x in ends[column : column + 2] for y in ends[row : row + 2]
+                own @ (x, y, 1.0)
+                for x in (low[column], high[column])
+                for y in (low[row], high[row])
             ]
             reach = max(reach, *(float(np.abs(c[:2]).max() / c[2]) for c in corners))
             axes.append(own @ side)
@@ -124,6 +132,8 @@ def beyond(model: Model, panorama: Panorama) -> Model:
 
 
 _Pictures = dict[int, tuple[Window, dict[str, np.ndarray]]]
+_Pixels = tuple[np.ndarray, np.ndarray]
+"""Rows and columns."""
 
 
 def _turned(axes: np.ndarray) -> np.ndarray:
@@ -146,36 +156,54 @@ def _looks(
     inside: tuple[float, float],
     focal: float,
     side: int,
-) -> Iterator[tuple[int, tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray, np.ndarray]]:
+) -> Iterator[tuple[int, _Pixels, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Where pixels look: of each patch that is met, its number, the pixels (rows and columns of the
-    band), places on it, x and y in pixels, and distances for each unit along its axis."""
+    band), its shares of them, places on it, x and y in pixels, and distances for each unit along
+    its axis."""
     left, top, width, _ = window
     x, y = np.meshgrid(
         left + np.arange(width) + inside[0], top + np.arange(rows.start, rows.stop) + inside[1]
     )
     directions, seen = panorama.directions(x, y)
-    patchs = _patch_of(directions)
-    for patch in np.unique(patchs[seen]):
-        where = np.nonzero(seen & (patchs == patch))
+    for patch, where, share in _shares(directions, seen):
         own = directions[where] @ _AXES[patch].T
         yield (
-            int(patch),
+            patch,
             where,
+            share,
             own[:, 0] / own[:, 2] * focal + side / 2,
             own[:, 1] / own[:, 2] * focal + side / 2,
             1 / own[:, 2],
         )
 
 
-def _patch_of(directions: np.ndarray) -> np.ndarray:
-    """The patches [...] through which directions [..., 3] look."""
-    axis = np.abs(directions).argmax(-1)
-    negative = np.take_along_axis(directions, axis[..., None], -1)[..., 0] < 0
-    side = np.array([[1, 4, 0], [3, 5, 2]])[negative.astype(int), axis]
-    own = np.einsum("...ij,...j->...i", _SIDES[side], directions)
-    angles = np.arctan2(own[..., :2], own[..., 2:])
-    place = np.clip(((angles / (np.pi / 2) + 0.5) * _ALONG).astype(int), 0, _ALONG - 1)
-    return (side * _ALONG + place[..., 1]) * _ALONG + place[..., 0]
+def _shares(directions: np.ndarray, seen: np.ndarray) -> Iterator[tuple[int, _Pixels, np.ndarray]]:
+    """Of each patch through which directions [h, w, 3] look that are seen [h, w], its number, the
+    pixels, and its shares of them, which fall to 0 towards its edges; those of a pixel add up to
+    1."""
+    total, found = np.zeros(seen.shape), []
+    widest = np.tan((1 + 2 * _OVERLAP / _ALONG) * np.pi / 4)
+    for number, side in enumerate(_SIDES):
+        own = directions @ side.T
+        where = np.nonzero(seen & (np.abs(own[..., :2]).max(-1) < widest * own[..., 2]))
+        x, y, z = own[where].T
+        columns, rows = _ramps(np.arctan2(x, z)), _ramps(np.arctan2(y, z))
+        for row, column in np.ndindex(_ALONG, _ALONG):
+            share = rows[row] * columns[column]
+            met = np.flatnonzero(share)
+            pixels = where[0][met], where[1][met]
+            total[pixels] += share[met]
+            found.append(((number * _ALONG + row) * _ALONG + column, pixels, share[met]))
+    for patch, pixels, share in found:
+        if len(share):
+            yield patch, pixels, share / total[pixels]
+
+
+def _ramps(angles: np.ndarray) -> np.ndarray:
+    """[_ALONG, n]: the shares of rows or columns of patches at angles [n] from a side's axis."""
+    middles = np.arange(_ALONG)[:, None] + 0.5
+    away = np.abs((angles / (np.pi / 2) + 0.5) * _ALONG - middles)
+    return np.clip((0.5 + _OVERLAP - away) / (2 * _OVERLAP), 0, 1)
 
 
 def _every_look(window: Window) -> Iterator[tuple[slice, tuple[float, float]]]:
@@ -188,7 +216,7 @@ def _parts(panorama: Panorama, window: Window, focal: float, side: int) -> dict[
     """What is needed of each patch that is met."""
     found: dict[int, np.ndarray] = {}
     for rows, inside in _every_look(window):
-        for patch, _, x, y, _ in _looks(panorama, window, rows, inside, focal, side):
+        for patch, _, _, x, y, _ in _looks(panorama, window, rows, inside, focal, side):
             ends = np.array([x.min(), y.min(), -x.max(), -y.max()])
             found[patch] = np.minimum(found.get(patch, ends), ends)
     parts = {}
@@ -205,9 +233,10 @@ def _resampled(
     out = np.zeros((window[3], window[2], 4 if name == "Combined" else 1), np.float32)
     for rows, inside in _every_look(window):
         band = out[rows]
-        for patch, where, x, y, _ in _looks(panorama, window, rows, inside, focal, side):
+        for patch, where, share, x, y, _ in _looks(panorama, window, rows, inside, focal, side):
             part, drawn = pictures[patch]
-            band[where] += _between(drawn[name], x - part[0], y - part[1])
+            found = _between(drawn[name], x - part[0], y - part[1])
+            band[where] += share[:, None].astype(np.float32) * found
     return out / np.float32(len(_INSIDE) ** 2)
 
 
@@ -226,14 +255,19 @@ def _between(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _distances(
     panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures
 ) -> np.ndarray:
-    """Of the nearest pixel of a patch, because means of depths lie where nothing is."""
+    """Of the nearest pixel of the patch with the largest share, because means of depths lie where
+    nothing is."""
     out = np.full((window[3], window[2]), NOTHING, np.float32)
     for rows in _bands(window):
         band = out[rows]
+        largest = np.zeros(band.shape)
         looks = _looks(panorama, window, rows, (0.5, 0.5), focal, side)
-        for patch, where, x, y, far in looks:
+        for patch, pixels, share, x, y, far in looks:
             part, drawn = pictures.get(patch, ((0, 0, 0, 0), {}))
-            if drawn:
+            own = share > largest[pixels]
+            if drawn and own.any():
+                where, x, y, far = (pixels[0][own], pixels[1][own]), x[own], y[own], far[own]
+                largest[where] = share[own]
                 column = np.clip((x - part[0]).astype(int), 0, part[2] - 1)
                 row = np.clip((y - part[1]).astype(int), 0, part[3] - 1)
                 depth = drawn["Depth"][row, column]

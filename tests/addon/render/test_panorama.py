@@ -166,6 +166,35 @@ def test_sides_of_the_cube_meet_without_a_seam(scene, tmp_path):
     np.testing.assert_allclose(got, 1, atol=0.01)
 
 
+def test_patches_of_the_cube_leave_no_edges(scene, tmp_path):
+    """Oracle: the mean step from a column of pixels to the next, which where patches meet is of the
+    size of any other; likewise of rows. Of large splats that show through each other, which differ
+    most: an edge would be a step of ten to twenty times that."""
+    camera = lab.prepare(scene, (360, 180))
+    camera.data.type, camera.rotation_euler, camera.location = "PANO", (HALF, 0, 0), (0, 0, 0)
+    compat.panorama_settings(camera.data).panorama_type = "EQUIRECTANGULAR"
+    rng = np.random.default_rng(3)
+    way, count = rng.normal(size=(1500, 3)), 1500
+    away = rng.uniform(2, 5, (count, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    lab.add(
+        scene,
+        Splats(
+            means=(way * away).astype(np.float32),
+            quats=rng.normal(size=(count, 4)).astype(np.float32),
+            scales=rng.uniform(-2.5, 0.2, (count, 3)).astype(np.float32),
+            opacities=rng.uniform(-2, 1, count).astype(np.float32),
+            sh0=rng.normal(size=(count, 1, 3)).astype(np.float32),
+            shN=np.zeros((count, 0, 3), np.float32),
+        ),
+    )
+    picture = lab.render_exr(tmp_path)[..., :3]
+    steps = np.abs(np.diff(picture[60:120], axis=1)).mean((0, 2))
+    edges = np.arange(15, 360, 30) - 1  # a pixel is a degree; sides begin at 45 degrees
+    assert steps[edges].mean() < 2 * np.delete(steps, edges).mean()
+    upright = np.abs(np.diff(picture[45:135], axis=0)).mean((1, 2))
+    assert upright.max() < 2 * np.median(upright)
+
+
 def test_clip_start_is_a_distance(scene, tmp_path):
     """Oracle: the picture without what is nearer, in the corners of the cube too."""
     camera = lab.prepare(scene, (64, 32))
