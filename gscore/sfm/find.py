@@ -13,7 +13,6 @@ from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
-from ..io.foreign_cameras import unread_cameras
 from ..io.runs import MADE_OF
 from ..raster import backend
 from ..words import count_words
@@ -26,7 +25,7 @@ from .gps import Gps, read_gps, to_metres
 from .heic import what_to_do
 from .looks import Look, blurred, exposure_jumps
 from .panorama import check_lens, refused_panoramas
-from .plain import apart_of, captures_inside, doubt, stamp
+from .plain import apart_of, captures_inside, doubt, other_cameras, stamp
 from .request import USUAL_LENS, Request
 from .stages import Work
 from .verdict import (
@@ -115,7 +114,7 @@ class _Search:
             raise DatasetError(sentence)
         read, sentences = photos.one_of_each(self._root, read)
         doubtful = doubt(self._root, names, len(photos.by_camera(read)))
-        for sentence in filter(None, (*sentences, doubtful, unread_cameras(self._request.photos))):
+        for sentence in filter(None, (*sentences, doubtful, other_cameras(self._request.photos))):
             self._warn(sentence)
         folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)

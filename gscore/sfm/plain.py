@@ -9,6 +9,7 @@ from ..datasets.programs import find_program
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
 from ..io.files import read_bytes
+from ..io.foreign_cameras import unread_cameras
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
 from ..words import count_words, number
@@ -67,6 +68,22 @@ def captures_inside(root: Path, names: Sequence[str]) -> str:
     return (
         f"{root} is no folder of photos: it holds a capture, {root / captures[0]}{other}. Give "
         "that folder, or move it away."
+    )
+
+
+def other_cameras(path: Path) -> str:
+    """A sentence where another program's cameras lie among the photos, which a search does not
+    use; empty where none do.
+
+    Args:
+        path: The folder that the search was given.
+    """
+    found = find_program(path) if path.is_dir() else None
+    if found is None:
+        return unread_cameras(path)
+    return (
+        f"{found.path} holds cameras of these photos ({found.program}), which gscore train and the "
+        "add-on read. This search does not use them and finds others, of another size and place."
     )
 
 

@@ -18,7 +18,7 @@ from gscore.errors import FormatError, GsError
 from gscore.inspection import find_capture, inspect
 from gscore.io.colmap.lenses import BENT, bent_pixels
 from gscore.io.pictures.images import write_png
-from gscore.sfm.plain import is_plain
+from gscore.sfm.plain import is_plain, other_cameras
 from tests import program_files as files
 from tests.program_files import Chunk, Rig
 
@@ -374,6 +374,7 @@ def test_inspected(kind: str, rig: Rig, tmp_path: Path) -> None:
         facts = inspect(DataConfig(source=source))
         assert facts.kind == kind and facts.can_train and facts.photos == 8, facts.problems
         assert facts.model == (path or tmp_path / "images")
+    assert f"({kind}), which gscore train and the add-on read" in other_cameras(tmp_path)
 
 
 def test_of_several_camera_files_one_is_read_and_the_others_named(rig: Rig, tmp_path: Path) -> None:
