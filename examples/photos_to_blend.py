@@ -126,24 +126,31 @@ def tell_of_report(run: Path) -> None:
     print(f"That is of one photo at its own size. The run's report has {report}, as it trained.")
 
 
+def save(path: Path) -> None:
+    """Write the .blend file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+
+
 def make(options: argparse.Namespace, addon: str) -> None:
-    """Import, train, render, save."""
+    """Import, train, save, render, save, compare, save."""
     bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
     if options.splats:
         bpy.ops.gscore.import_splats(filepath=str(options.splats.absolute()))
         take_masks_as(options.splats.absolute().parent)
     else:
         train(options, addon)
+    save(options.output)  # before anything else may fail: a training is not lost
     index = -1 if options.camera else 0
     bpy.ops.gscore.use_camera(camera=options.camera, index=index, look_through=False)
     bpy.ops.gscore.use_engine()
     bpy.context.scene.render.filepath = str(options.render)
     bpy.ops.render.render(write_still=True)
+    save(options.output)
+    print(f"Wrote {options.output} and {options.render}")
     bpy.ops.gscore.compare_photo()
     tell_of_report(options.splats.absolute().parent if options.splats else options.run)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    bpy.ops.wm.save_as_mainfile(filepath=str(options.output))
-    print(f"Wrote {options.output} and {options.render}")
+    save(options.output)  # with the comparison
 
 
 def main() -> int:

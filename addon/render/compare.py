@@ -12,7 +12,7 @@ from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
-from ..core import colorize, psnr, rgba_png
+from ..core import colorize, psnr, read_header, rgba_png
 from ..interface.blocks import with_uid
 from ..process.background import Cancelled
 from ..process.pieces import Check, Pieces, aside
@@ -67,7 +67,8 @@ class Comparing:
         own = stated(camera)
         self._camera, self._name = camera.session_uid, camera.name
         background = background_of(world_light(scene.world)[0])
-        size = cm.frame_size(own.width, own.height, scene.render.resolution_percentage)
+        percentage = scene.render.resolution_percentage
+        size = cm.frame_size(*_full_size(own), percentage)
         width, height = max(size[0], 1), max(size[1], 1)
         self._target = load_target(
             camera,
@@ -160,6 +161,16 @@ def _judged(shown: np.ndarray, target: Target, check: Check) -> _Judged:
         # Not made small, which would take long, and Blender longer to decode.
         pictures[kind] = rgba_png(np.concatenate([levels, opaque], axis=2), packed=False)
     return _Judged(psnr=value, psnr_masked=masked, pictures=pictures)
+
+
+def _full_size(own: PhotoCamera) -> tuple[int, int]:
+    """Width and height of what a camera sees, with no more pixels than its photo has, which may be
+    smaller than the camera (images_4)."""
+    info = read_header(own.photo)
+    if info is None or info.width >= own.taken[0]:
+        return own.width, own.height
+    across, down = info.width / own.taken[0], info.height / own.taken[1]
+    return math.floor(own.width * across + 1e-6), math.floor(own.height * down + 1e-6)
 
 
 def photo_view(

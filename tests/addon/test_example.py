@@ -1,6 +1,7 @@
 """Oracle: the files that examples/photos_to_blend.py leaves, opened again."""
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -52,6 +53,29 @@ def test_photos_to_blend(
     shown = pixels.reshape(height, width, 4)[::-1, :, :3]
     assert expected.alpha.mean() > 0.05  # an empty file has no world, so black lies behind
     assert np.abs(shown - np.clip(expected.rgb, 0, 1)).max() <= 1 / 255
+
+
+def test_a_comparison_that_fails_loses_no_file(
+    run_blender: Callable[..., str], make_splats: Callable[..., Splats], tmp_path: Path
+) -> None:
+    """Oracle: splats and cameras in the .blend, though the photo goes away after the render."""
+    capture, ply, blend = tmp_path / "capture", tmp_path / "some.ply", tmp_path / "scene.blend"
+    shutil.copytree(STUDIO / "sparse", capture / "sparse")
+    shutil.copytree(STUDIO / "images", capture / "images")
+    first = capture / "images/view_000.jpg"
+    script = (
+        "import bpy, os, runpy\n"
+        "@bpy.app.handlers.persistent\n"
+        f"def away(*ignored): os.path.exists({str(first)!r}) and os.remove({str(first)!r})\n"
+        "bpy.app.handlers.render_complete.append(away)\n"
+        f"runpy.run_path({str(SCRIPT)!r}, run_name='__main__')\n"
+    )
+    write_splats(ply, make_splats(300))
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
+        run_blender(script, capture, "-o", blend, "--splats", ply)
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    kinds = [ob.get("gs_kind") for ob in bpy.context.scene.objects]
+    assert kinds.count("camera") == 60 and kinds.count("splats") == 1
 
 
 @pytest.mark.skipif(bool(bpy.app.binary_path), reason="the Python of a program has no bpy")

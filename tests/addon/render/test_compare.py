@@ -84,6 +84,21 @@ def test_psnr_and_pictures(studio, scene, percentage):
     assert found.psnr_masked is None
 
 
+@pytest.mark.parametrize(("shrink", "percentage"), [(4, 100), (4, 50), (3, 100)])
+def test_a_photo_smaller_than_its_camera(studio, scene, tmp_path, shrink, percentage):
+    """Oracle: the picture has the photo's size times the percentage."""
+    capture, _ = studio
+    camera = capture.cameras[0]
+    width, height = (int(side) // shrink for side in camera["gs_size"])
+    write_png(tmp_path / "small.png", np.full((height, width, 3), 90, np.uint8))
+    camera["gs_photo"] = str(tmp_path / "small.png")
+    scene.render.resolution_percentage, scene.gscore.use_masks = percentage, False
+    found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
+    size = tuple(found.images["Photo"].size)
+    assert size == (width * percentage // 100, height * percentage // 100)
+    np.testing.assert_allclose(pixels(found.images["Photo"]), 90 / 255, atol=1e-3)
+
+
 def test_masks_of_the_capture_count(studio, scene):
     """Oracle: gscore's definition, on the mask file read apart: both pictures times the mask."""
     camera = studio[0].cameras[9]
