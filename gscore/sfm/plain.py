@@ -12,6 +12,7 @@ from ..io.files import read_bytes
 from ..io.foreign_cameras import unread_cameras
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
+from ..shown import shown
 from ..words import count_words, number
 from .heic import readable
 from .masks import mask_folder
@@ -134,8 +135,18 @@ def apart_of(request: Request, root: Path) -> tuple[Path, ...]:
 
 
 def stamp(name: str, path: Path) -> list[Any]:
-    """What changes where a file does."""
-    stat = path.stat()
+    """What changes where a file does.
+
+    Raises:
+        DatasetError: it is gone.
+    """
+    try:
+        stat = path.stat()
+    except OSError as error:
+        raise DatasetError(
+            f"{shown(path)} is gone or cannot be read any more. Put it back, or begin anew without "
+            "it, and leave the photos alone while their cameras are found."
+        ) from error
     return [name, stat.st_size, stat.st_mtime_ns]
 
 

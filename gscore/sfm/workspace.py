@@ -249,7 +249,7 @@ def _stamp(photo: Photo, path: Path) -> list[Any] | None:
     """The stamp of a photo's file; None where it is gone."""
     try:
         return stamp(photo.name, path)
-    except OSError:
+    except DatasetError:
         return None
 
 

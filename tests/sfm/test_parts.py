@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
+from gscore.errors import DatasetError
 from gscore.sfm.database import Overlap
 from gscore.sfm.diagnose import why_none
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
+from gscore.sfm.plain import stamp
 from gscore.sfm.verdict import Found, said_of_lens
 
 from .conftest import STUDIO
@@ -274,3 +276,9 @@ def test_a_forecast_goes_one_way() -> None:
             now[0] = begin + seconds / count
     assert shares == sorted(shares) and 0.98 < shares[-1] <= 1
     assert shares[0] == pytest.approx(0)
+
+
+def test_a_photo_that_is_gone_is_named(tmp_path: Path) -> None:
+    """Oracle: the sentence names the file that was removed after it was listed."""
+    with pytest.raises(DatasetError, match=r"b\.png is gone"):
+        stamp("b.png", tmp_path / "b.png")
