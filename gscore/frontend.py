@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from .options import Option, options_of
     from .raster.mesh import mesh_depth
     from .report.colormap import colorize
+    from .scene import moved_viewmats, offset_between, origin_words
     from .sfm.beside import capture_beside
     from .sh import rgb_to_sh0, sh0_to_rgb, sh_basis
     from .splats import cut_degree
@@ -190,7 +191,10 @@ _HOME = {
     "join_splats": "formats.joined:joined",
     "mesh_depth": "raster.mesh",
     "most_important": "edit",
+    "moved_viewmats": "scene",
     "of_size": "edit",
+    "offset_between": "scene",
+    "origin_words": "scene",
     "options_of": "options",
     "plan_undistortion": "datasets.undistort",
     "reached_from": "edit",
@@ -314,8 +318,11 @@ __all__ = [
     "limit_by_photos",
     "mesh_depth",
     "most_important",
+    "moved_viewmats",
     "of_size",
+    "offset_between",
     "options_of",
+    "origin_words",
     "plan_undistortion",
     "points_to_expect",
     "quat_to_rotmat",

@@ -1,11 +1,12 @@
 """Cameras and points of a capture, in COLMAP world, float64."""
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .errors import ShapeError
+from .shown import quoted
 from .splats import check_array
 
 FARTHEST = 1e30
@@ -46,6 +47,48 @@ def distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
     return found
 
 
+def offset_between(origin: np.ndarray | None, other: np.ndarray | None) -> np.ndarray:
+    """[3] float64, `origin` less `other`: local origins in the coordinates of a capture, where None
+    is the origin of these themselves."""
+    zero = np.zeros(3)
+    return (zero if origin is None else origin) - (zero if other is None else other)
+
+
+def moved_viewmats(viewmats: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """World to camera [..., 4, 4] float64 where `shift` [3] was subtracted from the world."""
+    out = viewmats.copy()
+    out[..., :3, 3] += viewmats[..., :3, :3] @ shift
+    return out
+
+
+def checked_origin(values: object) -> np.ndarray:
+    """[3] float64, a local origin as a file states it.
+
+    Raises:
+        ValueError: these are no three numbers up to `FARTHEST`.
+    """
+    origin = np.asarray(values)
+    if origin.shape != (3,) or origin.dtype.kind not in "if":
+        raise ValueError(f"origin, {quoted(values)}")
+    if not within_reach(origin[None].astype(np.float64)).all():
+        raise ValueError(f"origin, {quoted(values)}")
+    return origin.astype(np.float64)
+
+
+def lie_about(places: np.ndarray, origin: np.ndarray | None) -> bool:
+    """Whether places [P, 3], of which nothing is stated, are about a local origin already: half of
+    them are nearer to it than to the origin of the capture's own coordinates."""
+    if origin is None or not len(places):
+        return False
+    middle = np.median(places.astype(np.float64), axis=0)
+    return bool(np.linalg.norm(middle) < np.linalg.norm(middle - origin))
+
+
+def origin_words(origin: np.ndarray) -> str:
+    """A local origin for a message."""
+    return "(" + ", ".join(f"{value:.15g}" for value in origin) + ")"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cameras:
     """C posed pinhole cameras: OpenCV axes (x right, y down, z forward), pixel centres at +0.5."""
@@ -62,6 +105,9 @@ class Cameras:
     """Image names as the capture states them, sub-folders with '/'."""
     up: np.ndarray | None = None
     """[3] float64, unit: up in the world, where the capture states it; else the cameras tell."""
+    origin: np.ndarray | None = None
+    """[3] float64, where the origin of the world lies in the coordinates of the capture, for
+    captures that are far from their own; None: it is that."""
 
     def __post_init__(self) -> None:
         check_array("viewmats", self.viewmats, ("C", 4, 4), np.float64)
@@ -71,6 +117,8 @@ class Cameras:
         check_array("heights", self.heights, (c,), np.int64)
         if self.up is not None:
             check_array("up", self.up, (3,), np.float64)
+        if self.origin is not None:
+            check_array("origin", self.origin, (3,), np.float64)
         if len(self.names) != c:
             raise ShapeError(f"names must hold {c} entries, one a camera, got {len(self.names)}.")
 
@@ -82,6 +130,20 @@ class Cameras:
         """[C, 3] float64, camera positions in the world."""
         rotation, translation = self.viewmats[:, :3, :3], self.viewmats[:, :3, 3]
         return -np.einsum("cji,cj->ci", rotation, translation)
+
+    def of_splats(self, origin: np.ndarray | None) -> "Cameras":
+        """The cameras in the world of splats that are about a local origin. Cameras of a file that
+        states none are about it where `lie_about` says so."""
+        if self.origin is None and lie_about(self.centers, origin):
+            return replace(self, origin=origin)
+        return self.about(origin)
+
+    def about(self, origin: np.ndarray | None) -> "Cameras":
+        """The same cameras in a world about another local origin, [3], None as in `origin`."""
+        shift = offset_between(origin, self.origin)
+        if not shift.any():
+            return self
+        return replace(self, viewmats=moved_viewmats(self.viewmats, shift), origin=origin)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,7 +104,7 @@ def cut_capture(
     by_rule = is_chosen(data, stated=stated)
     _, test, same = split_apart(views, *split_views(names, data, stated=stated), chosen=by_rule)
     held_out = {views[i].name for i in test}
-    records = _records(cells, views, held_out, capture.masks_are)
+    records = _records(cells, views, held_out, capture)
     blocks = _blocks(model, cells, records, margin, share)
     warnings = [*capture.warnings, *told, *same]
     return Cut(views=views, masks=masks, model=model, blocks=blocks, warnings=tuple(warnings))
@@ -121,7 +121,8 @@ def _check(count: int, margin: float, share: float) -> None:
 
 def _model(capture: Capture, views: list[View]) -> ColmapModel:
     """The capture's COLMAP model with tracks, or one made of what it states; images as `views`."""
-    found = model_with(capture.root, {view.name: view.viewmat for view in views})
+    viewmats = {view.name: view.viewmat for view in views}
+    found = model_with(capture.root, viewmats, origin=capture.origin)
     if found is None:
         return _made(capture, views)
     by_name = {image.name: image for image in found.images}
@@ -160,11 +161,13 @@ def _made(capture: Capture, views: list[View]) -> ColmapModel:
         error=np.full(len(xyz), -1.0),
         track_lengths=np.zeros(len(xyz), np.int32),
     )
-    return ColmapModel(cameras=cameras, images=images, points=points, up=capture.up)
+    return ColmapModel(
+        cameras=cameras, images=images, points=points, up=capture.up, origin=capture.origin
+    )
 
 
 def _records(
-    cells: Cells, views: list[View], held_out: set[str], masks_are: str
+    cells: Cells, views: list[View], held_out: set[str], capture: Capture
 ) -> Callable[[int, list[int]], BlockRecord]:
     """Makes the record of a block of its index and its views."""
     digest = hashlib.sha256(cells.axes.tobytes() + cells.bounds.tobytes())
@@ -181,7 +184,8 @@ def _records(
             axes=cells.axes,
             bounds=cells.bounds,
             test_names=tuple(names),
-            masks_are=masks_are,
+            masks_are=capture.masks_are,
+            origin=capture.origin,
         )
 
     return record

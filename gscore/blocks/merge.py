@@ -22,6 +22,8 @@ class TrainedBlock:
     record: BlockRecord
     splats: Splats
     """In COLMAP world."""
+    origin: np.ndarray | None = None
+    """[3] float64, the local origin that they are about, the same for all blocks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +80,6 @@ def merge_blocks(blocks: Sequence[TrainedBlock]) -> Merged:
     """
     parts = []
     for block in sorted(blocks, key=lambda block: block.record.index):
-        inside = block.record.holds(block.splats.means.astype(np.float64))
+        inside = block.record.holds(block.splats.means.astype(np.float64), block.origin)
         parts.append(block.splats.subset(inside))
     return Merged(splats=joined(parts), kept=tuple(len(part) for part in parts))

@@ -18,6 +18,7 @@ from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
 from ..report.compare_page import PairPictures, names_of, write_comparison
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
+from ..scene import Cameras
 from ..shown import shown
 from ..words import count_words
 from .given.model import GivenModel, open_model
@@ -158,6 +159,7 @@ def _pictures(
     status: Status,
 ) -> list[PairPictures]:
     """Photo and both renders of the views that get pictures, small."""
+    seen = [(model, model.world_of(dataset.scene.cameras)) for model in models]
     places = {name: i for i, name in enumerate(dataset.names)}
     count = len(comparison.pairs)
     names = [pair.name for i, pair in enumerate(comparison.pairs) if has_pictures(i, count)]
@@ -172,7 +174,7 @@ def _pictures(
     found = []
     for done, name in enumerate(names, start=1):
         index = places[name]
-        renders = [_rendered(model, dataset, index, threads) for model in models]
+        renders = [_rendered(model, cameras, index, threads) for model, cameras in seen]
         photo, _ = target_picture(
             dataset.image(index), dataset.mask(index), dataset.mask_mode, models[0].background
         )
@@ -185,8 +187,8 @@ def _pictures(
     return found
 
 
-def _rendered(model: GivenModel, dataset: Dataset, index: int, threads: int) -> np.ndarray:
-    return np.clip(model.picture(dataset.scene.cameras, index, threads=threads), 0, 1)
+def _rendered(model: GivenModel, cameras: Cameras, index: int, threads: int) -> np.ndarray:
+    return np.clip(model.picture(cameras, index, threads=threads), 0, 1)
 
 
 def _summary(comparison: RunComparison, output: Path) -> str:

@@ -82,6 +82,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     """Do it; the facts for `--json`."""
     status.show(["Reading the splats"])
     models = [_open(path, args) for path in (args.input, *args.merge)]
+    models = [model.about(models[0].origin) for model in models]
     _check_not_read(args, models)
     views = _views(args, models[0])
     if args.picture_view is not None:
@@ -186,6 +187,7 @@ def _writer(models: list[GivenModel], spz_version: int, *, keeps_up: bool) -> _W
             path,
             splats,
             antialiased=models[0].antialias,
+            origin=models[0].origin,
             comments=comments,
             spz_version=spz_version,
         )

@@ -125,6 +125,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         check_replaced([args.error_map], overwrite=args.overwrite)
     _say(show, f"Reading the capture {config.source}")
     dataset = load_dataset(config)
+    cameras = model.world_of(dataset.scene.cameras)
     told: list[str] = []
     if model.data is not None and config.source.resolve() == model.data.source.resolve():
         dataset, told = _of_region(dataset, model)
@@ -147,18 +148,18 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     if args.error_map is not None:
         errors = SplatErrors(model.splats, antialias=model.antialias, threads=args.threads)
     evaluation = evaluate(
-        lambda index: model.picture(dataset.scene.cameras, index, threads=args.threads),
+        lambda index: model.picture(cameras, index, threads=args.threads),
         dataset,
         indices,
         lpips=lpips,
         lpips_reason=lpips_reason,
         background=model.background,
-        on_view=_Views(model, dataset.scene.cameras, indices, pictures, errors, show, control),
+        on_view=_Views(model, cameras, indices, pictures, errors, show, control),
     )
     warnings += told_of_strangers(
         judged_psnr(evaluation.mean), f"The splats of {shown(str(model.path))}"
     )
-    names = dataset.scene.cameras.names
+    names = cameras.names
     metrics = Metrics(
         evaluation=evaluation,
         split=split,
@@ -206,7 +207,7 @@ def _write_map(path: Path, model: GivenModel, errors: SplatErrors) -> dict[str, 
     found = errors.mean()
     bright = brightest(found)
     colored = error_map(model.splats, found, bright=bright)
-    write_splat_file(path, colored, antialiased=model.antialias)
+    write_splat_file(path, colored, antialiased=model.antialias, origin=model.origin)
     return {"error_map": str(path), "error_bright": bright}
 
 
@@ -346,7 +347,7 @@ def _of_region(dataset: Dataset, model: GivenModel) -> tuple[Dataset, list[str]]
     from ..trainer.region.photos import RegionPhotos
 
     try:
-        box = Box.read(config.region)
+        box = Box.read(config.region).about(dataset.scene.cameras.origin)
     except GsError as error:
         return dataset, [f"The run trained a region, but whole pictures are measured: {error}"]
     narrow = config.start_splats is None

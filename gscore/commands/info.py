@@ -113,6 +113,7 @@ def _model_facts(model: GivenModel) -> dict[str, Any]:
         "format": model.file.format,
         "layout": model.file.layout,
         "antialias": model.antialias,
+        "origin": None if model.origin is None else model.origin.tolist(),
         "comments": list(model.file.comments),
         **(_statistics(splats) if len(splats) else {}),
         "warnings": list(model.warnings),
@@ -200,6 +201,7 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
             1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max(initial=0.0)
         ),
         "points": found.points,
+        "origin": None if cameras.origin is None else cameras.origin.tolist(),
         "masks": dataset.mask_mode,
         "masks_inverted": config.invert_masks,
         "decoded_bytes": dataset.nbytes,

@@ -86,6 +86,7 @@ def lod_facts(path: Path, index: LodIndex) -> dict[str, Any]:
         "sh_degree": index.sh_degree,
         "storage_bytes": path.stat().st_size,
         "antialias": index.antialias,
+        "origin": None if index.origin is None else index.origin.tolist(),
         "cameras": 0 if index.cameras is None else len(index.cameras),
         "bounds": [finest.low.min(axis=0).tolist(), finest.high.max(axis=0).tolist()],
         "levels": [

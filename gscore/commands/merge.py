@@ -62,10 +62,11 @@ def run(args: argparse.Namespace) -> int:
         for i, path in enumerate(runs):
             status.show([f"Reading run {i + 1} of {len(runs)}"])
             models.append(open_model(path))
+        models = [model.about(models[0].origin) for model in models]
         warnings += _compare(runs, models)
         merged = merge_blocks(
             [
-                TrainedBlock(path=path, record=record, splats=model.splats)
+                TrainedBlock(path=path, record=record, splats=model.splats, origin=model.origin)
                 for path, record, model in zip(runs, records, models, strict=True)
             ]
         )
@@ -74,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
             args.output,
             merged.splats,
             antialiased=models[0].antialias,
+            origin=models[0].origin,
             comments=("Merged by gscore",),
         )
     warnings += written.notes

@@ -47,6 +47,9 @@ class Capture:
     """World points; may be empty."""
     up: np.ndarray | None = None
     """[3] float64, unit: up in the world, where the capture states it."""
+    origin: np.ndarray | None = None
+    """[3] float64, where the origin of views and points lies in the coordinates of the capture;
+    None: it is that of these."""
     error_px: float | None = None
     """Mean reprojection error of the points, pixels; None: not stated."""
     test_names: frozenset[str] = frozenset()

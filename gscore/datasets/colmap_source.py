@@ -92,6 +92,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         views=views,
         points=points,
         up=model.up,
+        origin=model.origin,
         error_px=_mean_error(model.points),
         test_names=frozenset(block.test_names if block else ()),
         masks_are=block.masks_are if block else "",

@@ -26,7 +26,12 @@ RANDOM_SEED = 0
 """Of those points."""
 
 
-def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: False) -> Dataset:
+def load_dataset(
+    config: DataConfig,
+    *,
+    origin: np.ndarray | None = None,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> Dataset:
     """Read a capture: a COLMAP model or a transforms.json, with photos and masks.
 
     Photos are not decoded yet (except to colour black points): `Dataset.nbytes` says what they will
@@ -34,6 +39,8 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
 
     Args:
         config: Which capture, and how to use it.
+        origin: [3], the local origin that cameras and points are to be about, in the coordinates of
+            the capture; zeros: none; None: one is chosen where float32 needs it.
         cancelled: Asked between photos; true ends the call.
 
     Raises:
@@ -44,7 +51,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         BackendError: an optional package that this capture takes is not installed.
     """
     check_resolution(config.resolution)
-    capture = read_capture(config)
+    capture = read_capture(config, origin=origin)
     views = sorted(capture.views, key=lambda view: view.name)
     infos = []
     for view in views:
@@ -70,6 +77,7 @@ def load_dataset(config: DataConfig, *, cancelled: Callable[[], bool] = lambda: 
         heights=np.array([file.size[1] for file in files], np.int64),
         names=tuple(view.name for view in views),
         up=up_as_held(views, infos) if capture.up is None else capture.up,
+        origin=capture.origin,
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
     by_rule = is_chosen(config, stated=capture.test_names)

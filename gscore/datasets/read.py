@@ -1,26 +1,35 @@
 """A capture folder read as its files state it, whatever its layout; numpy alone."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import find_model
 from .capture import Capture
 from .colmap_source import read_colmap
+from .origin import about_origin
 from .pku.case import find_video, read_video
 from .programs import find_program, read_program
 from .rig import with_rig
 from .transforms_json import find_transforms, read_transforms
 
 
-def read_capture(config: DataConfig, *, photos_required: bool = True) -> Capture:
+def read_capture(
+    config: DataConfig, *, photos_required: bool = True, origin: np.ndarray | None = None
+) -> Capture:
     """Views, cameras and points of a COLMAP model, a transforms.json, a frame of a video, or of the
     camera file of another program.
 
-    No photo is decoded. With `config.rig` cameras and world are those of that capture.
+    No photo is decoded. With `config.rig` cameras and world are those of that capture. Where its
+    coordinates are too large for float32, views and points are about a local origin.
 
     Args:
         config: `source`, `images`, `frame` and `rig`.
         photos_required: Leave out views whose photo is missing and refuse a capture that misses
             most; else all views stay, with the file where their photo should be.
+        origin: As `about_origin` takes it.
 
     Raises:
         DatasetError: there is no capture, or its photos are missing, or the rig is another one.
@@ -28,10 +37,11 @@ def read_capture(config: DataConfig, *, photos_required: bool = True) -> Capture
         ConfigError: `frame` was given for a capture that has none.
     """
     capture = _read(config, photos_required)
-    if config.rig is None:
-        return capture
-    rig = _read(DataConfig(source=config.rig), False)
-    return with_rig(capture, rig, where=config.source, rig_at=config.rig)
+    if config.rig is not None:
+        rig = _read(DataConfig(source=config.rig), False)
+        capture = with_rig(capture, rig, where=config.source, rig_at=config.rig)
+        capture = replace(capture, origin=rig.origin)
+    return about_origin(capture, origin)
 
 
 def _read(config: DataConfig, photos_required: bool) -> Capture:

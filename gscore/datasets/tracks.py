@@ -63,12 +63,17 @@ def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
 
 def model_of(dataset: Dataset, *, most: int | None = None) -> ColmapModel | None:
     """The COLMAP model of a capture, as `model_with` finds it."""
-    viewmats = dict(zip(dataset.names, dataset.scene.cameras.viewmats, strict=True))
-    return model_with(dataset.source, viewmats, most=most)
+    cameras = dataset.scene.cameras
+    viewmats = dict(zip(dataset.names, cameras.viewmats, strict=True))
+    return model_with(dataset.source, viewmats, origin=cameras.origin, most=most)
 
 
 def model_with(
-    source: Path, viewmats: Mapping[str, np.ndarray], *, most: int | None = None
+    source: Path,
+    viewmats: Mapping[str, np.ndarray],
+    *,
+    origin: np.ndarray | None,
+    most: int | None = None,
 ) -> ColmapModel | None:
     """The COLMAP model of a capture if its images are the views, and stand where these do.
 
@@ -77,6 +82,7 @@ def model_with(
     Args:
         source: Folder of the capture.
         viewmats: By the name of each view, [4, 4] world to camera.
+        origin: Local origin that they are about, as `Cameras.origin`; so is what is returned.
         most: As `read_model` takes it.
 
     Raises:
@@ -86,7 +92,7 @@ def model_with(
         find_model(source)
     except DatasetError:
         return None
-    model = read_model(source, most=most)
+    model = read_model(source, most=most).about(origin)
     poses = {image.name: image.viewmat for image in model.images}
     same = all(name in poses and np.allclose(poses[name], pose) for name, pose in viewmats.items())
     return model if same else None

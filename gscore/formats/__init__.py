@@ -7,24 +7,29 @@ from .registry import (
     format_to_write,
     is_antialiased,
     is_splat_file,
+    read_decoded,
     read_splat_file,
     read_splat_parts,
     read_splats,
+    says_origin,
     write_splat_file,
 )
-from .splat_file import SplatFile, WrittenFile
+from .splat_file import Decoded, SplatFile, WrittenFile
 
 __all__ = [
     "FORMATS",
     "SPLAT_ENDINGS",
+    "Decoded",
     "SplatFile",
     "WrittenFile",
     "files_of",
     "format_to_write",
     "is_antialiased",
     "is_splat_file",
+    "read_decoded",
     "read_splat_file",
     "read_splat_parts",
     "read_splats",
+    "says_origin",
     "write_splat_file",
 ]

@@ -31,7 +31,7 @@ from .gltf_writing import (
     write_gltf,
     write_packed_gltf,
 )
-from .joined import joined
+from .joined import joined_files
 from .splat_file import Decoded, SplatFormat
 
 _DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
@@ -58,7 +58,7 @@ def _is_gltf(path: Path, sample: FileSample) -> bool:
 def _read(path: Path) -> Decoded:
     file = Gltf(path)
     _check_required(file)
-    parts, layouts, marks = [], [], []
+    parts, layouts, marks, origins = [], [], [], []
     count = 0
     for matrix, primitive in _primitives(file):
         splats, layout, flagged = _splats(file, primitive)
@@ -73,7 +73,9 @@ def _read(path: Path) -> Decoded:
             f"{path} is a glTF file without splats: none of its {meshes} meshes has the extension "
             f"{EXTENSION}. Give the file of a trained model."
         )
-    return Decoded(splats=joined(parts), layout=layouts[0], antialiased=all(marks))
+    said = {"layout": layouts[0], "antialiased": all(marks)}
+    pairs = zip(parts, origins, strict=True)
+    return joined_files([Decoded(splats=part, origin=origin, **said) for part, origin in pairs])
 
 
 def _check_repeated(file: Gltf, count: int, times: int) -> None:

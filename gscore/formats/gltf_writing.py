@@ -18,7 +18,7 @@ from . import spz
 from .axes import Z, half_turn
 from .gltf import CHECK, GltfBuffer, buffers_in, escaped, write_glb
 from .parts import parts_of, write_parts
-from .splat_file import WriteOptions
+from .splat_file import ORIGIN, WriteOptions
 
 EXTENSION = "KHR_gaussian_splatting"
 PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
@@ -118,8 +118,10 @@ def _content(
         "mode": POINTS_MODE,
         "extensions": {EXTENSION: {**_PROPERTIES, **packed}},
     }
-    if options.antialiased:
-        primitive["extras"] = {GLTF_MARK: True}
+    extras: dict[str, Any] = {GLTF_MARK: True} if options.antialiased else {}
+    extras |= {} if options.origin is None else {ORIGIN: options.origin.tolist()}
+    if extras:
+        primitive["extras"] = extras
     return {
         "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
         "extensionsUsed": [EXTENSION],

@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from ..splats import Splats
+from .splat_file import Decoded
+
+DecodedT = TypeVar("DecodedT", bound=Decoded)
 
 
 def joined(parts: Sequence[Splats]) -> Splats:
@@ -21,3 +25,10 @@ def joined(parts: Sequence[Splats]) -> Splats:
     return Splats(
         **{name: np.concatenate([getattr(part, name) for part in even]) for name in names}
     )
+
+
+def joined_files(parts: Sequence[DecodedT]) -> DecodedT:
+    """One model of at least one, about the local origin of the first; what else it says is said by
+    the first."""
+    first = parts[0]
+    return replace(first, splats=joined([part.about(first.origin).splats for part in parts]))

@@ -2,14 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from ..io.file_sample import FileSample
 from ..io.ply.splats import (
     MIP_COMMENT,
     header_comments,
     is_antialiased_ply,
+    is_origin_comment,
+    origin_comment,
     read_ply,
     read_ply_parts,
     says_antialias,
+    stated_origin,
     write_splats,
 )
 from ..splats import Splats
@@ -28,20 +33,28 @@ def read(path: Path) -> Decoded:
         splats=splats,
         layout="3DGS",
         antialiased=says_antialias(comments),
+        origin=stated_origin(path, comments),
         comments=comments,
     )
 
 
 def comments_of(options: WriteOptions) -> tuple[str, ...]:
-    """Lines for the header, with the mark of the compensation."""
-    others = tuple(line for line in options.comments if not says_antialias((line,)))
-    return (MIP_COMMENT, *others) if options.antialiased else others
+    """Lines for the header, with the mark of the compensation and the local origin."""
+    marks = (MIP_COMMENT,) if options.antialiased else ()
+    marks += () if options.origin is None else (origin_comment(options.origin),)
+    others = (line for line in options.comments if not says_antialias((line,)))
+    return (*marks, *(line for line in others if not is_origin_comment(line)))
 
 
 def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     """Write the official layout."""
     write_splats(path, splats, comments=comments_of(options))
     return []
+
+
+def origin_of_ply(path: Path) -> np.ndarray | None:
+    """The local origin that a file states."""
+    return stated_origin(path, header_comments(path))
 
 
 PLY = SplatFormat(
@@ -52,6 +65,7 @@ PLY = SplatFormat(
     read=read,
     write=write,
     says_antialiased=is_antialiased_ply,
+    says_origin=origin_of_ply,
     read_parts=read_ply_parts,
     most_degree=4,
 )

@@ -208,4 +208,5 @@ COMPRESSED_PLY = SplatFormat(
     read=_read,
     write=_write,
     says_antialiased=is_antialiased_ply,
+    says_origin=ply.origin_of_ply,
 )

@@ -15,12 +15,13 @@ from ..io.files import is_file, reason
 from ..io.foreign import foreign
 from ..io.splat_rows import drawable_rows
 from ..logged import collected_warnings
+from ..scene import checked_origin, origin_words
 from ..sh import MAX_DEGREE
 from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats, cut_degree
 from ..words import count_words, number
 from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
-from .splat_file import SplatFile, SplatFormat, WriteOptions, WrittenFile
+from .splat_file import Decoded, SplatFile, SplatFormat, WriteOptions, WrittenFile
 
 FORMATS: tuple[SplatFormat, ...] = (
     ply_compressed.COMPRESSED_PLY,
@@ -67,9 +68,17 @@ def read_splat_file(path: str | Path) -> SplatFile:
 
 
 def read_splats(path: str | Path) -> Splats:
-    """The model of `read_splat_file` alone; what would be its notes is logged as warnings."""
+    """The model of `read_splat_file` alone; what would be its notes is logged as warnings.
+
+    Means are about the file's local origin, where it states one: see `read_splat_file`.
+    """
+    return read_decoded(path).splats
+
+
+def read_decoded(path: str | Path) -> Decoded:
+    """As `read_splats`, with what the file says."""
     file = _file_of(Path(path))
-    return _format_of(file).read(file).splats
+    return _format_of(file).read(file)
 
 
 def read_splat_parts(path: str | Path, rows: int) -> Iterator[Splats]:
@@ -102,11 +111,23 @@ def is_antialiased(path: str | Path) -> bool:
     return says(file) if says else found.read(file).antialiased
 
 
+def says_origin(path: str | Path) -> np.ndarray | None:
+    """[3] float64, the local origin that a file states; None: none.
+
+    Raises:
+        GsError: as `read_splat_file`.
+    """
+    file = _file_of(Path(path))
+    found = _format_of(file)
+    return found.says_origin(file) if found.says_origin else found.read(file).origin
+
+
 def write_splat_file(
     path: str | Path,
     splats: Splats,
     *,
     antialiased: bool = False,
+    origin: np.ndarray | None = None,
     sh_degree: int | None = None,
     comments: tuple[str, ...] = (),
     spz_version: int = 3,
@@ -117,6 +138,8 @@ def write_splat_file(
         path: The file; its ending is one of `SPLAT_ENDINGS`, and its folder is made.
         splats: The model, raw parameters in the axes of a 3DGS PLY.
         antialiased: Whether its splats want the anti-aliasing compensation.
+        origin: [3], the local origin that means are about, in the coordinates of the capture; None:
+            there is none.
         sh_degree: The highest degree written; None: all that the model and the format hold.
         comments: For headers that have room for them.
         spz_version: Of SPZ: 3, which every reader knows, or 4, with zstd.
@@ -155,8 +178,16 @@ def write_splat_file(
             f"{found.name} cannot say that splats were trained with antialiasing; who draws it has "
             f"to know."
         )
+    if origin is not None:
+        origin = checked_origin(origin)
+        if not found.keeps_origin:
+            notes.append(
+                f"{found.name} cannot state a local origin: positions are about "
+                f"{origin_words(origin)}, which has to be added to them for the coordinates of "
+                f"the capture."
+            )
     options = WriteOptions(
-        antialiased=antialiased, comments=tuple(comments), spz_version=spz_version
+        antialiased=antialiased, origin=origin, comments=tuple(comments), spz_version=spz_version
     )
     assert found.write is not None
     notes += found.write(path, kept, options)

@@ -133,7 +133,7 @@ def _decode(path: Path, raw: bytes, fetch: _Fetch) -> Decoded:
         sh0=meta.codebook("sh0")[colors[:, :3]],
         shN=_harmonics(meta, fetch),
     )
-    return Decoded(splats=splats, layout="SOG 2", antialiased=meta.antialiased)
+    return Decoded(splats=splats, layout="SOG 2", antialiased=meta.antialiased, origin=meta.origin)
 
 
 class _Meta:
@@ -158,6 +158,7 @@ class _Meta:
                 f"splat-transform, or export a 3DGS PLY."
             )
         self.count = self._whole(content, "count", 0, 2**31)
+        self.origin = origin_in(content, partial(_damaged, path))
         self.antialiased = content.get("antialias") is True or content.get("model") == ANTIALIASED
 
     @property

@@ -23,7 +23,7 @@ from . import textures
 from .codebook import codebook, nearest_entries, palette
 from .far_splats import cut_extremes, without_far
 from .parts import write_parts
-from .splat_file import WriteOptions
+from .splat_file import ORIGIN, WriteOptions
 
 META = "meta.json"
 PALETTE_WIDTH = 64
@@ -46,6 +46,7 @@ def write_sog(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
         raise ConfigError(f"{path}: SOG holds 268 million splats at most.")
     meta, pictures, notes = _textures(splats)
     meta |= {"antialias": True, "model": ANTIALIASED} if options.antialiased else {}
+    meta |= {} if options.origin is None else {ORIGIN: options.origin.tolist()}
     files = textures.encode_all(pictures)
     if path.suffix.lower() == ".json":
         write_parts(path, files, lambda *found: _index(meta, *found), parts_in)

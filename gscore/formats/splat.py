@@ -85,4 +85,5 @@ SPLAT = SplatFormat(
     write=_write,
     most_degree=0,
     keeps_antialiased=False,
+    keeps_origin=False,
 )

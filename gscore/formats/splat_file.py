@@ -1,15 +1,21 @@
 """What readers and writers of splats hand over: a model, and what its file says of it."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 
+from ..errors import FormatError
 from ..io.file_sample import FileSample
+from ..scene import checked_origin, lie_about, offset_between, origin_words
 from ..sh import sh0_to_rgb
 from ..splats import Splats
 from ..words import count_words
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +28,34 @@ class Decoded:
     """Which of the layouts of its format the file has, for people."""
     antialiased: bool = False
     """Whether the file says that its splats want the anti-aliasing compensation."""
+    origin: np.ndarray | None = None
+    """[3] float64, the local origin that means are about, as `Cameras.origin`, where the file
+    states one."""
     comments: tuple[str, ...] = ()
     """What else its header tells, line by line."""
+
+    def about(self, origin: np.ndarray | None) -> Self:
+        """The same model with means about another local origin, [3]; computed in float64."""
+        shift = offset_between(origin, self.origin)
+        if not shift.any():
+            return self
+        means = (self.splats.means.astype(np.float64) - shift).astype(np.float32)
+        return replace(self, splats=replace(self.splats, means=means), origin=origin)
+
+    def of_capture(self, origin: np.ndarray | None) -> Self:
+        """The model with its local origin made out, as splats of a capture that is about `origin`.
+
+        Programs that edit splats lose what a file states. Those of a file that states nothing are
+        about `origin` where `lie_about` says so; a warning is logged.
+        """
+        if self.origin is not None or origin is None or not lie_about(self.splats.means, origin):
+            return self
+        _log.warning(
+            "The splats state no local origin, but lie about that of the capture, %s; it is taken "
+            "for theirs.",
+            origin_words(origin),
+        )
+        return replace(self, origin=origin)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +82,8 @@ class WriteOptions:
     """For headers that have room for them."""
     spz_version: int
     """Of SPZ: 3 or 4."""
+    origin: np.ndarray | None = None
+    """[3] float64, the local origin that means are about; None: there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +98,24 @@ class WrittenFile:
     """Bytes on the disk, of all files."""
     notes: tuple[str, ...]
     """Sentences on what of the model the file does not hold."""
+
+
+ORIGIN = "origin"
+"""Key of a local origin, [3], in formats whose JSON has room for it."""
+
+
+def origin_in(facts: Mapping[str, Any], damaged: Callable[[str], FormatError]) -> np.ndarray | None:
+    """[3] float64, the local origin among what a file says; None: none.
+
+    Raises:
+        FormatError: what `damaged` makes of a sentence without a subject, where it is no place.
+    """
+    if ORIGIN not in facts:
+        return None
+    try:
+        return checked_origin(facts[ORIGIN])
+    except ValueError as error:
+        raise damaged(f"it misstates its {error}") from error
 
 
 def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
@@ -107,6 +159,9 @@ class SplatFormat:
     says_antialiased: Callable[[Path], bool] | None = None
     """Whether a file says that its splats want the compensation, where that takes no reading of all
     of it; raises GsError."""
+    says_origin: Callable[[Path], np.ndarray | None] | None = None
+    """The local origin that a file states, where that takes no reading of all of it; raises
+    GsError."""
     read_parts: Callable[[Path, int], Iterator[Splats]] | None = None
     """Reads so many splats at a time; raises GsError; None: a model is read whole."""
     beside: Callable[[Path], Iterable[Path]] = lambda path: ()
@@ -115,3 +170,5 @@ class SplatFormat:
     """The highest SH degree that it holds."""
     keeps_antialiased: bool = True
     """Whether it can say that splats want the compensation."""
+    keeps_origin: bool = True
+    """Whether it can state the local origin that means are about."""

@@ -364,4 +364,5 @@ SPZ = SplatFormat(
     read=_read,
     write=_write,
     most_degree=4,
+    keeps_origin=False,
 )

@@ -26,7 +26,7 @@ from ..sh import sh_count
 from ..splats import Splats, cut_degree
 from . import usd_reading
 from .axes import X, half_turn, harmonic_signs
-from .splat_file import Decoded, SplatFormat, WriteOptions
+from .splat_file import ORIGIN, Decoded, SplatFormat, WriteOptions
 from .usd_reading import MARK, TYPE, usd_library
 
 _REACH = 3.0
@@ -54,7 +54,8 @@ def _read(path: Path) -> Decoded:
         if told["error"]:
             raise FormatError(told["error"])
         splats = read_ply(made)
-    return Decoded(splats=splats, layout="USD", antialiased=told["antialiased"])
+    origin = None if told["origin"] is None else np.array(told["origin"], np.float64)
+    return Decoded(splats=splats, layout="USD", antialiased=told["antialiased"], origin=origin)
 
 
 def _in_child(path: Path, made: Path) -> dict[str, Any]:
@@ -125,6 +126,9 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
     prim.CreateExtentAttr(vectors(_extent(splats.means, scales)))
     if options.antialiased:
         prim.GetPrim().SetCustomDataByKey(MARK, True)
+    if options.origin is not None:
+        stated = need("pxr.Gf", "USD").Vec3d(*options.origin.tolist())
+        prim.GetPrim().SetCustomDataByKey(ORIGIN, stated)
     return stage
 
 

@@ -16,16 +16,18 @@ from ..extras import need
 from ..io.ply.splats import write_splats
 from ..io.splat_rows import drawable, log_scales, logits
 from ..logged import collected_warnings
+from ..scene import checked_origin
 from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
 from ..transforms import transform_splats
 from ..words import number
 from .axes import X, half_turn
-from .joined import joined
+from .joined import joined_files
+from .splat_file import ORIGIN, Decoded
 
 TYPE = "ParticleField3DGaussianSplat"
 MARK = "antialiased"
-"""In the custom data of a prim; the schema has no place for it."""
+"""In the custom data of a prim, as is the origin; the schema has no place for them."""
 _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
 """Of all files of a scene, whose instances repeat splats, and how many more there may be."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -34,11 +36,13 @@ _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 def hand_over(file: Path, ply: Path) -> dict[str, Any]:
     """Read, write, and say what there is to say."""
-    told: dict[str, Any] = {"error": "", "antialiased": False}
+    told: dict[str, Any] = {"error": "", "antialiased": False, "origin": None}
     with collected_warnings() as warnings:
         try:
-            splats, told["antialiased"] = read_usd(file)
-            write_splats(ply, splats)
+            found = read_usd(file)
+            told["antialiased"] = found.antialiased
+            told["origin"] = None if found.origin is None else found.origin.tolist()
+            write_splats(ply, found.splats)
         except GsError as error:
             told["error"] = str(error)
     return told | {"warnings": warnings}
@@ -59,8 +63,8 @@ def usd_library() -> Any:
     return found
 
 
-def read_usd(path: Path) -> tuple[Splats, bool]:
-    """The splats of a file, in the axes of a 3DGS PLY, and whether they want the compensation.
+def read_usd(path: Path) -> Decoded:
+    """The splats of a file, in the axes of a 3DGS PLY.
 
     Raises:
         FormatError: it holds none, or is damaged.
@@ -70,12 +74,13 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
     Usd, Tf, UsdGeom = need("pxr.Usd", "USD"), need("pxr.Tf", "USD"), need("pxr.UsdGeom", "USD")
     try:
         stage = Usd.Stage.Open(str(path))
-        parts, matrices, marks = [], [], []
+        parts, matrices, marks, origins = [], [], [], []
         room = _MOST_SPLATS_A_BYTE * _bytes_of(stage) + _SLACK
         for prim, matrix in _placed(stage.GetPseudoRoot(), np.eye(4), None):
             parts.append(_splats(path, prim))
             matrices.append(matrix)
             marks.append(prim.GetCustomDataByKey(MARK) is True)
+            origins.append(_origin(path, prim))
             room -= len(parts[-1])
             if room < 0:
                 raise _repeated(path, len(parts))
@@ -97,7 +102,21 @@ def read_usd(path: Path) -> tuple[Splats, bool]:
         ]
     except ShapeError as error:
         raise FormatError(f"{path}: a prim cannot be placed. {error}") from error
-    return half_turn(joined(placed), X), all(marks)
+    return joined_files(
+        [
+            Decoded(splats=half_turn(part, X), layout="USD", antialiased=all(marks), origin=origin)
+            for part, origin in zip(placed, origins, strict=True)
+        ]
+    )
+
+
+def _origin(path: Path, prim: Any) -> np.ndarray | None:
+    """The local origin that a prim states, in the axes of a 3DGS PLY; None: none."""
+    stated = prim.GetCustomDataByKey(ORIGIN)
+    try:
+        return None if stated is None else checked_origin([float(value) for value in stated])
+    except (TypeError, ValueError) as error:
+        raise _damaged(path, prim, f"misstates its origin, {error}") from error
 
 
 def _reason(error: Exception) -> str:

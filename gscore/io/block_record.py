@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import FormatError
 from ..events import strict_json
 from ..json_text import parse_json
+from ..scene import checked_origin, offset_between
 from ..shown import shown
 from .files import atomic_write, is_file, read_bytes
 
@@ -40,14 +41,18 @@ class BlockRecord:
     """Views of this block that the whole holds out."""
     masks_are: str = ""
     """What masks mean, as `Capture.masks_are`."""
+    origin: np.ndarray | None = None
+    """[3] float64, the local origin that `bounds` are about, as `Cameras.origin`."""
 
     @property
     def count(self) -> int:
         """How many blocks there are."""
         return len(self.bounds)
 
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """[P] bool: which of `points` [P, 3], in the world of the capture, lie in its cell."""
+    def holds(self, points: np.ndarray, origin: np.ndarray | None = None) -> np.ndarray:
+        """[P] bool: which of `points` [P, 3], in the world of the capture about a local origin, lie
+        in its cell."""
+        points = points + offset_between(origin, self.origin)
         return in_cells(points, self.axes, self.bounds[self.index][None])[0]
 
     def is_cell_of(self, other: "BlockRecord") -> bool:
@@ -74,6 +79,8 @@ class BlockRecord:
             "test_names": list(self.test_names),
             "masks_are": self.masks_are,
         }
+        if self.origin is not None:
+            content["origin"] = self.origin.tolist()
         atomic_write(folder / name, (strict_json(content) + "\n").encode())
 
 
@@ -145,6 +152,7 @@ def _understood(content: Any) -> BlockRecord:
         bounds=np.array(ends, np.float64),
         test_names=tuple(map(str, content["test_names"])),
         masks_are=str(content["masks_are"]),
+        origin=checked_origin(content["origin"]) if "origin" in content else None,
     )
     whole = record.axes.shape == (2, 3) and record.bounds.shape == (record.count, 2, 2)
     if not whole or not 0 <= record.index < record.count or not _tiles(record):

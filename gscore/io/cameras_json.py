@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..json_text import parse_json
-from ..scene import FARTHEST, Cameras, is_focal
+from ..scene import FARTHEST, Cameras, checked_origin, is_focal
 from ..shown import shown
 from ..transforms import invert_rigid
 from .files import atomic_write, read_bytes
@@ -19,7 +19,8 @@ def write_cameras(path: str | Path, cameras: Cameras) -> None:
     """Write cameras in the official layout: position and rotation are camera to world, OpenCV axes.
 
     The official layout has no principal point and takes the centre; `cx` and `cy` are added, which
-    other readers skip, and where it is known, `up` of the world to the first camera.
+    other readers skip, and where they are known, `up` of the world and its local `origin` to the
+    first camera.
 
     Raises:
         GsError: the file cannot be written.
@@ -42,6 +43,8 @@ def write_cameras(path: str | Path, cameras: Cameras) -> None:
     ]
     if entries and cameras.up is not None:
         entries[0]["up"] = cameras.up.tolist()
+    if entries and cameras.origin is not None:
+        entries[0]["origin"] = cameras.origin.tolist()
     lines = ",\n".join(json.dumps(entry) for entry in entries)
     atomic_write(path, f"[\n{lines}\n]\n".encode())
 
@@ -65,11 +68,12 @@ def read_cameras_json(path: str | Path) -> Cameras:
     count = len(entries)
     poses, intrinsics = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1))
     sizes, names = np.zeros((count, 2), np.int64), []
-    up = None
+    up, origin = None, None
     for i, entry in enumerate(entries):
         try:
             names.append(_fill(entry, poses[i], intrinsics[i], sizes[i]))
             up = checked_up(entry["up"]) if "up" in entry else up
+            origin = checked_origin(entry["origin"]) if "origin" in entry else origin
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FormatError(
                 f"{path}: camera {i} lacks or misstates {shown(error)}; expected img_name, width, "
@@ -82,6 +86,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
         heights=sizes[:, 1].copy(),
         names=tuple(names),
         up=up,
+        origin=origin,
     )
 
 

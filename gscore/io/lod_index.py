@@ -1,13 +1,13 @@
 """The index of a file of levels of detail: which chunks there are, where, and how coarse."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..events import strict_json
 from ..json_text import parse_json
-from ..scene import Cameras
+from ..scene import Cameras, checked_origin
 from ..splats import SH_REST_BY_DEGREE
 
 KIND = "gscore levels of detail 1"
@@ -64,6 +64,8 @@ class LodIndex:
     """Colour behind the splats in measurements."""
     cameras: Cameras | None
     """Those of the run; None: not known."""
+    origin: np.ndarray | None
+    """[3] float64, the local origin that splats and cameras are about, as `Cameras.origin`."""
     levels: tuple[LodLevel, ...]
 
     @property
@@ -106,6 +108,8 @@ class LodIndex:
                 for level in self.levels
             ],
         }
+        if self.origin is not None:
+            content["origin"] = self.origin.tolist()
         return (strict_json(content) + "\n").encode()
 
 
@@ -125,12 +129,14 @@ def parse_index(text: bytes) -> LodIndex:
         raise ValueError
     background = tuple(map(float, content["background"]))
     cameras = content["cameras"]
+    origin = checked_origin(content["origin"]) if "origin" in content else None
     index = LodIndex(
         sh_degree=content["sh_degree"],
         antialias=bool(content["antialias"]),
         near=float(content["near"]),
         background=(background[0], background[1], background[2]),
-        cameras=None if cameras is None else _cameras(cameras),
+        cameras=None if cameras is None else replace(_cameras(cameras), origin=origin),
+        origin=origin,
         levels=tuple(map(_level, content["levels"])),
     )
     _check(index)

@@ -19,8 +19,10 @@ def write_poses(
     viewmats: np.ndarray,
     degrees: np.ndarray,
     distances: np.ndarray,
+    *,
+    origin: np.ndarray | None = None,
 ) -> None:
-    """Write {name of the photo: {"degrees", "distance", "viewmat"}}.
+    """Write {name of the photo: {"degrees", "distance", "viewmat"}}, with a local "origin".
 
     Args:
         path: The file.
@@ -28,15 +30,18 @@ def write_poses(
         viewmats: [V, 4, 4] world to camera, world units: where cameras stand after the training.
         degrees: [V] how far they turned.
         distances: [V] how far they moved, world units.
+        origin: [3], as `Cameras.origin`.
 
     Raises:
         GsError: it cannot be written.
     """
+    about = {} if origin is None else {"origin": origin.tolist()}
     facts = {
         name: {
             "degrees": float(degrees[i]),
             "distance": float(distances[i]),
             "viewmat": viewmats[i].tolist(),
+            **about,
         }
         for i, name in enumerate(names)
     }

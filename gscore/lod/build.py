@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import ConfigError, DatasetError
-from ..formats import read_splat_parts
+from ..formats import read_splat_parts, says_origin
 from ..formats.joined import joined
 from ..io.files import atomic_write
 from ..io.lod_file import (
@@ -81,6 +81,7 @@ def build_lod(
     levels = levels_above(len(means))
     chunks = chunks_of(means, levels)
     del means
+    origin = says_origin(model)
     made: list[LodIndex] = []
 
     def write(file: BinaryIO) -> None:
@@ -92,7 +93,8 @@ def build_lod(
             antialias=facts.antialias,
             near=facts.near,
             background=facts.background,
-            cameras=facts.cameras,
+            cameras=None if facts.cameras is None else facts.cameras.about(origin),
+            origin=origin,
             levels=tuple(work.levels),
         )
         told("Measuring pictures of the levels", 0.0)

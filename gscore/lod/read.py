@@ -57,6 +57,7 @@ def read_lod(
             splats=_whole(file, parts),
             layout=f"level {level} of detail",
             antialiased=file.index.antialias,
+            origin=file.index.origin,
             path=Path(path),
             format=LOD_FORMAT,
             storage_bytes=file.storage_bytes,

@@ -1,5 +1,6 @@
 """Render splats with numpy and the native library alone: what Blender and scripts call."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -7,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import ShapeError
-from ..formats import read_splats
-from ..scene import Cameras
+from ..formats import read_decoded
+from ..scene import Cameras, moved_viewmats, offset_between
 from ..splats import PARAMETERS, Splats
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
@@ -49,6 +50,7 @@ def render(
     orthographic: bool = False,
     window: tuple[int, int, int, int] | None = None,
     far_depths: np.ndarray | None = None,
+    origin: np.ndarray | Sequence[float] | None = None,
     threads: int = 0,
     cancel: CancelFlag | None = None,
 ) -> Rendered:
@@ -73,6 +75,9 @@ def render(
             returned, bit for bit as in the whole one.
         far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, as before
             something that hides the others; world units. None, or NaN at a pixel: all are.
+        origin: [3], the local origin of the world that `viewmat` is of, in the coordinates of the
+            capture: zeros for these coordinates themselves. None: that of the file, which also
+            the cameras.json of its run has.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
 
@@ -80,17 +85,24 @@ def render(
         The picture and its depths.
 
     Raises:
-        ShapeError: K, viewmat, size, window, far_depths or degree cannot be used.
+        ShapeError: K, viewmat, size, window, far_depths, origin or degree cannot be used.
         FormatError: The file holds no splats that can be read.
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """
+    viewmat = np.asarray(viewmat, np.float64)
     if not isinstance(splats, Splats):
-        splats = read_splats(Path(splats))
+        found = read_decoded(Path(splats))
+        splats = found.splats
+        if origin is not None:
+            shift = offset_between(found.origin, np.asarray(origin, np.float64))
+            viewmat = moved_viewmats(viewmat, shift)
+    elif origin is not None:
+        raise ShapeError("origin is for files of splats, which state their own; got Splats.")
     arguments.check_size(width, height)  # before memory is taken
     part, tiles = (..., None) if window is None else _window(window, width, height)
     view = Frustum(
-        np.asarray(viewmat, np.float64),
+        viewmat,
         np.asarray(K, np.float64),
         width,
         height,

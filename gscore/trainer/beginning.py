@@ -4,18 +4,19 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..config import DataConfig, TrainConfig, limited_as, unlimited
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
-from ..formats import read_splats
+from ..formats import Decoded, read_decoded
 from ..options import flag_of
-from ..splats import Splats
 from .files import checkpoint
 from .files.checkpoint import Checkpoint
 from .files.ended import TrainResult, ended_run
 from .files.folder import RunFolder
 from .photos.views import Photos
-from .rows.frame import Frame
+from .rows.frame import Frame, checkpoint_origin
 from .rows.stored import counts
 from .session import Session
 from .trainer import Trainer
@@ -66,10 +67,10 @@ class Beginning:
         """The options to train with, before photos limit them."""
         self.ended = self._end()
         """How the run ended if it has nothing left to do."""
-        self.splats: Splats | None = None
+        self.splats: Decoded | None = None
         """Given splats in COLMAP world, until `go_on`."""
         if config.start_splats is not None and self.ended is None:
-            self.splats = read_splats(config.start_splats)
+            self.splats = read_decoded(config.start_splats)
 
     @property
     def goes_on(self) -> bool:
@@ -80,6 +81,15 @@ class Beginning:
     def taken(self) -> int:
         """How many they were."""
         return 0 if self._checkpoint is None else self._checkpoint.steps
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """The local origin of the steps before, zeros where they had none; None: there are none."""
+        found = self._checkpoint
+        if found is None:
+            return None
+        with checkpoint.understood(found.path):
+            return checkpoint_origin(found.trainer["frame"])
 
     @property
     def wants_stereo(self) -> bool:

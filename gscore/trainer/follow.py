@@ -6,14 +6,14 @@ from typing import Any
 from ..config import DataConfig, TrainConfig
 from ..config_file import from_dict
 from ..control import Control
-from ..formats import read_splats
+from ..formats import read_decoded
 from .host.heap import large_pieces_apart
 from .host.state import ordinary_state
 from .prepare import Prepared, memory_in_words, prepare
 from .ranks import orders
 from .ranks.agree import check_equal, check_ready
 from .ranks.team import Team
-from .rows.frame import Frame
+from .rows.frame import Frame, checkpoint_origin
 from .trainer import Trainer
 
 _WHERE = "options of rank 0"
@@ -60,7 +60,8 @@ def _prepared(order: dict[str, Any], team: Team, source: Path | None) -> Prepare
         taken=facts["taken"],
         stereo=facts["stereo"],
         frame=lambda photos: frame,
-        start=None if config.start_splats is None else read_splats(config.start_splats),
+        start=None if config.start_splats is None else read_decoded(config.start_splats),
+        origin=None if facts["frame"] is None else checkpoint_origin(facts["frame"]),
         emit=lambda event: None,
         control=Control(),
         team=team,

@@ -62,7 +62,8 @@ def _world(trainer: Trainer) -> Iterator[str]:
     if offset > _FAR_FROM_ORIGIN:
         yield (
             f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
-            "numbers of a PLY are coarse there. Move its origin near the cameras before exporting."
+            "numbers of a PLY are coarse there. A training that starts anew writes splats about a "
+            "local origin."
         )
 
 

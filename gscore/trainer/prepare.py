@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 
 from ..config import LIFTED_BY, DataConfig, TrainConfig
@@ -15,8 +16,8 @@ from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError, ConfigError
 from ..events import Event
+from ..formats import Decoded
 from ..io.block_record import read_block
-from ..splats import Splats
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
 from .guide.setup import GuideSetup, prepare_guide
@@ -76,7 +77,8 @@ def prepare(
     taken: int,
     stereo: bool,
     frame: Callable[[Dataset], Frame | None],
-    start: Splats | None,
+    start: Decoded | None,
+    origin: np.ndarray | None,
     emit: Callable[[Event], None],
     control: Control,
     team: Team | None = None,
@@ -90,6 +92,8 @@ def prepare(
         stereo: Whether stereo is to be asked for points.
         frame: The training world for these photos; None: it is made of them.
         start: Splats to begin with, COLMAP world.
+        origin: The local origin of the steps before, as `load_dataset` takes it; None: that of
+            `start` where it states one, so that splats which follow each other share theirs.
         emit: Told how far it is.
         control: Asked whether to stop.
         team: Those who train together.
@@ -103,8 +107,12 @@ def prepare(
         raise ConfigError(
             "A region is trained by one process: start gscore train without torchrun."
         )
-    photos = load_dataset(data, cancelled=lambda: control.stopping)
+    origin = start.origin if origin is None and start is not None else origin
+    photos = load_dataset(data, origin=origin, cancelled=lambda: control.stopping)
+    about = photos.scene.cameras.origin
+    given_splats = None if start is None else start.of_capture(about).about(about).splats
     if region is not None:
+        region = region.about(about)
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
     asked, given = config, photos.scene.points.given
     limited = partial(
@@ -122,7 +130,7 @@ def prepare(
     loaded = load_photos(
         photos,
         config,
-        points=points_to_expect(config, given) if start is None else len(start),
+        points=points_to_expect(config, given) if given_splats is None else len(given_splats),
         depths=bool(data.depths),
         announce=world is None,
         emit=emit,
@@ -147,7 +155,7 @@ def prepare(
             config,
             photos,
             frame=world,
-            start=start,
+            start=given_splats,
             depth=depth.loss_targets,
             points=points if added.points is None else added.points,
             known=added.known,

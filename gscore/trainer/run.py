@@ -138,6 +138,7 @@ def _prepared(
             stereo=beginning.wants_stereo,
             frame=beginning.frame,
             start=beginning.splats,
+            origin=beginning.origin,
             emit=emit,
             control=control,
             team=team,

@@ -271,7 +271,7 @@ class Trainer:
         if self._block is None:
             return everywhere(means)
         world = self.frame.similarity.points_from_training(means.numpy())
-        return torch.from_numpy(self._block.holds(world))
+        return torch.from_numpy(self._block.holds(world, self.frame.origin))
 
     @property
     def photo_factor(self) -> float:

@@ -51,6 +51,15 @@ class GivenLod:
         return self.model.index.cameras
 
     @property
+    def origin(self) -> np.ndarray | None:
+        """Local origin that its means are about, as `Cameras.origin`."""
+        return self.model.index.origin
+
+    def world_of(self, cameras: Cameras) -> Cameras:
+        """Cameras of its capture, in the world of its splats."""
+        return cameras.of_splats(self.origin)
+
+    @property
     def count(self) -> int:
         """Splats of the finest level."""
         return self.model.index.levels[0].splats

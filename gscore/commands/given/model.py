@@ -2,7 +2,7 @@
 
 import argparse
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,19 @@ class GivenModel:
     def path(self) -> Path:
         """The file."""
         return self.file.path
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """Local origin that its means are about, as `Cameras.origin`."""
+        return self.file.origin
+
+    def about(self, origin: np.ndarray | None) -> "GivenModel":
+        """The same model about another local origin."""
+        return replace(self, file=self.file.about(origin))
+
+    def world_of(self, cameras: Cameras) -> Cameras:
+        """Cameras of its capture, in the world of its splats."""
+        return cameras.of_splats(self.file.of_capture(cameras.origin).origin)
 
     @property
     def antialias(self) -> bool:

@@ -62,6 +62,7 @@ def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> P
         cameras, held_out = dataset.scene.cameras, {dataset.names[i] for i in dataset.test}
     else:
         cameras, held_out = _listed(args, model)
+    cameras = None if cameras is None else model.world_of(cameras)
     if cameras is None or not len(cameras):
         return _without_cameras(model, warnings)
     turns = upright_turns(cameras)

@@ -61,7 +61,7 @@ def find_shots(args: argparse.Namespace, model: GivenModel | GivenLod, *, is_vid
         DatasetError: No cameras, or no such view.
     """
     if args.path and args.path not in PATHS:
-        return _of_file(args, even=is_video)
+        return _of_file(args, model, even=is_video)
     captured = captured_cameras(args.cameras, model)
     cameras = _scaled(captured.cameras, args.resolution, even=is_video)
     if args.path:
@@ -81,7 +81,7 @@ def find_shots(args: argparse.Namespace, model: GivenModel | GivenLod, *, is_vid
     return Shots(cameras=cameras, path="")
 
 
-def _of_file(args: argparse.Namespace, *, even: bool) -> Shots:
+def _of_file(args: argparse.Namespace, model: GivenModel | GivenLod, *, even: bool) -> Shots:
     """The cameras of a file, one a picture."""
     if not Path(args.path).is_file():
         raise ConfigError(
@@ -89,7 +89,7 @@ def _of_file(args: argparse.Namespace, *, even: bool) -> Shots:
         )
     found = read_camera_path(args.path)
     return Shots(
-        cameras=_scaled(found.cameras, args.resolution, even=even),
+        cameras=model.world_of(_scaled(found.cameras, args.resolution, even=even)),
         path=args.path,
         why=" ".join(found.warnings),
         fps=found.fps,
@@ -119,7 +119,8 @@ class Captured:
 
 
 def captured_cameras(source: Path | None, model: GivenModel | GivenLod) -> Captured:
-    """The cameras of a capture or run, and its test views where they are known.
+    """The cameras of a capture or run, in the world of the model's splats, and its test views where
+    they are known.
 
     Args:
         source: The folder of a capture or of a run, or a cameras.json; None: what lies beside the
@@ -149,11 +150,11 @@ def captured_cameras(source: Path | None, model: GivenModel | GivenLod) -> Captu
         if model.data is not None and model.data.source.resolve() == source.resolve():
             config = model.data
         dataset = load_dataset(replace(config, mask_mode="none"))  # cameras are all that is wanted
-        return Captured(dataset.scene.cameras, dataset.test)
+        return Captured(model.world_of(dataset.scene.cameras), dataset.test)
     cameras = read_cameras_json(source)
     if not len(cameras):
         raise DatasetError(f"{source} holds no cameras.")
-    return Captured(cameras, _test_views(model, cameras.names))
+    return Captured(model.world_of(cameras), _test_views(model, cameras.names))
 
 
 def _test_views(model: GivenModel | GivenLod, names: tuple[str, ...]) -> list[int]:
@@ -175,14 +176,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
         sizes.append(new)
         Ks.append(scale_intrinsics(K, old, new))
     widths, heights = np.array(sizes, np.int64).T.copy()
-    return Cameras(
-        viewmats=cameras.viewmats,
-        Ks=np.stack(Ks),
-        widths=widths,
-        heights=heights,
-        names=cameras.names,
-        up=cameras.up,
-    )
+    return replace(cameras, Ks=np.stack(Ks), widths=widths, heights=heights)
 
 
 def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
@@ -255,6 +249,7 @@ def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
         heights=cameras.heights[indices],
         names=tuple(cameras.names[i] for i in indices),
         up=cameras.up,
+        origin=cameras.origin,
     )
 
 

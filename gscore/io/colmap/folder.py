@@ -17,7 +17,7 @@ from ..foreign import foreign
 from ..pictures.images import IMAGE_ENDINGS
 from ..pictures.raw import RAW_ENDINGS
 from ..ply.points import read_point_cloud
-from ..world_file import read_up, write_up
+from ..world_file import read_origin, read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
 from .model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, PointIndex, longest_seen
@@ -158,12 +158,13 @@ def read_model(
         path=folder,
         warnings=warnings,
         up=read_up(folder),
+        origin=read_origin(folder),
     )
 
 
 def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) -> None:
-    """Write the model's three files into the folder `path`, and up where it is known, each
-    completely or not at all.
+    """Write the model's three files into the folder `path`, and up and a local origin where they
+    are known, each completely or not at all.
 
     Tracks are made from the images' observations; an observation of a point that is not in the
     model is written as one of no point, as COLMAP itself insists on.
@@ -195,7 +196,7 @@ def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) ->
         files = {name: text.encode("utf-8") for name, text in texts.items()}
     for name, content in files.items():  # one right after the other: they belong together
         atomic_write(path / name, content)
-    write_up(path, model.up)
+    write_up(path, model.up, model.origin)
 
 
 def is_safe_name(name: str) -> bool:

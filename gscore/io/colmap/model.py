@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...scene import moved_viewmats, offset_between
 from ...splats import check_array
 from ...transforms import quat_to_rotmat
 from .camera_models import MODELS_BY_NAME, PINHOLE_WITHOUT_DISTORTION
@@ -164,3 +165,17 @@ class ColmapModel:
     """Sentences for the user about choices made while reading."""
     up: np.ndarray | None = None
     """[3] float64, unit: up in the world, where something but the cameras has told it."""
+    origin: np.ndarray | None = None
+    """[3] float64, the local origin that the model is about, as `Cameras.origin`."""
+
+    def about(self, origin: np.ndarray | None) -> "ColmapModel":
+        """The same model in a world about another local origin."""
+        shift = offset_between(origin, self.origin)
+        if not shift.any():
+            return self
+        images = [
+            replace(image, tvec=moved_viewmats(image.viewmat, shift)[:3, 3])
+            for image in self.images
+        ]
+        points = replace(self.points, xyz=self.points.xyz - shift)
+        return replace(self, images=images, points=points, origin=origin)

@@ -6,8 +6,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ...errors import DatasetError
-from ...shown import shown
+from ...errors import DatasetError, FormatError
+from ...scene import checked_origin
+from ...shown import quoted, shown
 from ...splats import SH_REST_BY_DEGREE, Splats
 from ..files import atomic_write, open_regular, reason
 from ..splat_rows import drawable, drawable_rows, warn_of_left_out
@@ -26,6 +27,8 @@ __all__ = [
 
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
+_ORIGIN = "gscore origin "
+"""Begins the header comment with the local origin that means are about."""
 _ROWS_A_BLOCK = 1 << 15
 
 
@@ -104,6 +107,33 @@ def says_antialias(comments: tuple[str, ...]) -> bool:
     """Whether a header comment says that opacities were compensated, as ours or Postshot's do."""
     marks = (MIP_COMMENT.lower(), "antialiased 1", "antialiased: 1")
     return any(line.lower().startswith(marks) for line in comments)
+
+
+def origin_comment(origin: np.ndarray) -> str:
+    """The header comment that states a local origin [3], to the bit."""
+    return _ORIGIN + " ".join(map(repr, origin.astype(np.float64).tolist()))
+
+
+def is_origin_comment(line: str) -> bool:
+    """Whether a header comment states a local origin."""
+    return line.startswith(_ORIGIN)
+
+
+def stated_origin(path: Path, comments: tuple[str, ...]) -> np.ndarray | None:
+    """[3] float64, the local origin that header comments state; None: none.
+
+    Raises:
+        FormatError: one states something else.
+    """
+    for line in filter(is_origin_comment, comments):
+        try:
+            return checked_origin([float(word) for word in line.removeprefix(_ORIGIN).split()])
+        except ValueError as error:
+            raise FormatError(
+                f"{path}: its comment {quoted(line)} states no local origin; expected three "
+                f"numbers. Remove the comment where the splats have none."
+            ) from error
+    return None
 
 
 def is_antialiased_ply(path: str | Path) -> bool:

@@ -14,7 +14,7 @@ from ...io.block_record import RUN_BLOCK, read_block
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
 from ...io.pictures.images import write_png
-from ...io.ply.splats import MIP_COMMENT, write_splat_parts
+from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics
@@ -70,6 +70,8 @@ class Results:
         trainer = self._trainer
         # Viewers that know the mark compensate opacities as the training did.
         comments = (MIP_COMMENT,) if trainer.config.antialias else ()
+        origin = trainer.photos.scene.cameras.origin
+        comments += () if origin is None else (origin_comment(origin),)
         write_splat_parts(
             path,
             trainer.parts(),
@@ -185,7 +187,8 @@ class Results:
         viewmats = frame.similarity.cameras_from_training(now).viewmats[train]
         turned, moved = apart(viewmats, cameras.viewmats[train])
         degrees, names = np.degrees(turned), [cameras.names[i] for i in train]
-        write_poses(self._folder.path / POSES_FILE, names, viewmats, degrees, moved)
+        path = self._folder.path / POSES_FILE
+        write_poses(path, names, viewmats, degrees, moved, origin=cameras.origin)
         extents = moved * frame.similarity.scale / frame.extent
         return {
             name: {"degrees": float(degrees[i]), "extents": float(extents[i])}

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from ...datasets import Dataset
 from ...errors import ConfigError
 from ...io.mesh.files import read_mesh
 from ...io.mesh.triangles import TriangleMesh
+from ...scene import offset_between
 from ...words import count_words
 from ..depth.rule import coverage
 from ..depth.targets import DepthTargets
@@ -58,6 +59,8 @@ def prepare_guide(
             continue
         mesh = read_mesh(path)
         digest.update(role.encode() + mesh.vertices.tobytes() + mesh.triangles.tobytes())
+        shift = offset_between(photos.scene.cameras.origin, None)
+        mesh = replace(mesh, vertices=mesh.vertices - shift)
         views = mesh_views(mesh, photos, threads=config.threads, on_progress=on_progress)
         if not any(view is not None for view in views):
             raise ConfigError(_unseen(path, mesh, photos))

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from ...io.region_file import read_region
+from ...scene import offset_between
 from ...transforms import Similarity
 
 _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
@@ -25,6 +26,12 @@ class Box:
     def read(cls, path: Path) -> "Box":
         """The box of a region's file; errors are those of `read_region`."""
         return cls(read_region(path))
+
+    def about(self, origin: np.ndarray | None) -> "Box":
+        """The same box, of a capture, in the world about its local origin."""
+        matrix = self.matrix.copy()
+        matrix[:3, 3] -= offset_between(origin, None)
+        return Box(matrix)
 
     def in_training(self, similarity: Similarity) -> "Box":
         """The same box in the training world."""

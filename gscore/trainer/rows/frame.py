@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...scene import Scene, distances, within_reach
+from ...scene import Scene, checked_origin, distances, within_reach
 from ...transforms import SMALLEST, Similarity
 from .stored import real
 
@@ -25,6 +25,8 @@ class Frame:
     units."""
     near: float
     """Near plane, training units."""
+    origin: np.ndarray | None = None
+    """Local origin of the world, as `Cameras.origin`."""
 
     @classmethod
     def of(cls, scene: Scene, *, near: float) -> "Frame":
@@ -57,16 +59,18 @@ class Frame:
             similarity=similarity,
             extent=extent * similarity.scale,
             near=near * similarity.scale,
+            origin=scene.cameras.origin,
         )
 
     def to_dict(self) -> dict[str, Any]:
         """The frame as JSON values, of which `from_dict` makes exactly this frame again."""
-        return {
+        facts = {
             "scale": self.similarity.scale,
             "shift": self.similarity.shift.tolist(),
             "extent": self.extent,
             "near": self.near,
         }
+        return facts if self.origin is None else facts | {"origin": self.origin.tolist()}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "Frame":
@@ -75,4 +79,11 @@ class Frame:
         scale, extent, near = (real(key, data[key]) for key in ("scale", "extent", "near"))
         if not (extent > 0 and near > 0):
             raise ValueError(f"extent and near must be positive, got {extent} and {near}")
-        return cls(similarity=Similarity(scale=scale, shift=shift), extent=extent, near=near)
+        origin = checkpoint_origin(data) if "origin" in data else None
+        similarity = Similarity(scale=scale, shift=shift)
+        return cls(similarity=similarity, extent=extent, near=near, origin=origin)
+
+
+def checkpoint_origin(data: dict[str, Any]) -> np.ndarray:
+    """[3] the local origin in what `Frame.to_dict` made, zeros where it has none."""
+    return checked_origin(data.get("origin", [0.0, 0.0, 0.0]))
