@@ -15,7 +15,8 @@ from ..process import garbage
 from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
 from . import objects as co
 from .export_transforms import transforms_text
-from .export_views import ExportView, Watched, collect
+from .export_views import ExportView, Watched, about_none, collect
+from .placing import origin_of
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""
@@ -68,10 +69,12 @@ def exporting_path(
             meanwhile.
     """
     path = Path(path)
+    origin = origin_of(root)
     pace = scene.render.fps / scene.render.fps_base / scene.frame_step
     with garbage.put_off():
         views = yield from _reading(camera, scene, root)
-        yield from aside(partial(_write, path, views, kind, pace), f"Writing {path}")
+        write = partial(_write, path, views, kind, pace, origin)
+        yield from aside(write, f"Writing {path}")
     return len(views)
 
 
@@ -119,8 +122,18 @@ def _own_frame(scene: bpy.types.Scene) -> Iterator[None]:
         scene.frame_set(number, subframe=part)
 
 
-def _write(path: Path, views: list[ExportView], kind: str, pace: float, check: Check) -> None:
-    """What needs no bpy."""
+def _write(
+    path: Path,
+    views: list[ExportView],
+    kind: str,
+    pace: float,
+    origin: np.ndarray | None,
+    check: Check,
+) -> None:
+    """What needs no bpy. A cameras.json states a local origin, which the others have no place
+    for."""
+    if kind != CAMERAS:
+        views = about_none(views, origin)
     with given_up_by(check):
         if kind == TRANSFORMS:
             times = np.linspace(0, 1, len(views)).tolist()
@@ -129,7 +142,7 @@ def _write(path: Path, views: list[ExportView], kind: str, pace: float, check: C
         elif kind == NERFSTUDIO:
             write_nerfstudio_path(path, _pinholes(views), fps=pace)
         else:
-            write_cameras(path, _pinholes(views))
+            write_cameras(path, replace(_pinholes(views), origin=origin))
 
 
 def _pinholes(views: list[ExportView]) -> Cameras:

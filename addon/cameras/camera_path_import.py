@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..compat import curves_of
-from ..core import Cameras, read_camera_path, rotmat_to_quat
+from ..core import Cameras, offset_between, read_camera_path, rotmat_to_quat
 from ..interface import writable
 from ..interface.blocks import with_uid
 from ..interface.flags import panel_words
@@ -20,6 +20,7 @@ from ..process import garbage
 from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
 from . import formulas as cm
 from . import objects as co
+from .placing import origin_of
 
 _NUMBER = re.compile(r"(\d+)\D*$")
 _SAME = 1e-6
@@ -75,9 +76,10 @@ def importing_path(
             the capture is gone meanwhile.
     """
     path, uid = Path(path), scene.session_uid
+    origin = None if root is None else offset_between(origin_of(root), None)
     root_uid = None if root is None else root.session_uid
     with garbage.put_off():
-        found = yield from aside(partial(_read, path, start, numbered), f"Reading {path}")
+        found = yield from aside(partial(_read, path, start, numbered, origin), f"Reading {path}")
         while True:
             coming = _Coming(found)
             try:
@@ -145,11 +147,13 @@ class _ReadPath:
     warnings: tuple[str, ...]
 
 
-def _read(path: Path, start: int, numbered: bool, check: Check) -> _ReadPath:
-    """What needs no bpy."""
+def _read(
+    path: Path, start: int, numbered: bool, origin: np.ndarray | None, check: Check
+) -> _ReadPath:
+    """What needs no bpy; `origin` [3] is that of the capture's world, None: the file is in none."""
     read = read_camera_path(path)
     check()
-    cameras = read.cameras
+    cameras = read.cameras if origin is None else read.cameras.of_splats(origin)
     lenses, frame = _lenses(cameras, path.name)
     numbers = _numbers(cameras.names, start, numbered=numbered)
     poses = np.stack([cm.matrix_world_from_viewmat(viewmat) for viewmat in cameras.viewmats])

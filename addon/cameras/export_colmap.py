@@ -85,10 +85,10 @@ def _write(
         raise ValueError(
             f"{folder} holds a binary model, which readers prefer to text. Choose another folder."
         )
-    model, warnings = _source_model(source)
+    model, warnings = _source_model(source, given.origin)
     check()
     warnings += kept_lenses(views)
-    cloud, more = points_to_export(given.held, source, model)
+    cloud, more = points_to_export(given.held, source, model, origin=given.origin)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
     other = _restated(views, model)
@@ -97,7 +97,8 @@ def _write(
             f"{other} cameras stand elsewhere in {source} by now; they are written as "
             f"they were imported, without observations."
         )
-    written = ColmapModel(cameras=table, images=images, points=cloud)
+    written = ColmapModel(cameras=table, images=images, points=cloud, origin=given.origin)
+    written = written.about(None)  # as other programs have the capture
     with all_or_none(check):
         write_colmap(written, folder, binary=binary)
     return Exported(
@@ -120,11 +121,13 @@ def _same(a: Path, b: Path | None) -> bool:
     return b is not None and a.resolve() == b.resolve()
 
 
-def _source_model(source: Path | None) -> tuple[ColmapModel | None, list[str]]:
+def _source_model(
+    source: Path | None, origin: np.ndarray | None
+) -> tuple[ColmapModel | None, list[str]]:
     if source is None or _model_folder(source) is None:
         return None, []
     try:
-        return read_colmap(source), []
+        return read_colmap(source).about(origin), []
     except (GsError, OSError) as error:
         return None, [
             f"Observations are left out, for the capture cannot be read: {error_words(error)}"

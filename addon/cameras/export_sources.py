@@ -16,6 +16,7 @@ from ..core import (
     DataConfig,
     GsError,
     find_capture,
+    offset_between,
     read_capture,
 )
 from ..interface.blocks import with_uid
@@ -24,6 +25,7 @@ from ..process.pieces import Pieces, aside
 from . import objects as co
 from . import sfm_points
 from .export_views import ExportView, Graph, collecting
+from .placing import origin_of
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""
@@ -88,6 +90,9 @@ class Gathered:
     """Files of that capture, if they are there."""
     captures: list[Path]
     """What must not be written over."""
+    origin: np.ndarray | None
+    """[3] local origin of the capture whose world is written, in which views and points are; None:
+    there is none."""
 
 
 def gathering(
@@ -97,15 +102,19 @@ def gathering(
     depsgraph: Graph,
 ) -> Pieces[Gathered]:
     """Read it; arguments and errors as `collecting` and `reading_points` have them."""
-    source, captures = source_of(root), known_captures()
+    source, captures, origin = source_of(root), known_captures(), origin_of(root)
     uid = None if root is None else root.session_uid
     views = yield from collecting(cameras, scene, root, depsgraph)
     held = yield from reading_points(uid)
-    return Gathered(views=views, held=held, source=source, captures=captures)
+    return Gathered(views=views, held=held, source=source, captures=captures, origin=origin)
 
 
 def points_to_export(
-    held: HeldPoints | None, source: Path | None, model: ColmapModel | None = None
+    held: HeldPoints | None,
+    source: Path | None,
+    model: ColmapModel | None = None,
+    *,
+    origin: np.ndarray | None = None,
 ) -> tuple[ColmapPoints, list[str]]:
     """The points as they are in Blender: deleted ones left out, untouched ones exact. Touches no
     bpy.
@@ -114,6 +123,7 @@ def points_to_export(
         held: They; without any there are those of the capture's files.
         source: The capture's files, if they are there.
         model: Their COLMAP model, if that has been read already.
+        origin: [3] the local origin that points and model are about; None: there is none.
 
     Returns:
         Points, with the ids of the model where they come from it, and sentences for the user.
@@ -121,7 +131,7 @@ def points_to_export(
     Raises:
         ValueError: the colours are gone.
     """
-    exact = model.points if model is not None else _points_without_tracks(source)
+    exact = model.points if model is not None else _points_without_tracks(source, origin)
     if held is None:
         return (ColmapPoints.none() if exact is None else exact), []
     now, places = held.positions, held.indices
@@ -164,12 +174,16 @@ def known_captures() -> list[Path]:
     return [path for path in dict.fromkeys(found) if path.exists()]
 
 
-def _points_without_tracks(source: Path | None) -> ColmapPoints | None:
+def _points_without_tracks(source: Path | None, origin: np.ndarray | None) -> ColmapPoints | None:
     """Points of a capture without a COLMAP model, in float64."""
     if source is None:
         return None
     try:
-        capture: Capture = read_capture(DataConfig(source=source), photos_required=False)
+        capture: Capture = read_capture(
+            DataConfig(source=source),
+            photos_required=False,
+            origin=offset_between(origin, None),
+        )
     except (GsError, OSError):
         return None
     return _new_points(capture.points.points, capture.points.colors)

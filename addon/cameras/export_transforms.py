@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,11 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core import ColmapPoints, atomic_write
+from ..core import ColmapPoints, atomic_write, offset_between
 from ..process.pieces import Check, Pieces, aside, at_once
 from . import formulas as cm
 from .export_sources import Gathered, gathering, points_to_export
-from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
+from .export_views import Exported, ExportView, Graph, about_none, all_or_none, kept_lenses
 
 POINTS = "sparse_pc.ply"
 """The name nerfstudio gives the points."""
@@ -74,7 +75,8 @@ def _write(
         own = known if known.is_file() else known / path.name
         if own.exists() and own.resolve() == path.resolve():
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
-    points, warnings = points_to_export(given.held, source)
+    points, warnings = points_to_export(given.held, source, origin=given.origin)
+    points = replace(points, xyz=points.xyz + offset_between(given.origin, None))
     warnings += kept_lenses(views)
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
     if away:
@@ -83,7 +85,7 @@ def _write(
             f"the file expects them."
         )
     further = {"ply_file_path": POINTS} if len(points) else {}
-    text = transforms_text(views, path.parent, further)
+    text = transforms_text(about_none(views, given.origin), path.parent, further)
     ply = _ply(points) if len(points) else b""
     with all_or_none(check):
         if ply:

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 import bpy
 import numpy as np
 
-from ..core import ColmapCamera, given_up_by
+from ..core import ColmapCamera, given_up_by, moved_viewmats, offset_between
 from ..interface.blocks import first_few
 from ..process.pieces import BUDGET, Check, Pieces, at_once
 from . import formulas as cm
@@ -121,6 +121,12 @@ def collecting(
         taken.add(name)
         views.append(replace(view, name=name))
     return views
+
+
+def about_none(views: Sequence[ExportView], origin: np.ndarray | None) -> list[ExportView]:
+    """Views in a world about a local origin, in the coordinates of the capture's own files."""
+    shift = offset_between(None, origin)
+    return [replace(view, viewmat=moved_viewmats(view.viewmat, shift)) for view in views]
 
 
 class Watched:

@@ -26,8 +26,16 @@ from . import footprint, sfm_points, straightening
 from . import objects as co
 from .backgrounds import KnownImages, set_photo, shows_photo
 from .lookup import roots_of
-from .placing import HELD_UP, UP, root_scale, set_root_matrix, size_drawing
-from .present import Present, find_present, held_elsewhere, in_another_world, uid_of
+from .placing import HELD_UP, UP, note_origin, root_scale, set_root_matrix, size_drawing
+from .present import (
+    Present,
+    find_present,
+    held_elsewhere,
+    in_another_world,
+    known_origins,
+    other_origins,
+    uid_of,
+)
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
 
@@ -83,8 +91,11 @@ def importing(
     uid, place = scene.session_uid, Path(bpy.path.abspath(str(path)))
     there = 0 if into is None else into.session_uid
     wanted = {"images": images, "photos": photos, "points": points, "align": align}
+    origins = known_origins(scene, there)
     with garbage.put_off():
-        found = yield from aside(partial(read, place, **wanted), f"Reading {place}")
+        found = yield from aside(
+            partial(read, place, **wanted, origins=origins), f"Reading {place}"
+        )
         while True:
             yield from clearing()
             known = KnownImages()
@@ -183,6 +194,8 @@ class _Coming:
             root.pop(key, None)
             if up is not None:
                 root[key] = up.tolist()
+        note_origin(root, found.origin)
+        warnings += other_origins(scene, root)
         stored_paths.write(root, stored_paths.SOURCE, found.source)
         return ImportedCapture(
             scene=scene,

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..compat import matrix_to_numpy
-from ..core import rotmat_to_quat
+from ..core import offset_between, rotmat_to_quat
 from ..interface import writable
 from . import alignment, footprint, sfm_points
 from . import formulas as cm
@@ -18,6 +18,9 @@ UP = "gs_up"
 """Property of the empty: up in the capture's world, where its files or EXIF state it."""
 HELD_UP = "gs_held_up"
 """Property of the empty: the same by its cameras, where EXIF says that photos were held turned."""
+ORIGIN = "gs_origin"
+"""Property of an empty, and of splats: the local origin of their world, in the coordinates of the
+capture; None where the property is not there."""
 CLIP_START, CLIP_END = 0.002, 100.0
 """Clipping distances, in units of the cameras' extent."""
 DISPLAY = 0.2
@@ -28,6 +31,32 @@ def stated_up(root: bpy.types.Object, key: str = UP) -> np.ndarray | None:
     """[3], up in the world of a capture that states it as `UP` or `HELD_UP`; None: it does not, and
     its cameras are to tell."""
     return np.array(root[key][:], np.float64) if key in root else None
+
+
+def origin_of(ob: bpy.types.Object | None) -> np.ndarray | None:
+    """[3] float64, the local origin of the world of an object's capture, or of the file of splats
+    that belong to none; None: it has none."""
+    return noted_origin(co.root_of(ob) or ob)
+
+
+def noted_origin(ob: bpy.types.Object | None) -> np.ndarray | None:
+    """[3] float64, the local origin that an object itself has noted; None: none."""
+    return None if ob is None or ORIGIN not in ob else np.array(ob[ORIGIN][:], np.float64)
+
+
+def note_origin(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
+    """Note a local origin [3]; None: there is none."""
+    ob.pop(ORIGIN, None)
+    if origin is not None:
+        ob[ORIGIN] = origin.tolist()
+
+
+def box_of_capture(box: np.ndarray, ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] a box in the world of an object's capture, in the coordinates of the capture's own
+    files."""
+    out = box.copy()
+    out[:3, 3] += offset_between(origin_of(ob), None)
+    return out
 
 
 def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:

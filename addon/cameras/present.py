@@ -10,9 +10,11 @@ import numpy as np
 
 from .. import stored_paths
 from ..capture.folders import same_folder
+from ..core import offset_between, origin_words
 from ..interface.blocks import first_few
 from . import objects as co
 from .lookup import roots_of
+from .placing import noted_origin
 from .reading import ReadCamera
 
 _SAMPLES = 20
@@ -50,6 +52,33 @@ def find_present(scene: bpy.types.Scene, source: Path, into: int) -> Present | N
 def uid_of(there: Present | None) -> int:
     """Session number of its empty; 0: there is none."""
     return 0 if there is None else there.root.session_uid
+
+
+def known_origins(scene: bpy.types.Scene, into: int) -> list[tuple[Path | None, np.ndarray]]:
+    """Local origins of the captures of a scene, as `reading.read` takes them."""
+    found: list[tuple[Path | None, np.ndarray]] = []
+    for root in roots_of(scene):
+        source = stored_paths.read(root, stored_paths.SOURCE)
+        folder = None if root.session_uid == into else Path(source)
+        if source or folder is None:
+            found.append((folder, offset_between(noted_origin(root), None)))
+    return sorted(found, key=lambda one: one[0] is not None)
+
+
+def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, ...]:
+    """A sentence where captures of a scene are about different local origins."""
+    own = noted_origin(root)
+    for other in roots_of(scene):
+        apart = offset_between(own, noted_origin(other))
+        if other != root and apart.any():
+            words = (origin_words(value) for value in (offset_between(own, None), apart))
+            at, distance = words
+            return (
+                f"{root.name} is about the local origin {at}, which lies {distance} from that of "
+                f"{other.name}: here both stand near the scene's origin, and not where they are "
+                f"to each other.",
+            )
+    return ()
 
 
 def _is_of(root: bpy.types.Object, source: Path) -> bool:

@@ -1,11 +1,13 @@
 """What an import needs of a capture, read and worked out in any thread; asks bpy for no data."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..capture.folders import same_folder
 from ..core import (
     NO_PINHOLE,
     ColmapCamera,
@@ -64,6 +66,8 @@ class ReadCapture:
     """[3] where its files state it, or EXIF says how photos were held."""
     held_up: np.ndarray | None
     """[3] where EXIF says how photos were held."""
+    origin: np.ndarray | None
+    """[3] local origin of its world; None: there is none."""
     matrix: np.ndarray
     """[4, 4] that aligns it."""
     cameras: tuple[ReadCamera, ...]
@@ -84,7 +88,14 @@ class ReadCapture:
 
 
 def read(
-    path: Path, check: Check, *, images: str, photos: bool, points: bool, align: bool
+    path: Path,
+    check: Check,
+    *,
+    images: str,
+    photos: bool,
+    points: bool,
+    align: bool,
+    origins: Sequence[tuple[Path | None, np.ndarray]] = (),
 ) -> ReadCapture:
     """Read a capture.
 
@@ -92,13 +103,17 @@ def read(
         path: Its folder, or a folder or file inside it.
         check: Raises where it is no longer wanted.
         images: As `captures.import_capture`; so are the others.
+        origins: Local origins, zeros for none, of captures that are there already, by their
+            folders; None: of the one that is meant, whatever its folder. They stay.
 
     Raises:
         GsError: it cannot be read.
         ValueError: no view of it can be a Blender camera.
     """
     source = find_capture(path).absolute()
-    capture = read_capture(DataConfig(source=source, images=images), photos_required=False)
+    there = (at for folder, at in origins if folder is None or same_folder(folder, source))
+    data = DataConfig(source=source, images=images)
+    capture = read_capture(data, photos_required=False, origin=next(there, None))
     check()
     views = sorted(capture.views, key=lambda view: view.name)
     usable = [view for view in views if view.camera.model not in NO_PINHOLE]
@@ -132,6 +147,7 @@ def read(
         images=images,
         up=up,
         held_up=held_up,
+        origin=capture.origin,
         matrix=matrix,
         cameras=tuple(cameras),
         points=found,
@@ -201,6 +217,6 @@ def _warnings(views: list[View], centers: np.ndarray) -> list[str]:
     if extent > 0 and np.linalg.norm(centers, axis=1).max() > FAR * extent:
         out.append(
             "The capture lies far from its origin, where Blender's single precision moves cameras "
-            "visibly. Recentre the model with COLMAP's model_transformer."
+            "visibly. Delete it here and import it again."
         )
     return out

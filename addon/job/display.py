@@ -13,6 +13,7 @@ from ..interface.flags import error_words
 from ..nodes import display as display_nodes
 from ..paths import absolute, output_folder
 from ..splats.error_maps import drop_maps
+from ..splats.files import stand
 from ..splats.filling import Filling, replace
 from ..splats.objects import hide_points
 from . import registry, session
@@ -152,6 +153,7 @@ def _update_splats(job: Job, place: Place) -> bool:
         before = place.holder.result
         ob = result_object(place, job, filling.loaded)
         replace(ob, mesh)
+        stand(ob, filling.loaded.origin)
         note_filled(ob, job, filling.loaded)
         job.result_wanted = job.result_wanted and not filling.loaded.final
         if (root := capture_of(place.scene, job.source)) is not None:

@@ -13,8 +13,9 @@ import bpy
 import numpy as np
 
 from ..cameras.lookup import panel_root
+from ..cameras.placing import origin_of
 from ..compat import matrix_to_numpy
-from ..core import GUIDES, write_mesh
+from ..core import GUIDES, offset_between, write_mesh
 from ..interface.blocks import first_few
 from ..splats.files import source_matrix
 from ..splats.objects import is_splats
@@ -72,7 +73,7 @@ def gathered(
     collection: bpy.types.Collection,
     root: bpy.types.Object | None = None,
 ) -> Triangles:
-    """All meshes that a collection shows, as one, in the world of a capture.
+    """All meshes that a collection shows, as one, in the coordinates of a capture's own files.
 
     Args:
         scene: What shows.
@@ -103,7 +104,8 @@ def gathered(
             f"{collection.name} shows no faces that could guide a training: put meshes there, show "
             "them in the viewport, or clear the field."
         )
-    return joined(parts)
+    found = joined(parts)
+    return found._replace(vertices=found.vertices + offset_between(origin_of(root), None))
 
 
 def add_to_guides(

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import attributes
 from ..cameras import alignment
-from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splats
+from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splat_file
 from ..interface.flags import error_words
 from ..process import threads
 from .earlier import content
@@ -29,6 +29,8 @@ class Loaded:
     problem: str = ""
     count: int = 0
     """Number of splats."""
+    origin: np.ndarray | None = None
+    """[3] their local origin; None: there is none."""
     content: str = ""
     """`earlier.content` of a result; empty for snapshots."""
     columns: tuple[tuple[str, str, np.ndarray], ...] = ()
@@ -91,7 +93,8 @@ class Loader:
 
 def _load(path: Path, most: int, final: bool) -> Loaded:
     try:
-        splats = read_splats(path)
+        found = read_splat_file(path)
+        splats = found.splats
         if most:
             splats = _quick_look(splats, most)
         sizes = splats.scales.max(axis=1)
@@ -99,10 +102,11 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
             path=path,
             final=final,
             count=len(splats),
+            origin=found.origin,
             content=content(path) if final else "",
             columns=tuple(attributes.columns(splats)),
             typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
-            upright=_upright(path, splats),
+            upright=_upright(path, splats, found.origin),
             moves=read_moves(path.with_name(POSES_FILE)) if final else {},
         )
     except GsError as error:
@@ -112,12 +116,12 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
         return Loaded(path=path, final=final, problem=problem)
 
 
-def _upright(path: Path, splats: Splats) -> np.ndarray | None:
+def _upright(path: Path, splats: Splats, origin: np.ndarray | None) -> np.ndarray | None:
     """By the cameras.json of the run that a PLY belongs to, if it can be read."""
     for folder in (path.parent, path.parent.parent):
         if (folder / "cameras.json").is_file():
             try:
-                cameras = read_cameras(folder / "cameras.json")
+                cameras = read_cameras(folder / "cameras.json").of_splats(origin)
             except GsError:
                 return None
             every = max(1, len(splats) // _GROUND_POINTS)

@@ -12,6 +12,7 @@ import numpy as np
 from .. import stored_paths
 from ..attributes import NO_SPLATS
 from ..cameras.objects import is_kind
+from ..cameras.placing import noted_origin
 from ..capture.folders import same_folder
 from ..interface import writable
 from ..splats import files, objects
@@ -145,6 +146,7 @@ def adopt(
             raise
     if ob is not None and not was_edited(ob):
         replace(ob, made.data)
+        files.stand(ob, noted_origin(made))
         _note_antialias(ob, bool(made.get(ANTIALIAS)))
         bpy.data.objects.remove(made)
         drop_maps(ob)  # of what it showed before

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from ..cameras.lookup import panel_root
+from ..cameras.placing import box_of_capture
 from ..core import GUIDES, write_region
 from ..splats.filters import crop_matrix
 
@@ -54,7 +55,7 @@ def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
     to_unit = crop_matrix(root, ob)
     if not abs(np.linalg.det(to_unit[:3, :3])) > 0:
         raise ValueError(f"{ob.name} has no volume; scale it up on all axes.")
-    box = np.linalg.inv(to_unit)
+    box = box_of_capture(np.linalg.inv(to_unit), root)
     path = output / GUIDES / f"within-{hashlib.sha256(box.tobytes()).hexdigest()[:8]}.json"
     if not path.is_file():
         write_region(path, box)

@@ -36,6 +36,7 @@ class _Read:
     size: float
     """As `objects.typical_size`."""
     antialiased: bool
+    origin: np.ndarray | None
     comments: tuple[str, ...]
     looked: str
 
@@ -140,6 +141,7 @@ class Arrival:
                         columns=columns,
                         size=objects.typical_size(found.splats),
                         antialiased=found.antialiased,
+                        origin=found.origin,
                         comments=tuple(found.comments),
                         looked=self._look(columns),
                     )
@@ -160,7 +162,7 @@ class Arrival:
             mesh = filling.take()
             mesh.name = read.wanted.path.stem
             ob = objects.around(mesh, read.size, collection=collection)
-            files.settle(ob, read.wanted, antialiased=read.antialiased, comments=read.comments)
+            files.settle(ob, read.wanted, read)
             if read.wanted.parent and ob.parent is None:
                 self.warnings.append(
                     f"What {ob.name} was to be put under is gone; it stands by itself."

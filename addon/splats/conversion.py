@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from .. import preferences
 from ..core import (
@@ -76,6 +77,7 @@ def write(
     check: Check,
     *,
     antialiased: bool,
+    origin: np.ndarray | None,
     lacking: BackendError,
 ) -> Sequence[str]:
     """Write a file by another Python, completely or not at all; in any thread.
@@ -86,6 +88,7 @@ def write(
         by: As `other`.
         check: As in `read`; `path` is untouched then.
         antialiased: As in `write_splat_file`.
+        origin: As there.
         lacking: Why this Python cannot.
 
     Returns:
@@ -96,7 +99,7 @@ def write(
     """
     with tempfile.TemporaryDirectory(prefix="gscore-", dir=by.folder) as folder:
         whole = Path(folder, "splats.ply")
-        write_splat_file(whole, splats, antialiased=antialiased)
+        write_splat_file(whole, splats, antialiased=antialiased, origin=origin)
         made = Path(folder, "made", path.name)
         made.parent.mkdir()
         notes = _convert(whole, made, by.python, check, lacking)

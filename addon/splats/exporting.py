@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from .. import attributes
+from ..cameras.placing import origin_of
 from ..compat import matrix_to_numpy
 from ..core import BackendError, GsError, Splats, given_up_by, join_splats, write_splat_file
 from ..process.pieces import Check, Pieces, ResultT, aside, at_once
@@ -74,6 +75,7 @@ def exporting(
     parts = _parts(obs, world, filtered)
     antialiased = all(ob.get(objects.ANTIALIAS) for ob in obs)
     comments = note_of_up(obs[0], world)
+    origin = None if world == BLENDER else origin_of(obs[0])
     taken: list[Leaving] = []
     try:
         for ob in obs:
@@ -86,7 +88,7 @@ def exporting(
             one.drop()
 
     splats, total = yield from aside(_in_words(partial(_together, parts, read)), "Collecting")
-    how = {"antialiased": antialiased, "comments": comments}
+    how = {"antialiased": antialiased, "comments": comments, "origin": origin}
 
     def write(check: Check) -> Sequence[str]:
         with given_up_by(check):
@@ -95,8 +97,8 @@ def exporting(
     try:
         notes = yield from aside(_in_words(write), f"Writing {path.name}")
     except BackendError as error:
-        by, how = conversion.other(), {"antialiased": antialiased, "lacking": error}
-        beside = partial(conversion.write, path, splats, by, **how)
+        said = {"antialiased": antialiased, "origin": origin, "lacking": error}
+        beside = partial(conversion.write, path, splats, conversion.other(), **said)
         notes = yield from aside(_in_words(beside), f"Writing {path.name} in the trainer's Python")
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()

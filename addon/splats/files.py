@@ -3,17 +3,20 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from ..cameras.objects import local_matrix, root_of
+from ..cameras.placing import ORIGIN, note_origin, noted_origin, origin_of
 from ..compat import matrix_to_numpy
 from ..core import (
     UP_NOTE,
     SplatFile,
     is_lod_file,
+    offset_between,
     read_lod,
     stated_up,
 )
@@ -57,6 +60,8 @@ class Wanted:
     """Session number of the object that becomes the parent; 0: none."""
     basis: tuple[Matrix, Matrix] | None
     """Where the object of a crop stands: its matrix and that of its parent's inverse."""
+    origin: np.ndarray | None
+    """[3] the local origin of the capture that the parent belongs to; None: it has none."""
     stored: tuple[float, ...]
     """What is remembered of that object's import; empty: nothing."""
     up: str
@@ -98,7 +103,7 @@ def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Objec
     """As `import_splats`, of what `want` returns."""
     found = read(wanted)
     ob = objects.create(found.splats, wanted.path.stem, collection=context.collection)
-    settle(ob, wanted, antialiased=found.antialiased, comments=found.comments)
+    settle(ob, wanted, found)
     return ob
 
 
@@ -133,6 +138,7 @@ def want(
         crop=crop,
         parent=0 if parent is None else parent.session_uid,
         basis=basis,
+        origin=origin_of(parent),
         stored=stored,
         up=up,
         by=conversion.other(),
@@ -146,7 +152,8 @@ def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
         As `import_splats`.
     """
     if not is_lod_file(wanted.path):
-        return conversion.read(wanted.path, wanted.by, check)
+        found = conversion.read(wanted.path, wanted.by, check)
+        return found if _BLENDER_NOTE in found.comments else found.of_capture(wanted.origin)
     if wanted.to_unit is None:
         return read_lod(wanted.path, wanted.level, most=MOST_AT_ONCE)
     found = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)
@@ -155,12 +162,20 @@ def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
     return found
 
 
-def settle(
-    ob: bpy.types.Object, wanted: Wanted, *, antialiased: bool, comments: Sequence[str]
-) -> None:
-    """Put the object of a file, with such comments, where it was wanted; under no parent where that
-    is gone."""
-    if antialiased:
+class Said(Protocol):
+    """What a file says of its splats."""
+
+    @property
+    def antialiased(self) -> bool: ...
+    @property
+    def origin(self) -> np.ndarray | None: ...
+    @property
+    def comments(self) -> Sequence[str]: ...
+
+
+def settle(ob: bpy.types.Object, wanted: Wanted, said: Said) -> None:
+    """Put the object of a file where it was wanted; under no parent where that is gone."""
+    if said.antialiased:
         ob[ANTIALIAS] = True
     uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
     ob.parent = uids.get(wanted.parent)
@@ -168,12 +183,30 @@ def settle(
         ob.matrix_basis, ob.matrix_parent_inverse = wanted.basis
         if wanted.stored:
             ob[_IMPORT_MATRIX] = list(wanted.stored)
+        note_origin(ob, said.origin)
         return
+    is_of_blender = wanted.up == FROM_FILE and _BLENDER_NOTE in said.comments
+    if not is_of_blender:
+        stand(ob, said.origin)
     if ob.parent is None:
-        stated = stated_up(comments) if wanted.up == FROM_FILE else wanted.up
+        stated = stated_up(said.comments) if wanted.up == FROM_FILE else wanted.up
         turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
-    elif wanted.up == FROM_FILE and _BLENDER_NOTE in comments:
+    elif is_of_blender:
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
+
+
+def stand(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
+    """Put an object where splats about a local origin belong, which it has now: among its capture,
+    or where it stood with those about another one."""
+    root, before = root_of(ob), origin
+    if root is not None:
+        before = noted_origin(root)
+    if ORIGIN in ob:
+        before = noted_origin(ob)
+    shift = offset_between(origin, before)
+    if shift.any():
+        ob.matrix_basis = ob.matrix_basis @ Matrix.Translation(shift)
+    note_origin(ob, origin)
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:

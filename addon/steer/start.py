@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from .. import attributes
+from ..cameras.placing import box_of_capture, origin_of
 from ..core import write_region, write_splat_file
 from ..process.pieces import Check, Going, Pieces, aside
 from ..splats import objects
@@ -34,6 +35,7 @@ class Start:
         """
         if not ob.data.vertices:
             raise ValueError(f"{ob.name} has no splats to train.")
+        self._origin, box = origin_of(ob), box_of_capture(box, ob)
         self._box, self._splats_file, self._region_file = box, splats_file, region_file
         self._name, self._matrix = ob.name, source_matrix_of_data(ob)
         objects.moved(attributes.NO_SPLATS, self._matrix, self._name)  # refuses what cannot be
@@ -61,5 +63,7 @@ class Start:
     def _write(self, columns: dict[str, np.ndarray], check: Check) -> None:
         splats = objects.moved(attributes.as_splats(columns), self._matrix, self._name)
         check()
-        write_splat_file(self._splats_file, splats, antialiased=self._antialiased)
+        write_splat_file(
+            self._splats_file, splats, antialiased=self._antialiased, origin=self._origin
+        )
         write_region(self._region_file, self._box)

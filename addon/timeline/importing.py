@@ -4,6 +4,7 @@ from pathlib import Path
 
 import bpy
 
+from ..cameras.placing import origin_of
 from ..core import read_splat_file
 from ..interface import writable
 from ..paths import relative
@@ -42,10 +43,11 @@ def import_sequence(
     """
     series = find_series(folder, called)
     first = series.files[0]
-    read = read_splat_file(first.path)
+    read = read_splat_file(first.path).of_capture(origin_of(parent))
     ob = objects.create(read.splats, folder.name, collection=context.collection, parent=parent)
     if read.antialiased:
         ob[ANTIALIAS] = True
+    files.stand(ob, read.origin)
     if parent is None:
         files.turn_up(ob, up)
     mesh.note(ob.data, first)

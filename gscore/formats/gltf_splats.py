@@ -32,7 +32,7 @@ from .gltf_writing import (
     write_packed_gltf,
 )
 from .joined import joined_files
-from .splat_file import Decoded, SplatFormat
+from .splat_file import Decoded, SplatFormat, origin_in
 
 _DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
 """SPZ in files of Cesium before July 2025 and in the first draft, directly in the primitive."""
@@ -66,7 +66,9 @@ def _read(path: Path) -> Decoded:
         _check_repeated(file, count, len(parts) + 1)
         parts.append(half_turn(_placed(file, splats, matrix), Z))
         layouts.append(layout)
-        marks.append(flagged or as_object(primitive.get("extras")).get(GLTF_MARK) is True)
+        extras = as_object(primitive.get("extras"))
+        marks.append(flagged or extras.get(GLTF_MARK) is True)
+        origins.append(origin_in(extras, file.damaged))
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(

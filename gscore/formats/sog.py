@@ -8,6 +8,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from . import textures
 from .codebook import CODEBOOK_SIZE
 from .parts import check_part, parts_of
 from .sog_writing import ANTIALIASED, CHECKS, FIRST_TAG, META, PALETTE_WIDTH, parts_in, write_sog
-from .splat_file import Decoded, SplatFormat
+from .splat_file import Decoded, SplatFormat, origin_in
 
 _MOST_META = 1 << 22
 _MOST_SPLATS_A_BYTE = 16
