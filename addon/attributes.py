@@ -170,7 +170,7 @@ def check_vectors(datablock: Any, name: str, *, called: str = "") -> Any:
     return attribute
 
 
-def choose_alike(mesh: Any, old: Any) -> None:
+def copy_active(mesh: Any, old: Any) -> None:
     """Have those of a mesh active, and shown by renders, that are so in another one."""
     ours, theirs = mesh.attributes, old.attributes
     if theirs.active is not None and theirs.active.name in ours:
@@ -319,7 +319,7 @@ def add_points(mesh: Any, count: int) -> None:
         mesh.attributes.remove(selection)
 
 
-def tells_selection(mesh: Any) -> bool:
+def has_selection(mesh: Any) -> bool:
     """Whether `leave_points_unselected` was called of a mesh."""
     return _POINT_SELECTION in mesh.attributes
 

@@ -24,7 +24,7 @@ from gscore.frontend import (
     rotmat_to_quat,
     write_colmap,
 )
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 
 STUDIO = Path(__file__).parent / "studio"
 FIGURE_RADIUS = 0.75

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         GsError,
         ShapeError,
     )
-    from .events import Event, judged_psnr
+    from .events import Event, headline_psnr
     from .formats import read_splat_file, read_splats, write_splat_file
     from .io.ply.splats import write_splats
     from .metrics.image import psnr
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .scene import Cameras, PointCloud, Scene
     from .sequence_options import SequenceOptions
     from .splats import Splats
-    from .trainer.files.ended import TrainResult
+    from .trainer.files.run_result import TrainResult
     from .trainer.run import train
     from .trainer.sequence import train_sequence
     from .transforms import transform_splats
@@ -66,9 +66,9 @@ _HOME = {
     "Splats": "splats",
     "Strategy": "config",
     "TrainConfig": "config",
-    "TrainResult": "trainer.files.ended",
+    "TrainResult": "trainer.files.run_result",
     "image_loss": "raster.loss",
-    "judged_psnr": "events",
+    "headline_psnr": "events",
     "load_dataset": "datasets",
     "psnr": "metrics.image",
     "rasterize": "raster.autograd",
@@ -111,8 +111,8 @@ __all__ = [
     "TrainConfig",
     "TrainResult",
     "__version__",
+    "headline_psnr",
     "image_loss",
-    "judged_psnr",
     "load_dataset",
     "psnr",
     "rasterize",

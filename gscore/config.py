@@ -7,7 +7,7 @@ from pathlib import Path
 from .choices import Background, Doubling, Skip, Stereo, Strategy, Switch
 from .errors import ConfigError
 from .options import LARGEST, Range, check_options, option
-from .shown import quoted
+from .quoting import quoted
 
 _MOST_THREADS = 1024
 """Most that the library takes."""

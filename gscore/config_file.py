@@ -13,7 +13,7 @@ from ._version import __version__
 from .config import DataConfig, TrainConfig
 from .errors import ConfigError
 from .json_text import parse_json
-from .shown import quoted
+from .quoting import quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")

@@ -140,7 +140,7 @@ class Eval(Event):
     step: int
     split: str
     metrics: dict[str, Any]
-    """As in metrics.json; only the PSNR where a goal is watched. See `judged_psnr`."""
+    """As in metrics.json; only the PSNR where a goal is watched. See `headline_psnr`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,8 +244,7 @@ class EvalDone(Event):
     path: str
     """Folder of metrics.json and report.html."""
     views: dict[str, float | None] = field(default_factory=dict)
-    """The PSNR of each view as `judged_psnr` says, dB, by its name; null: it is infinite, or there
-    is none."""
+    """The PSNR of each view as in `headline_psnr`, dB, by its name; null: infinite or missing."""
     error_map: str = ""
     """The splats in the colours of their errors; empty: not asked for."""
     error_bright: float = 0.0
@@ -415,7 +414,7 @@ MASKED_OF = "psnr_masked_of"
 """In metrics.json beside `psnr_masked`: what its pixels lie in, where that is not masks."""
 
 
-def judged_psnr(metrics: Mapping[str, Any]) -> float | None:
+def headline_psnr(metrics: Mapping[str, Any]) -> float | None:
     """The PSNR that a model is judged by, dB: of the pixels inside the masks where those outside do
     not count (`psnr_masked` of metrics.json), else of all (`psnr`); None where there is none."""
     return metrics.get("psnr_masked", metrics.get("psnr"))

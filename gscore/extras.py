@@ -68,10 +68,10 @@ def need(module: str, purpose: str) -> Any:
     if loaded is not None and not _is_loading(loaded):
         return loaded
     # Here, for it loads ctypes and threading, which `import gscore` alone has no use for.
-    from .signal_keeping import signals_kept
+    from .signal_guard import keep_signal_handlers
 
     try:
-        with signals_kept():
+        with keep_signal_handlers():
             return import_module(module)
     except ImportError as error:
         raise BackendError(f"{missing(module, purpose)}.") from error

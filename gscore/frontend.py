@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from .datasets import Capture, Folder, View, read_capture
     from .datasets.camera_path_json import read_camera_path, write_nerfstudio_path
     from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
-    from .datasets.headers import up_as_held
-    from .datasets.mattes import are_mattes
+    from .datasets.mask_meaning import are_mattes
+    from .datasets.photo_headers import up_as_held
     from .datasets.resolution import target_size
     from .datasets.undistort import Undistortion, plan_undistortion
     from .depth.catalogue import KnownNetwork
@@ -68,13 +68,13 @@ if TYPE_CHECKING:
     from .io.colmap.folder import read_model as read_colmap
     from .io.colmap.folder import write_model as write_colmap
     from .io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-    from .io.files import atomic_write, given_up_by
+    from .io.files import atomic_write, file_errors
+    from .io.images.image_header import ImageInfo, read_header
+    from .io.images.png import gray_png, rgba_png
+    from .io.images.resample import downscale
     from .io.lock import FolderLock
     from .io.lod_file import LOD_ENDING, is_lod_file
     from .io.mesh.ply import write_mesh
-    from .io.pictures.image_header import ImageInfo, read_header
-    from .io.pictures.png import gray_png, rgba_png
-    from .io.pictures.resample import downscale
     from .io.ply.splats import MIP_COMMENT
     from .io.ply.up_axis import UP_NOTE, stated_up
     from .io.poses_json import POSES_FILE, read_moves
@@ -82,21 +82,21 @@ if TYPE_CHECKING:
     from .io.runs import GUIDE_FILE, GUIDES, RunInfo, clear_run, read_course, read_run
     from .io.sequences import SequenceIndex, read_sequence
     from .lod.build import LodFacts, build_lod
-    from .lod.draw import LodModel
+    from .lod.lod_renderer import LodModel
     from .lod.read import read_lod
-    from .logged import collected_warnings
     from .options import Option, options_of
     from .raster.mesh import mesh_depth
     from .report.colormap import colorize
     from .scene import moved_viewmats, offset_between, origin_words
-    from .sfm.beside import capture_beside
+    from .sfm.output_path import default_capture_output
     from .sh import rgb_to_sh0, sh0_to_rgb, sh_basis
     from .splats import cut_degree
     from .trainer.estimate.forecast import Estimate, estimate
-    from .trainer.schedule.enough import limit_by_photos, points_to_expect
+    from .trainer.schedule.caps import cap_by_photos, expected_points
     from .transforms import quat_to_rotmat, rotmat_to_quat
     from .upright import find_up
     from .video import VIDEO_ENDINGS, is_video
+    from .warning_log import collected_warnings
 
 _HOME = {
     "Capture": "datasets",
@@ -123,11 +123,11 @@ _HOME = {
     "FramesProgress": "events",
     "GUIDES": "io.runs",
     "GUIDE_FILE": "io.runs",
-    "ImageInfo": "io.pictures.image_header",
+    "ImageInfo": "io.images.image_header",
     "KnownNetwork": "depth.catalogue",
     "LOD_ENDING": "io.lod_file",
     "LodFacts": "lod.build",
-    "LodModel": "lod.draw",
+    "LodModel": "lod.lod_renderer",
     "MIP_COMMENT": "io.ply.splats",
     "NO_PINHOLE": "io.colmap.camera_models",
     "Option": "options",
@@ -156,22 +156,22 @@ _HOME = {
     "View": "datasets",
     "Warn": "events",
     "apply_edits": "edit.pipeline",
-    "are_mattes": "datasets.mattes",
+    "are_mattes": "datasets.mask_meaning",
     "at_least_opaque": "edit",
     "atomic_write": "io.files",
     "build_lod": "lod.build",
-    "capture_beside": "sfm.beside",
+    "default_capture_output": "sfm.output_path",
     "choose_frames": "datasets.frames",
     "clear_run": "io.runs",
-    "collected_warnings": "logged",
+    "collected_warnings": "warning_log",
     "cluster_sizes": "edit",
     "colorize": "report.colormap",
     "contributions": "edit",
     "cut_degree": "splats",
     "depth_networks": "depth.catalogue:all_networks",
-    "downscale": "io.pictures.resample",
-    "limit_by_photos": "trainer.schedule.enough",
-    "points_to_expect": "trainer.schedule.enough",
+    "downscale": "io.images.resample",
+    "cap_by_photos": "trainer.schedule.caps",
+    "expected_points": "trainer.schedule.caps",
     "estimate": "trainer.estimate.forecast",
     "find_capture": "inspection",
     "find_colmap": "io.colmap.folder:find_model",
@@ -179,8 +179,8 @@ _HOME = {
     "find_up": "upright",
     "frame_pattern": "datasets.frames",
     "from_line": "events",
-    "given_up_by": "io.files",
-    "gray_png": "io.pictures.png",
+    "file_errors": "io.files",
+    "gray_png": "io.images.png",
     "importance_of": "edit",
     "in_unit_shape": "edit",
     "inspect_capture": "inspection:inspect",
@@ -202,7 +202,7 @@ _HOME = {
     "read_cameras": "io.cameras_json:read_cameras_json",
     "read_capture": "datasets",
     "read_colmap": "io.colmap.folder:read_model",
-    "read_header": "io.pictures.image_header",
+    "read_header": "io.images.image_header",
     "read_lod": "lod.read",
     "read_moves": "io.poses_json",
     "read_course": "io.runs",
@@ -210,14 +210,14 @@ _HOME = {
     "read_sequence": "io.sequences",
     "quat_to_rotmat": "transforms",
     "rgb_to_sh0": "sh",
-    "rgba_png": "io.pictures.png",
+    "rgba_png": "io.images.png",
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
     "sh_basis": "sh",
     "stated_depth": "depth.stated",
     "stated_up": "io.ply.up_axis",
     "target_size": "datasets.resolution",
-    "up_as_held": "datasets.headers",
+    "up_as_held": "datasets.photo_headers",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
     "write_mesh": "io.mesh.ply",
@@ -288,7 +288,7 @@ __all__ = [
     "at_least_opaque",
     "atomic_write",
     "build_lod",
-    "capture_beside",
+    "cap_by_photos",
     "choose_frames",
     "clear_run",
     "cluster_sizes",
@@ -296,16 +296,18 @@ __all__ = [
     "colorize",
     "contributions",
     "cut_degree",
+    "default_capture_output",
     "depth_networks",
     "downscale",
     "estimate",
+    "expected_points",
+    "file_errors",
     "find_capture",
     "find_colmap",
     "find_frames",
     "find_up",
     "frame_pattern",
     "from_line",
-    "given_up_by",
     "gray_png",
     "importance_of",
     "in_unit_shape",
@@ -315,7 +317,6 @@ __all__ = [
     "is_video",
     "isolation_of",
     "join_splats",
-    "limit_by_photos",
     "mesh_depth",
     "most_important",
     "moved_viewmats",
@@ -324,7 +325,6 @@ __all__ = [
     "options_of",
     "origin_words",
     "plan_undistortion",
-    "points_to_expect",
     "quat_to_rotmat",
     "reached_from",
     "read_camera_path",

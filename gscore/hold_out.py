@@ -6,7 +6,7 @@ from typing import Any
 
 from .config import DataConfig
 from .errors import ConfigError
-from .shown import quoted
+from .quoting import quoted
 
 SPLIT = ("test_every", "test_list", "test_first", "test_last")
 """The fields of DataConfig that it stands for."""

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from .errors import ConfigError
-from .shown import quoted
+from .quoting import quoted
 
 LARGEST = 1e9
 """Of every number that is no count: products of several must not leave float32."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .errors import ShapeError
-from .shown import quoted
+from .quoting import quoted
 from .splats import check_array
 
 FARTHEST = 1e30

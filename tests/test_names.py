@@ -7,7 +7,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parent.parent / "gscore"
 TWINS = {
-    "raster/pull.py, raster/_native.py": "add_pull",  # the door and the library's function
+    "raster/screen_gradients.py, raster/_native.py": "add_pull",  # the door and the library's function
     "raster/packing.py, raster/_native.py": "pack_rows unpack_rows",
     "__main__.py, commands/__init__.py": "main",  # of the process, and of a list of words
     "io/colmap/binary.py, io/colmap/text.py": "count_images read_cameras read_images read_points",

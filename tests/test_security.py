@@ -22,9 +22,9 @@ from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import MapFolder, _read_picture, read_map
 from gscore.errors import FormatError, GsError
 from gscore.io.colmap.folder import is_safe_name
+from gscore.io.images.exr_header import check_exr_size
+from gscore.io.images.read_image import read_image, read_info, read_mask, write_png
 from gscore.io.npy import read_npy
-from gscore.io.pictures.exr_header import check_exr_size
-from gscore.io.pictures.images import read_image, read_info, read_mask, write_png
 from gscore.io.sequences import read_sequence
 from gscore.metrics import Lpips
 
@@ -48,15 +48,15 @@ UNSAFE_NAMES = (
 
 
 STARTS = {
-    "gscore/bench/child.py:run_child",
+    "gscore/bench/child_process.py:run_child",
     "gscore/formats/usd.py:_in_child",
     "gscore/metrics/machine.py:cpu_name",
-    "addon/process/program.py:Process.__init__",
+    "addon/process/child_program.py:Process.__init__",
 }
 """The functions that start processes, from lists of words."""
 LISTENS = ROOT / "gscore" / "live" / "server.py"
 """The only file that opens a port."""
-SPEAKS = ROOT / "gscore" / "trainer" / "ranks" / "team.py"
+SPEAKS = ROOT / "gscore" / "trainer" / "distributed" / "process_group.py"
 """The only file that speaks with other processes of one training, through torch's own sockets."""
 PARSES = ROOT / "gscore/io/xml_text.py"
 COLLECTS = ROOT / "addon" / "process" / "garbage.py"
@@ -70,34 +70,34 @@ WRITES = {
     "addon/cameras/camera_path.py:_write ..core.write_nerfstudio_path": "the user's choice",
     "addon/cameras/export_colmap.py:_write ..core.write_colmap": "the user's choice",
     "addon/cameras/export_transforms.py:_write ..core.atomic_write": "the user's choice",
-    "addon/cameras/straight.py:remove file.unlink": "Blender's folder of it",
-    "addon/cameras/straightener.py:straighten copy.parent.mkdir": "Blender's folder of it",
-    "addon/cameras/straightener.py:straighten part.replace": "Blender's folder of it",
-    "addon/cameras/straightener.py:straighten part.unlink": "Blender's folder of it",
-    "addon/cameras/straightener.py:_write image.save": "Blender's folder of it",
-    "addon/job/guides.py:arguments ..core.write_mesh": "the output folder",
-    "addon/job/within.py:arguments ..core.write_region": "the output folder",
+    "addon/cameras/undistorted_photos.py:remove file.unlink": "Blender's folder of it",
+    "addon/cameras/undistort_program.py:straighten copy.parent.mkdir": "Blender's folder of it",
+    "addon/cameras/undistort_program.py:straighten part.replace": "Blender's folder of it",
+    "addon/cameras/undistort_program.py:straighten part.unlink": "Blender's folder of it",
+    "addon/cameras/undistort_program.py:_write image.save": "Blender's folder of it",
+    "addon/training/guides.py:arguments ..core.write_mesh": "the output folder",
+    "addon/training/box_limit.py:arguments ..core.write_region": "the output folder",
     "addon/sequence/guides.py:_Files._write ..core.write_mesh": "the output folder",
     "addon/sequence/guides.py:_Files.remove_earlier path.unlink": "the output folder",
-    "addon/steer/mask_operators.py:SaveMask.act ..masks.save": "the capture's folder of masks",
-    "addon/steer/masks.py:save ..core.atomic_write": "the capture's folder of masks",
-    "addon/steer/start.py:Start._write ..core.write_region": "a new folder beside the output",
-    "addon/steer/start.py:Start._write ..core.write_splat_file": "a new folder beside the output",
+    "addon/region_training/mask_operators.py:SaveMask.act ..masks.save": "the capture's folder of masks",
+    "addon/region_training/masks.py:save ..core.atomic_write": "the capture's folder of masks",
+    "addon/region_training/start.py:Start._write ..core.write_region": "a new folder beside the output",
+    "addon/region_training/start.py:Start._write ..core.write_splat_file": "a new folder beside the output",
     "addon/splats/conversion.py:read tempfile.TemporaryDirectory": "Blender's temporary folder",
     "addon/splats/conversion.py:write tempfile.TemporaryDirectory": "Blender's temporary folder",
     "addon/splats/conversion.py:write ..core.write_splat_file": "Blender's temporary folder",
     "addon/splats/conversion.py:write made.parent.mkdir": "Blender's temporary folder",
     "addon/splats/conversion.py:write ..core.atomic_write": "the user's choice",
     "addon/splats/exporting.py:exporting.write ..core.write_splat_file": "the user's choice",
-    "addon/python/installer.py:_make shutil.rmtree": "Blender's folder of it",
-    "addon/python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",
-    "addon/python/installer.py:_put_in_place ..turn.rename": "Blender's folder of it",
-    "addon/python/turn.py:_mend rename": "Blender's folder of it",
-    "addon/python/turn.py:_mend shutil.rmtree": "Blender's folder of it",
-    "addon/python/turn.py:rename os.replace": "Blender's folder of it",
+    "addon/trainer_python/installer.py:_make shutil.rmtree": "Blender's folder of it",
+    "addon/trainer_python/installer.py:_put_in_place shutil.rmtree": "Blender's folder of it",
+    "addon/trainer_python/installer.py:_put_in_place ..turn.rename": "Blender's folder of it",
+    "addon/trainer_python/install_lock.py:_mend rename": "Blender's folder of it",
+    "addon/trainer_python/install_lock.py:_mend shutil.rmtree": "Blender's folder of it",
+    "addon/trainer_python/install_lock.py:rename os.replace": "Blender's folder of it",
     "addon/cameras/importing.py:_move before.objects.unlink": "no file, an object",
     "addon/cameras/importing.py:_Coming._take_away collection.objects.unlink": "no file, an object",
-    "addon/job/results.py:adopt collection.objects.unlink": "no file, an object",
+    "addon/training/results.py:adopt collection.objects.unlink": "no file, an object",
     "addon/render/compositor.py:_link other.collection.objects.unlink": "no file, an object",
 }
 """All calls in the add-on that write, make or remove files, and where these lie."""

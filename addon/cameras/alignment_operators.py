@@ -7,8 +7,8 @@ import numpy as np
 from bpy.props import EnumProperty, FloatProperty
 
 from ..compat import matrix_to_numpy
+from . import capture_transform
 from . import objects as co
-from . import placing
 from .lookup import find_root
 from .operators import OnCapture
 
@@ -53,16 +53,16 @@ class AlignCapture(_Aligning, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Align."""
         root = find_root(context, self.capture)
-        found = placing.align_root(root, self._up(context, root))
+        found = capture_transform.align_root(root, self._up(context, root))
         if not found.ground_found:
             self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
         return ""
 
     def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
         if self.up == "CAPTURE":
-            return placing.stated_up(root)
+            return capture_transform.stated_up(root)
         if self.up == "CAMERAS":
-            return placing.stated_up(root, placing.HELD_UP)
+            return capture_transform.stated_up(root, capture_transform.HELD_UP)
         if self.up == "CURRENT":
             return current_up(root)
         if self.up == "VIEW":
@@ -83,7 +83,7 @@ class FlipUp(_Aligning, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Flip."""
         root = find_root(context, self.capture)
-        placing.align_root(root, -current_up(root))
+        capture_transform.align_root(root, -current_up(root))
         return ""
 
 
@@ -106,14 +106,14 @@ class SetExtent(_Aligning, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask, beginning with the present size."""
         try:
-            self.extent = placing.world_extent(find_root(context, self.capture))
+            self.extent = capture_transform.world_extent(find_root(context, self.capture))
         except ValueError as error:
             return self.refuse(error)
         return context.window_manager.invoke_props_dialog(self)
 
     def act(self, context: bpy.types.Context) -> str:
         """Scale."""
-        placing.set_extent(find_root(context, self.capture), self.extent)
+        capture_transform.set_extent(find_root(context, self.capture), self.extent)
         return ""
 
 
@@ -125,7 +125,7 @@ class ResetAlignment(_Aligning, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Reset."""
-        placing.reset_root(find_root(context, self.capture))
+        capture_transform.reset_root(find_root(context, self.capture))
         return ""
 
 

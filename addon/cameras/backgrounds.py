@@ -8,10 +8,10 @@ from pathlib import Path
 import bpy
 
 from .. import stored_paths
-from ..interface import writable
+from ..interface import editable_check
 from ..paths import relative
 from .objects import PhotoCamera, stated
-from .straight import copy_of
+from .undistorted_photos import copy_of
 
 _MADE = "gs_background"
 """Custom property of the images that the add-on puts into backgrounds; others are the user's."""
@@ -66,7 +66,7 @@ class KnownImages:
             found.filepath = relative(shown) if shown == photo else str(shown)
             self._names[str(shown)] = found.name, None
             self._made.add(found.session_uid)
-        if _MADE not in found and writable.keeps(found):
+        if _MADE not in found and editable_check.keeps(found):
             found[_MADE] = True
         return found
 
@@ -171,7 +171,7 @@ def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
     if slot is None:
         return None
     return StraightBackground(
-        own=stated(ob), file=file_of(slot.image), can_change=writable.keeps(ob.data)
+        own=stated(ob), file=file_of(slot.image), can_change=editable_check.keeps(ob.data)
     )
 
 

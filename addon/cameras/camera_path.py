@@ -10,13 +10,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core import Cameras, atomic_write, given_up_by, write_cameras, write_nerfstudio_path
+from ..core import Cameras, atomic_write, file_errors, write_cameras, write_nerfstudio_path
 from ..process import garbage
-from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
+from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking, run_in_thread
 from . import objects as co
+from .capture_transform import origin_of
 from .export_transforms import transforms_text
 from .export_views import ExportView, Watched, about_none, collect
-from .placing import origin_of
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""
@@ -31,7 +31,7 @@ def export_path(
     kind: str = CAMERAS,
 ) -> int:
     """The same as `exporting_path`, at once."""
-    return at_once(exporting_path(path, camera, scene, root=root, kind=kind))
+    return run_blocking(exporting_path(path, camera, scene, root=root, kind=kind))
 
 
 def exporting_path(
@@ -74,7 +74,7 @@ def exporting_path(
     with garbage.put_off():
         views = yield from _reading(camera, scene, root)
         write = partial(_write, path, views, kind, pace, origin)
-        yield from aside(write, f"Writing {path}")
+        yield from run_in_thread(write, f"Writing {path}")
     return len(views)
 
 
@@ -134,7 +134,7 @@ def _write(
     for."""
     if kind != CAMERAS:
         views = about_none(views, origin)
-    with given_up_by(check):
+    with file_errors(check):
         if kind == TRANSFORMS:
             times = np.linspace(0, 1, len(views)).tolist()
             text = transforms_text(views, path.parent, {"fps": pace}, times=times)

@@ -12,15 +12,15 @@ import numpy as np
 
 from ..compat import curves_of
 from ..core import Cameras, offset_between, read_camera_path, rotmat_to_quat
-from ..interface import writable
+from ..interface import editable_check
 from ..interface.blocks import with_uid
-from ..interface.flags import panel_words
-from ..interface.temporary import Temporary
+from ..interface.option_labels import panel_words
+from ..interface.temporary_data import Temporary
 from ..process import garbage
-from ..process.pieces import BUDGET, Check, Pieces, aside, at_once
-from . import formulas as cm
+from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking, run_in_thread
+from . import camera_math as cm
 from . import objects as co
-from .placing import origin_of
+from .capture_transform import origin_of
 
 _NUMBER = re.compile(r"(\d+)\D*$")
 _SAME = 1e-6
@@ -49,7 +49,7 @@ class ImportedPath:
 
 def import_path(path: str | Path, scene: bpy.types.Scene, **options: Any) -> ImportedPath:
     """The same as `importing_path`, at once."""
-    return at_once(importing_path(path, scene, **options))
+    return run_blocking(importing_path(path, scene, **options))
 
 
 def importing_path(
@@ -79,7 +79,9 @@ def importing_path(
     origin = None if root is None else offset_between(origin_of(root), None)
     root_uid = None if root is None else root.session_uid
     with garbage.put_off():
-        found = yield from aside(partial(_read, path, start, numbered, origin), f"Reading {path}")
+        found = yield from run_in_thread(
+            partial(_read, path, start, numbered, origin), f"Reading {path}"
+        )
         while True:
             coming = _Coming(found)
             try:
@@ -221,7 +223,7 @@ class _Coming:
         ob = outer.objects[0]
         ob.parent = root
         places = root.users_collection if root is not None else ()
-        writable.taking([*places, scene.collection])[0].objects.link(ob)
+        editable_check.taking([*places, scene.collection])[0].objects.link(ob)
         bpy.data.collections.remove(outer)
         photos = co.cameras_of(root) if root is not None else []
         if photos:

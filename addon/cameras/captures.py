@@ -7,12 +7,12 @@ import bpy
 
 from .. import stored_paths
 from ..core import Folder, find_capture
-from ..interface import writable
-from ..interface.clearing import finish
-from ..process.pieces import at_once
-from . import formulas as cm
+from ..interface import editable_check
+from ..interface.incremental_removal import finish
+from ..process.incremental_tasks import run_blocking
+from . import camera_math as cm
 from . import objects as co
-from . import straightening
+from . import undistort_jobs
 from .backgrounds import KnownImages, photo_of, photo_on_disk, set_photo
 from .importing import ImportedCapture, importing
 from .objects import cameras_of, is_camera
@@ -21,7 +21,7 @@ from .objects import cameras_of, is_camera
 def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> ImportedCapture:
     """Bring a capture into the scene at once; arguments and errors as `importing`."""
     try:
-        return at_once(importing(scene, path, **options))
+        return run_blocking(importing(scene, path, **options))
     finally:
         finish()
 
@@ -53,12 +53,12 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
             f"fx and fy of {own.image} differ; the scene's pixel aspect is now {aspect:.4f} for it."
         )
     if not bpy.app.background:
-        straightening.ask([ob])
+        undistort_jobs.ask([ob])
     photo = photo_of(ob)
-    if writable.keeps(ob.data):
+    if editable_check.keeps(ob.data):
         ob.data.show_background_images = True
     elif not ob.data.show_background_images:
-        notes.append(f"The photo stays hidden. {writable.problem(ob.data)}")
+        notes.append(f"The photo stays hidden. {editable_check.problem(ob.data)}")
     if photo is None or not Path(own.photo).is_file():
         notes.append(f"The photo {own.photo} is not there. Find the capture's folder again.")
     if before is not None and before != ob and is_camera(before):
@@ -113,5 +113,5 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
         if found[ob.name] is not None:
             set_photo(ob, photo_on_disk(co.stated(ob), found[ob.name]), known)
     if not bpy.app.background:
-        straightening.ask(cameras)
+        undistort_jobs.ask(cameras)
     return sum(1 for file in found.values() if file), len(cameras)

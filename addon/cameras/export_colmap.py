@@ -21,8 +21,8 @@ from ..core import (
     rotmat_to_quat,
     write_colmap,
 )
-from ..interface.flags import error_words
-from ..process.pieces import Check, Pieces, aside, at_once
+from ..interface.option_labels import error_words
+from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
 from .export_sources import Gathered, gathering, points_to_export
 from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
 
@@ -38,7 +38,7 @@ def export_colmap(
 ) -> Exported:
     """The same as `exporting_colmap`, at once."""
     given = {"root": root, "binary": binary, "depsgraph": lambda: depsgraph}
-    return at_once(exporting_colmap(path, cameras, scene, **given))
+    return run_blocking(exporting_colmap(path, cameras, scene, **given))
 
 
 def exporting_colmap(
@@ -67,7 +67,7 @@ def exporting_colmap(
     folder = Path(path) / "sparse" / "0"
     given = yield from gathering(cameras, scene, root, depsgraph)
     write = partial(_write, folder, given, binary)
-    return (yield from aside(write, f"Writing {folder}"))
+    return (yield from run_in_thread(write, f"Writing {folder}"))
 
 
 def _write(

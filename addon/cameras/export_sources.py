@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .. import outcomes, stored_paths
+from .. import run_links, stored_paths
 from ..core import (
     Capture,
     ColmapModel,
@@ -21,18 +21,18 @@ from ..core import (
 )
 from ..interface.blocks import with_uid
 from ..paths import absolute
-from ..process.pieces import Pieces, aside
+from ..process.incremental_tasks import Pieces, run_in_thread
 from . import objects as co
 from . import sfm_points
+from .capture_transform import origin_of
 from .export_views import ExportView, Graph, collecting
-from .placing import origin_of
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point that COLMAP did not make, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HeldPoints:
+class ExportPoints:
     """The points as they are in Blender."""
 
     positions: np.ndarray
@@ -52,7 +52,7 @@ class HeldPoints:
         return sfm_points.encoded(self.linear)
 
 
-def reading_points(root: int | None) -> Pieces[HeldPoints | None]:
+def reading_points(root: int | None) -> Pieces[ExportPoints | None]:
     """The points of a capture, an attribute a piece.
 
     Args:
@@ -75,8 +75,10 @@ def reading_points(root: int | None) -> Pieces[HeldPoints | None]:
     positions, linear, places = found
     if len({len(values) for values in found if values is not None}) != 1:
         raise ValueError(f"{name} was changed while it was exported: export it again.")
-    indices = yield from aside(lambda check: sfm_points.unique_places(places), f"Reading {name}")
-    return HeldPoints(positions=positions, indices=indices, linear=linear, name=name)
+    indices = yield from run_in_thread(
+        lambda check: sfm_points.unique_places(places), f"Reading {name}"
+    )
+    return ExportPoints(positions=positions, indices=indices, linear=linear, name=name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,7 @@ class Gathered:
     """All of Blender that an export needs; what comes after needs no bpy."""
 
     views: list[ExportView]
-    held: HeldPoints | None
+    held: ExportPoints | None
     """Points of the capture whose world is written; None: there are none."""
     source: Path | None
     """Files of that capture, if they are there."""
@@ -110,7 +112,7 @@ def gathering(
 
 
 def points_to_export(
-    held: HeldPoints | None,
+    held: ExportPoints | None,
     source: Path | None,
     model: ColmapModel | None = None,
     *,
@@ -168,7 +170,7 @@ def known_captures() -> list[Path]:
     roots = [ob for ob in bpy.data.objects if co.is_kind(ob, "capture")]
     found = [path for root in roots if (path := source_of(root)) is not None]
     for scene in bpy.data.scenes:
-        for holder in outcomes.holders(scene):
+        for holder in run_links.holders(scene):
             with contextlib.suppress(ValueError):  # none is chosen
                 found.append(find_capture(absolute(holder.capture_path, "Capture")))
     return [path for path in dict.fromkeys(found) if path.exists()]

@@ -11,8 +11,8 @@ import bpy
 import numpy as np
 
 from ..core import ColmapPoints, atomic_write, offset_between
-from ..process.pieces import Check, Pieces, aside, at_once
-from . import formulas as cm
+from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
+from . import camera_math as cm
 from .export_sources import Gathered, gathering, points_to_export
 from .export_views import Exported, ExportView, Graph, about_none, all_or_none, kept_lenses
 
@@ -34,7 +34,7 @@ def export_transforms(
 ) -> Exported:
     """The same as `exporting_transforms`, at once."""
     given = {"root": root, "depsgraph": lambda: depsgraph}
-    return at_once(exporting_transforms(path, cameras, scene, **given))
+    return run_blocking(exporting_transforms(path, cameras, scene, **given))
 
 
 def exporting_transforms(
@@ -61,7 +61,7 @@ def exporting_transforms(
     path = Path(path)
     given = yield from gathering(cameras, scene, root, depsgraph)
     write = partial(_write, path, given)
-    return (yield from aside(write, f"Writing {path}"))
+    return (yield from run_in_thread(write, f"Writing {path}"))
 
 
 def _write(

@@ -13,12 +13,12 @@ from pathlib import Path, PurePosixPath
 import bpy
 import numpy as np
 
-from ..core import ColmapCamera, given_up_by, moved_viewmats, offset_between
+from ..core import ColmapCamera, file_errors, moved_viewmats, offset_between
 from ..interface.blocks import first_few
-from ..process.pieces import BUDGET, Check, Pieces, at_once
-from . import formulas as cm
+from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking
+from . import camera_math as cm
 from . import objects as co
-from .straight import lens_of
+from .undistorted_photos import lens_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def collect(
     photos: bool = True,
 ) -> list[ExportView]:
     """The same as `collecting`, at once."""
-    return at_once(collecting(cameras, scene, root, lambda: depsgraph, photos=photos))
+    return run_blocking(collecting(cameras, scene, root, lambda: depsgraph, photos=photos))
 
 
 def collecting(
@@ -161,7 +161,7 @@ class Watched:
 def all_or_none(check: Check) -> Iterator[None]:
     """Within it several files are written: none where the export was given up before the first."""
     first = iter([check])
-    with given_up_by(lambda: next(first, lambda: None)()):
+    with file_errors(lambda: next(first, lambda: None)()):
         yield
 
 

@@ -48,7 +48,9 @@ def reach_of(
     return found @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def beside(matrix: np.ndarray, reach: np.ndarray, others: Sequence[bpy.types.Object]) -> np.ndarray:
+def place_next_to(
+    matrix: np.ndarray, reach: np.ndarray, others: Sequence[bpy.types.Object]
+) -> np.ndarray:
     """[4, 4]: the matrix of a capture's empty, moved along +x until the capture stands beside those
     that it would stand in.
 

@@ -16,26 +16,26 @@ import bpy
 from mathutils import Matrix
 
 from .. import attributes, stored_paths
-from ..interface import writable
+from ..interface import editable_check
 from ..interface.blocks import with_uid
-from ..interface.clearing import clear, clearing
-from ..interface.temporary import Temporary, release
+from ..interface.incremental_removal import clear, clearing
+from ..interface.temporary_data import Temporary, release
 from ..process import garbage
-from ..process.pieces import BUDGET, Pieces, aside
-from . import footprint, sfm_points, straightening
+from ..process.incremental_tasks import BUDGET, Pieces, run_in_thread
+from . import footprint, sfm_points, undistort_jobs
 from . import objects as co
 from .backgrounds import KnownImages, set_photo, shows_photo
-from .lookup import roots_of
-from .placing import HELD_UP, UP, note_origin, root_scale, set_root_matrix, size_drawing
-from .present import (
+from .capture_transform import HELD_UP, UP, note_origin, root_scale, set_root_matrix, size_drawing
+from .find_imported import (
     Present,
+    constrained_warning,
     find_present,
-    held_elsewhere,
     in_another_world,
     known_origins,
     other_origins,
     uid_of,
 )
+from .lookup import roots_of
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
 
@@ -93,7 +93,7 @@ def importing(
     wanted = {"images": images, "photos": photos, "points": points, "align": align}
     origins = known_origins(scene, there)
     with garbage.put_off():
-        found = yield from aside(
+        found = yield from run_in_thread(
             partial(read, place, **wanted, origins=origins), f"Reading {place}"
         )
         while True:
@@ -107,7 +107,7 @@ def importing(
                 clear(chain(coming.dropping(), known.dropping()))
             if made is not None:
                 if not bpy.app.background:
-                    straightening.begin(found.copies)
+                    undistort_jobs.begin(found.copies)
                 return made
 
 
@@ -259,7 +259,7 @@ class _Coming:
         if self._align and (others := roots_of(scene)):
             matrix = self._found.matrix
             reach = footprint.reach_of(matrix, cameras, points)
-            set_root_matrix(root, footprint.beside(matrix, reach, others))
+            set_root_matrix(root, footprint.place_next_to(matrix, reach, others))
         self._temporary.take()
         scene.collection.children.link(outer)
         return Present(root=root, cameras=cameras, points=points)
@@ -329,7 +329,9 @@ class _Coming:
             cameras=co.by_image([*(ob for ob in cameras if ob not in gone), *come]),
             points=old or new,
         )
-        return now, others + held_elsewhere([there[image] for image in wanted if image in there])
+        return now, others + constrained_warning(
+            [there[image] for image in wanted if image in there]
+        )
 
 
 def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
@@ -349,7 +351,7 @@ def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
 def _beside(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Where a new object is put to be beside another one in a scene."""
     own = {scene.collection, *scene.collection.children_recursive}
-    return writable.taking([one for one in ob.users_collection if one in own], scene)[0]
+    return editable_check.taking([one for one in ob.users_collection if one in own], scene)[0]
 
 
 def _move(ob: bpy.types.Object, before: bpy.types.Collection, after: bpy.types.Collection) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from .. import stored_paths
 from ..compat import matrix_to_numpy
 from ..core import rotmat_to_quat
-from . import formulas as cm
+from . import camera_math as cm
 
 KIND = "gs_kind"
 """Custom property that says what an object is: capture, camera, points or splats."""

@@ -6,20 +6,20 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..interface.operators import Acting, OnScene
-from ..interface.stepping import Stepping
+from ..interface.base_operator import BaseOperator, OnScene
+from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
-from ..process.pieces import Pieces
+from ..process.incremental_tasks import Pieces
 from . import captures
-from .choosing import choose
 from .export_colmap import exporting_colmap
 from .export_transforms import exporting_transforms
 from .importing import importing
 from .lookup import find_root
 from .objects import cameras_of
+from .select_imported import choose
 
 
-class OnCapture(Acting):
+class OnCapture(BaseOperator):
     """Works on a capture's empty."""
 
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
@@ -32,7 +32,7 @@ class OnCapture(Acting):
     )
 
 
-class ImportCameras(Stepping, OnScene, bpy.types.Operator):
+class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
     """Bring a capture's cameras, photos and SfM points into the scene. Where they are there, they
     become what the capture's files say now; alignment and splats stay"""
 
@@ -165,7 +165,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         return ""
 
 
-class ExportCameras(Stepping, OnCapture, bpy.types.Operator):
+class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
     """Write cameras and SfM points as a COLMAP model or a transforms.json"""
 
     bl_idname = "gscore.export_cameras"

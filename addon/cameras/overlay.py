@@ -11,7 +11,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
-from .coloring import MARK
+from .camera_colors import MARK
 
 LINE_WIDTH = 2.5
 """Pixels at a scale of the interface of 1."""

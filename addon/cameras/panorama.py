@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..compat import matrix_to_numpy, panorama_settings
-from .formulas import fitted_side
+from .camera_math import fitted_side
 from .objects import frame_of, lens_of, rigid_viewmat
 
 EQUIRECTANGULAR = "EQUIRECTANGULAR"

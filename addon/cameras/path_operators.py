@@ -7,19 +7,19 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from ..interface.stepping import Stepping
+from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
-from ..process.pieces import Pieces
+from ..process.incremental_tasks import Pieces
 from .camera_path import CAMERAS, NERFSTUDIO, TRANSFORMS, exporting_path
 from .camera_path_import import importing_path, use_path
-from .choosing import activate
 from .lookup import find_root, roots_of
 from .operators import OnCapture
+from .select_imported import activate
 
 _BLENDER = ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled")
 
 
-class ExportCameraPath(Stepping, OnCapture, bpy.types.Operator, ExportHelper):
+class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, ExportHelper):
     """Write the scene camera's animation as a file with a camera for each frame"""
 
     bl_idname = "gscore.export_camera_path"
@@ -70,7 +70,7 @@ class ExportCameraPath(Stepping, OnCapture, bpy.types.Operator, ExportHelper):
         return f"{path}: {count} frames of {name}"
 
 
-class ImportCameraPath(Stepping, OnCapture, bpy.types.Operator, ImportHelper):
+class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, ImportHelper):
     """Make an animated camera of a file with a camera for each frame: a cameras.json, the
     camera_path.json of nerfstudio's viewer, or a transforms.json"""
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..interface import writable
+from ..interface import editable_check
 from .lookup import panel_root
 from .objects import cameras_of
 
@@ -16,7 +16,7 @@ def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
 
 def changeable(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
     """Those whose photos can be shown, hidden and faded: not the ones that are linked."""
-    return list(filter(writable.keeps, _cameras(scene)))
+    return list(filter(editable_check.keeps, _cameras(scene)))
 
 
 def show(scene: bpy.types.Scene, shown: bool) -> None:

@@ -20,13 +20,13 @@ from ..core import (
     read_capture,
     up_as_held,
 )
-from ..interface.flags import error_words, panel_words
-from ..process.pieces import Check
+from ..interface.option_labels import error_words, panel_words
+from ..process.incremental_tasks import Check
 from . import alignment, sfm_points
 from . import objects as co
 from .backgrounds import Photo, photo_on_disk
-from .placing import Drawing, centers_of, drawing_of
-from .straightener import task_of
+from .capture_transform import Drawing, centers_of, drawing_of
+from .undistort_program import task_of
 
 FAR = 1e4
 """Distance of a capture from its origin, in extents, at which single precision shows."""

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..compat import matrix_to_numpy
-from . import formulas as cm
+from . import camera_math as cm
 from . import objects as co
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..interface.operators import OnScene
+from ..interface.base_operator import OnScene
 from . import captures
 from .lookup import find_camera, find_root
 from .objects import cameras_of

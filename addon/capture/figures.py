@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..core import judged_psnr
+from ..core import headline_psnr
 
 MEASURED = "errors"
 """Folder in that of a run: its metrics of all photos, and the splats in the colors of errors."""
@@ -50,7 +50,7 @@ def figures(run: Path) -> Figures:
 def _read(path: Path) -> Figures:
     try:
         content = json.loads(path.read_bytes())
-        views = {str(view["name"]): judged_psnr(view) for view in content["views"]}
+        views = {str(view["name"]): headline_psnr(view) for view in content["views"]}
         known = {name: None if psnr is None else float(psnr) for name, psnr in views.items()}
     except (OSError, ValueError, RecursionError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(

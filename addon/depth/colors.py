@@ -5,13 +5,13 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty
 
-from ..cameras.coloring import give, hide, mark_of, marks, own_cameras, take
+from ..cameras.camera_colors import give, hide, mark_of, marks, own_cameras, take
 from ..cameras.lookup import panel_root
 from ..capture.depth_maps import ACCEPTED, MISSING, REFUSED, DepthReport
 from ..interface import undo
-from ..interface.operators import Acting
-from ..process import beat
-from . import work
+from ..interface.base_operator import BaseOperator
+from ..process import poll_timer
+from . import predict_depth
 
 PALETTE = {
     ACCEPTED: (0.1, 0.8, 0.45, 1.0),
@@ -55,7 +55,7 @@ def follow() -> bool:
         return False
     changed = False
     for scene in bpy.data.scenes:
-        report = work.report(scene)
+        report = predict_depth.report(scene)
         if report is None or report is _followed.get(scene.name):
             continue
         _followed[scene.name] = report
@@ -73,7 +73,7 @@ def _verdict(ob: bpy.types.Object, report: DepthReport) -> str | None:
     return row.verdict if row is not None and row.verdict in PALETTE else None
 
 
-class ColorCameras(Acting, bpy.types.Operator):
+class ColorCameras(BaseOperator, bpy.types.Operator):
     """Color the cameras by their depth maps: green accepted, red refused, grey without a map"""
 
     bl_idname = "gscore.color_cameras"
@@ -98,7 +98,7 @@ class ColorCameras(Acting, bpy.types.Operator):
         if not self.show:
             hide(root)
             return ""
-        report = work.report(scene)
+        report = predict_depth.report(scene)
         if report is None:
             raise ValueError("There is no depth report yet; Check Maps makes one.")
         known = show(root, report)
@@ -108,15 +108,15 @@ class ColorCameras(Acting, bpy.types.Operator):
 
 
 CLASSES = (ColorCameras,)
-_FOLLOWER = beat.Follower(follow)
+_FOLLOWER = poll_timer.Poller(follow)
 
 
 def on_register() -> None:
     """Follow reports."""
-    beat.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Follow them no more; colors stay in the file and can be removed when the add-on is back."""
-    beat.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.FOLLOWERS.remove(_FOLLOWER)
     _followed.clear()

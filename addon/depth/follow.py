@@ -1,7 +1,7 @@
 """The part of depth jobs in the beat, and their end with the end of Blender."""
 
-from ..job import lookups
-from ..job.launch import following_verb
+from ..training import lookups
+from ..training.launch import following_verb
 from .registry import JOBS
 
 

@@ -3,8 +3,8 @@
 from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport
 from ..core import DepthDone, DepthProgress, Event
-from ..interface.flags import panel_words
-from ..job.verb_job import VerbJob
+from ..interface.option_labels import panel_words
+from ..training.verb_job import VerbJob
 
 
 class DepthJob(VerbJob):

@@ -4,9 +4,9 @@ import bpy
 
 from .. import preferences
 from ..core import KnownNetwork, depth_networks
-from ..job import lookups
-from ..process import beat
-from ..python import setup
+from ..process import poll_timer
+from ..trainer_python import setup
+from ..training import lookups
 
 OFFLINE = (
     "Blender does not allow add-ons to go online; allow it in Preferences > System > Network, or "
@@ -37,7 +37,7 @@ def is_here(network: KnownNetwork) -> bool | None:
     """
     python = str(setup.trainer_python(preferences.get()))
     answer, problem = lookups.networks.get(python)
-    beat.ensure()
+    poll_timer.ensure()
     if problem:
         raise ValueError(problem)
     return None if answer is None else network.name in answer

@@ -6,16 +6,16 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
+from ..interface.base_operator import BaseOperator
+from ..interface.confirm_operator import ConfirmMixin
 from ..interface.images import show_image
-from ..interface.operators import Acting
-from ..interface.questions import Asking
-from ..job.verb_job import FAILED
-from ..job.verb_operators import Cancelling
-from . import networks, work
+from ..training.verb_job import FAILED
+from ..training.verb_operators import Cancelling
+from . import networks, predict_depth
 from .job import DepthJob
 
 
-class _DepthWork(Acting):
+class _DepthWork(BaseOperator):
     """What the operators that start something share."""
 
     bl_options: ClassVar = {"REGISTER"}
@@ -36,7 +36,7 @@ class _DepthWork(Acting):
         raise NotImplementedError
 
 
-class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
+class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
     """Predict depth maps of all photos with a network, in the background; Blender stays free"""
 
     bl_idname = "gscore.predict_depth"
@@ -72,7 +72,7 @@ class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
 
     def question(self, context: bpy.types.Context) -> list[str]:
         """Name what is downloaded, and the maps that are replaced."""
-        lines = work.replaced(context.scene) if self.overwrite else []
+        lines = predict_depth.replaced(context.scene) if self.overwrite else []
         network = networks.chosen()
         if self.download and network is not None:
             networks.check_download(network, True)
@@ -89,7 +89,7 @@ class PredictDepth(Asking, _DepthWork, bpy.types.Operator):
     def start(self, scene: bpy.types.Scene) -> DepthJob:
         """Start, and remember the network."""
         chosen = self.filepath
-        job = work.predict(
+        job = predict_depth.predict(
             scene, chosen, overwrite=self.overwrite, download=self.download, wait=self.wait
         )
         if chosen:
@@ -105,7 +105,7 @@ class CheckDepth(_DepthWork, bpy.types.Operator):
 
     def start(self, scene: bpy.types.Scene) -> DepthJob:
         """Start."""
-        return work.check(scene, wait=self.wait)
+        return predict_depth.check(scene, wait=self.wait)
 
 
 class CancelDepth(Cancelling, bpy.types.Operator):
@@ -117,10 +117,10 @@ class CancelDepth(Cancelling, bpy.types.Operator):
 
     def job_of(self, scene: bpy.types.Scene) -> DepthJob | None:
         """The work on the scene's maps."""
-        return work.job_of(scene)
+        return predict_depth.job_of(scene)
 
 
-class ShowDepthSheet(Acting, bpy.types.Operator):
+class ShowDepthSheet(BaseOperator, bpy.types.Operator):
     """Show photos and depth maps side by side in an image editor, in a new window if need be"""
 
     bl_idname = "gscore.show_depth_sheet"
@@ -128,7 +128,7 @@ class ShowDepthSheet(Acting, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Load it anew and show it."""
-        image = bpy.data.images.load(str(work.sheet(context.scene)), check_existing=True)
+        image = bpy.data.images.load(str(predict_depth.sheet(context.scene)), check_existing=True)
         image.reload()
         if show_image(context, image, new_window=True):
             return ""

@@ -1,6 +1,6 @@
 """The depth jobs of this Blender session; no bpy."""
 
-from ..job.verb_jobs import VerbJobs
+from ..training.verb_jobs import VerbJobs
 from .job import DepthJob
 
 JOBS: VerbJobs[DepthJob] = VerbJobs()

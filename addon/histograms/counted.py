@@ -11,9 +11,9 @@ from bpy.app.handlers import persistent
 from .. import attributes
 from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
-from ..process import beat
-from ..process.memory import written
-from ..process.pieces import Check, Going, Pieces, aside, at_once
+from ..process import poll_timer
+from ..process.incremental_tasks import Check, Pieces, TaskRunner, run_blocking, run_in_thread
+from ..process.reserved_memory import written
 from .counting import OPACITY, SIZE, Histogram, of_opacities, of_sizes
 
 MOST = 200_000
@@ -50,7 +50,7 @@ class _Entry:
     """Whether somebody has asked since it was stale."""
     changed: float = float("-inf")
     """Monotonic seconds."""
-    going: Going | None = None
+    going: TaskRunner | None = None
 
 
 class Counted:
@@ -80,10 +80,10 @@ class Counted:
             entry.mesh, entry.stale, entry.wanted = mesh.session_uid, True, True
             if entry.count is _NOTHING and len(mesh.vertices) <= MOST:
                 _give_up(entry)
-                entry.count = at_once(_counting(entry.mesh, _NOTHING))
+                entry.count = run_blocking(_counting(entry.mesh, _NOTHING))
                 entry.stale = entry.wanted = False
             else:
-                beat.ensure()
+                poll_timer.ensure()
         return entry.count.found
 
     def forget(self, uids: set[int]) -> None:
@@ -121,7 +121,7 @@ def _step(entry: _Entry) -> bool:
     if entry.going is None:
         if entry.wanted and time.monotonic() - entry.changed >= QUIET:
             entry.stale = entry.wanted = False
-            entry.going = Going(_counting(entry.mesh, entry.count))
+            entry.going = TaskRunner(_counting(entry.mesh, entry.count))
         return False
     going, entry.going = entry.going, None
     if not going.step():  # which raises where there is no memory
@@ -138,7 +138,7 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
     for name, width in ((attributes.BASE, 4), (attributes.SCALE, 3)):
         mesh = with_uid(bpy.data.meshes, uid)
         count = 0 if mesh is None else len(mesh.vertices)
-        values = yield from aside(lambda check, size=count * width: written(size), "")
+        values = yield from run_in_thread(lambda check, size=count * width: written(size), "")
         mesh = with_uid(bpy.data.meshes, uid)
         if mesh is None or mesh.is_editmode or len(mesh.vertices) != count:
             return before  # another count follows, or nobody asks any more
@@ -151,7 +151,7 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
             return _NOTHING
         attribute.data.foreach_get(key, values)
         columns[name] = values.reshape(count, width)
-    return (yield from aside(partial(_count, columns, before), ""))
+    return (yield from run_in_thread(partial(_count, columns, before), ""))
 
 
 def _count(columns: dict[str, np.ndarray], before: _Count, check: Check) -> _Count:
@@ -168,7 +168,7 @@ def _count(columns: dict[str, np.ndarray], before: _Count, check: Check) -> _Cou
 
 
 COUNTED = Counted()
-_FOLLOWER = beat.Follower(COUNTED.collect, COUNTED.waits)
+_FOLLOWER = poll_timer.Poller(COUNTED.collect, COUNTED.waits)
 
 
 @persistent
@@ -185,10 +185,10 @@ HANDLERS = {"depsgraph_update_post": _changed}
 
 def on_register() -> None:
     """Count in Blender's beat."""
-    beat.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Count no more."""
-    beat.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.FOLLOWERS.remove(_FOLLOWER)
     COUNTED.clear()

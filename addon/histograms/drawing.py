@@ -4,7 +4,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
-from ..interface import lettering
+from ..interface import viewport_text
 from .boxes import Box
 from .counting import HIDDEN, SHOWN, Histogram
 
@@ -51,8 +51,10 @@ def draw(
         shapes.append((_foot(x, box.y, _GRIP * scale), color))
     _fill(shapes)
     said, above = limit_words(*limits), box.top + 1.5 * pad
-    lettering.write(title, box.x, above, scale, _BRIGHT)
-    lettering.write(said, box.right - lettering.width_of(said, scale), above, scale, _BRIGHT)
+    viewport_text.write(title, box.x, above, scale, _BRIGHT)
+    viewport_text.write(
+        said, box.right - viewport_text.width_of(said, scale), above, scale, _BRIGHT
+    )
 
 
 def limit_words(smallest: float, largest: float) -> str:

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface import undo, writable
+from ..interface import editable_check, undo
 from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..splats.objects import in_question
@@ -32,7 +32,7 @@ def problem(context: bpy.types.Context, view: bpy.types.Region) -> str:
     ob = in_question(context)
     if not context.space_data.show_gizmo:
         return "Gizmos are off in this view; the switch is in its header."
-    if ob is not None and (kept := writable.problem(ob)):
+    if ob is not None and (kept := editable_check.problem(ob)):
         return kept
     if len(_boxes(context, view)) < len(_KINDS):
         return "This view is too small for all histograms."
@@ -45,7 +45,7 @@ def in_view(
     """The splats whose histogram of a kind the context's view shows, the histogram, and where;
     None: it shows none."""
     ob = in_question(context) if context.window_manager.gscore_histograms else None
-    if ob is None or not writable.keeps(ob):
+    if ob is None or not editable_check.keeps(ob):
         return None
     found, box = COUNTED.of(ob).get(kind), box_of(context, kind)
     return None if found is None or box is None else (ob, found, box)

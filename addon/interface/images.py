@@ -2,7 +2,7 @@
 
 import bpy
 
-from .overriding import in_a_window
+from .window_override import in_a_window
 
 _FILLS = 0.9
 """Of an editor's width and height: its header and the sliders at its edges need the rest."""

@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
-from ..process.background import Task
-from .flags import error_words
+from ..process.background_task import BackgroundTask
+from .option_labels import error_words
 
 KeyT = TypeVar("KeyT", bound=Hashable)
 AnswerT = TypeVar("AnswerT")
@@ -25,7 +25,7 @@ class Lookup(Generic[KeyT, AnswerT]):
         self._function = function
         self._max_age = max_age
         self._answers: dict[KeyT, tuple[AnswerT | None, str, float]] = {}
-        self._tasks: dict[KeyT, Task] = {}
+        self._tasks: dict[KeyT, BackgroundTask] = {}
 
     def get(self, key: KeyT) -> tuple[AnswerT | None, str]:
         """What is known by now: (answer, ""), (None, problem) or, still unknown, (None, "")."""
@@ -33,7 +33,7 @@ class Lookup(Generic[KeyT, AnswerT]):
         known = self._answers.get(key)
         stale = known is None or time.monotonic() - known[2] > self._max_age
         if stale and key not in self._tasks:
-            self._tasks[key] = Task(lambda task: self._function(key))
+            self._tasks[key] = BackgroundTask(lambda task: self._function(key))
         return (None, "") if known is None else known[:2]
 
     def wait(self, key: KeyT, timeout: float = 60.0) -> tuple[AnswerT | None, str]:

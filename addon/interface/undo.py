@@ -2,7 +2,7 @@
 
 import bpy
 
-from .overriding import in_a_window
+from .window_override import in_a_window
 
 
 def push(message: str) -> None:

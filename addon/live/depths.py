@@ -3,7 +3,7 @@
 import gpu
 import numpy as np
 
-from .front import in_front
+from .overlay_lines import in_front
 from .uploads import texture
 
 

@@ -16,7 +16,7 @@ from bpy.app.handlers import persistent
 
 from ..interface.views import redraw_views
 from ..render import copies
-from ..render.frozen import HIDDEN, SELECTED
+from ..render.mesh_copies import HIDDEN, SELECTED
 from ..splats.live import SESSION
 
 REST = 0.2

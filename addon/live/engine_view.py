@@ -11,9 +11,9 @@ from ..render.picture import Window
 from ..render.scene import Placed
 from ..render.selections import Tinted
 from ..render.viewport import Viewport
-from .by_engine import Wish
 from .clip import Cuts
 from .depths import Depths
+from .engine_pictures import EngineRequest
 
 
 class EngineView:
@@ -67,7 +67,7 @@ class EngineView:
         Raises:
             ValueError: there is no picture; says why.
         """
-        wish = Wish(
+        wish = EngineRequest(
             placed=[replace(one, holdout=False) for one in placed],
             camera=camera,
             window=window,

@@ -11,7 +11,7 @@ import gpu
 from bpy.app.handlers import persistent
 
 from ..compat import draws_into_views, matrix_to_numpy
-from ..interface.flags import error_words
+from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
 from ..process.pace import Pace
 from ..render import copies, viewport
@@ -23,10 +23,10 @@ from ..splats import settings as splat_settings
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
 from . import photos
-from .attempts import Attempts
 from .card import Card
 from .engine_view import EngineView
-from .stand_in import StandIn
+from .fallback import StandIn
+from .retry_limit import Attempts
 from .view_context import cuts_of, has_lines_in_front, is_hidden_by_others, is_own, keeps_colors
 from .views import View
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from ..interface import lettering
+from ..interface import viewport_text
 from ..splats.live import SESSION
 from ..splats.objects import is_splats
 from . import handler
@@ -27,7 +27,7 @@ def _lines(text: str, width: float, scale: float) -> list[str]:
     found: list[str] = []
     for word in text.split():
         longer = f"{found[-1]} {word}" if found else word
-        if found and lettering.width_of(longer, scale) <= width:
+        if found and viewport_text.width_of(longer, scale) <= width:
             found[-1] = longer
         else:
             found.append(word)
@@ -46,8 +46,8 @@ def _draw() -> None:
     free = [r.width for r in context.area.regions if r.type == "UI"]  # which lies over the view
     shown = _lines(text, context.region.width - sum(free) - 4 * _MARGIN * scale, scale)
     for number, line in enumerate(reversed(shown)):
-        height = (_MARGIN + 1.5 * lettering.SIZE * number) * scale
-        lettering.write(line, 2 * _MARGIN * scale, height, scale, _COLOR)
+        height = (_MARGIN + 1.5 * viewport_text.SIZE * number) * scale
+        viewport_text.write(line, 2 * _MARGIN * scale, height, scale, _COLOR)
 
 
 def on_register() -> None:

@@ -9,7 +9,7 @@ import gpu
 import numpy as np
 
 from ..cameras.render_camera import RenderCamera
-from ..process.latest import Latest
+from ..process.latest_request import Latest
 from ..render import picture
 from ..render.marks import reselected
 from ..render.model import SplatCache, check_similar
@@ -32,7 +32,7 @@ _LIKE = 1.25
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wish:
+class DrawRequest:
     """An order that is wanted."""
 
     placed: tuple[Placed, ...]
@@ -52,7 +52,7 @@ class Wish:
         """What differs where other splats are selected or hidden: they need another order alone."""
         return (self.tinted, *((id(p.frozen.marks), p.edited) for p in self.placed))
 
-    def same(self, other: "Wish | None") -> bool:
+    def same(self, other: "DrawRequest | None") -> bool:
         """Whether the other asks for nothing else."""
         return (
             other is not None
@@ -60,7 +60,7 @@ class Wish:
             and self.same_order(other)
         )
 
-    def same_order(self, other: "Wish") -> bool:
+    def same_order(self, other: "DrawRequest") -> bool:
         """Whether the other has as many splats in the same order, if they are the same."""
         return (
             self.count == other.count
@@ -74,7 +74,7 @@ class Wish:
 class _Arranged:
     """What was made of a wish."""
 
-    wish: Wish
+    wish: DrawRequest
     atlas: atlas.Atlas
     marks: list[np.ndarray | None]
     """Of each object, [N] as `render.selections.marks_of`."""
@@ -93,7 +93,7 @@ class Arranger:
         self._cache = cache
         self._last: _Arranged | None = None
 
-    def __call__(self, wish: Wish) -> tuple[atlas.Atlas, np.ndarray]:
+    def __call__(self, wish: DrawRequest) -> tuple[atlas.Atlas, np.ndarray]:
         """The atlas, and the entries of the order.
 
         Raises:
@@ -111,7 +111,7 @@ class Arranger:
         self._last = _Arranged(wish=wish, atlas=built, marks=marks, entries=entries)
         return built, entries
 
-    def _laid_out(self, wish: Wish) -> tuple[atlas.Atlas, np.ndarray | None]:
+    def _laid_out(self, wish: DrawRequest) -> tuple[atlas.Atlas, np.ndarray | None]:
         """The atlas, and which of its rows [N] have other colours or opacities than in the last;
         None where it has other splats."""
         last = self._last
@@ -145,7 +145,7 @@ def _recolored_rows(
 class _Upload:
     """An answer on its way to the card, or there."""
 
-    wish: Wish
+    wish: DrawRequest
     texels: Texels
     order: Order
 
@@ -161,7 +161,7 @@ class View:
     """One region of a 3D view; used where Blender draws."""
 
     def __init__(self, cache: SplatCache) -> None:
-        self.sorter: Latest[Wish, tuple[atlas.Atlas, np.ndarray]]
+        self.sorter: Latest[DrawRequest, tuple[atlas.Atlas, np.ndarray]]
         self.sorter = Latest(Arranger(cache), "gscore-live")
         self.level = Level()
         self.drawn = 0
@@ -170,8 +170,8 @@ class View:
         """What the last redraw took of Blender's own thread."""
         self.complete = False
         """Whether the last picture shows everything as it is now."""
-        self._asked: Wish | None = None
-        self._answered: Wish | None = None
+        self._asked: DrawRequest | None = None
+        self._answered: DrawRequest | None = None
         self._coming: _Upload | None = None
         self._shown: _Upload | None = None
         self._picture = ViewPicture()
@@ -235,7 +235,7 @@ class View:
         seen = b"".join(m.tobytes() for m in (camera.K, *viewmats)) + filters
         detail = self.level.look(time.monotonic(), seen, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-        wish = Wish(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
+        wish = DrawRequest(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
         self._take_in(card, UPLOAD + spare)
         self.complete = False
         for one in placed:  # the card would draw them at once, where it has their splats already
@@ -284,7 +284,7 @@ class View:
             if self._coming.step(card):
                 self._shown, self._coming = self._coming, None
 
-    def _upload(self, wish: Wish, built: atlas.Atlas, entries: np.ndarray) -> _Upload:
+    def _upload(self, wish: DrawRequest, built: atlas.Atlas, entries: np.ndarray) -> _Upload:
         """Of an answer, without what the card has already."""
         shown = self._shown
         if shown is not None and shown.texels.values is built.texels:
@@ -295,7 +295,9 @@ class View:
         return _Upload(wish=wish, texels=texels, order=order_)
 
 
-def _viewmats(shown: Wish, wish: Wish, camera: RenderCamera) -> tuple[np.ndarray, ...]:
+def _viewmats(
+    shown: DrawRequest, wish: DrawRequest, camera: RenderCamera
+) -> tuple[np.ndarray, ...]:
     """Of the objects that an order has, where they are by now."""
     if [p.part for p in shown.placed] == [p.part for p in wish.placed]:
         return wish.eye.viewmats

@@ -12,10 +12,10 @@ from bpy.props import (
 )
 
 from ..cameras.render_camera import RenderCamera, render_camera
-from ..process.pieces import Pieces
+from ..process.incremental_tasks import Pieces
+from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
-from ..splats.held import Held
-from . import painted
+from . import paint_target
 from .settings import FRONT_ONLY, BrushProperties
 
 _CAMERA, _PLACES = "CAMERA", "PLACES"
@@ -70,13 +70,13 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         name="Inverted", description="Paint the opposite opacity, or deselect", default=False
     )
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Paint."""
         if not self.stroke:
             raise ValueError("The stroke has no points: give it one or more.")
         ob = held.there()
         view = self._view(context) if self.way == _CAMERA else None
-        count = yield from painted.paint(
+        count = yield from paint_target.paint(
             ob,
             [self._point(point, view) for point in self.stroke],
             self.brush(inverted=self.inverted),

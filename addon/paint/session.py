@@ -10,14 +10,14 @@ import numpy as np
 
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
-from ..interface import undo, writable
+from ..interface import editable_check, undo
+from ..interface.modal_status import INTERVAL
 from ..interface.views import redraw_views
-from ..interface.waiting import INTERVAL
-from ..process.pieces import Going, Pieces
+from ..process.incremental_tasks import Pieces, TaskRunner
 from ..render.viewport import view_camera
 from ..splats import objects
 from ..splats.operators import check_shown
-from . import painted, sight
+from . import paint_target, visible_splats
 from .brush import OPACITY, SELECT
 from .cursor import Cursor
 from .settings import LARGEST_RADIUS, BrushSettings
@@ -93,7 +93,7 @@ class Spot:
         return np.array([self.x, self.region.height - self.y])
 
 
-class _Looking(Going):
+class _Looking(TaskRunner):
     """What a stroke or a color begins with, looked for while the mouse goes on."""
 
     def __init__(
@@ -131,7 +131,7 @@ class Session:
         self.ended = False
         """Set it to have painting end with the next event."""
         self.cursor = Cursor()
-        self._stroke: painted.PaintedObject | None = None
+        self._stroke: paint_target.PaintedObject | None = None
         self._stroke_region = 0
         self._looking: _Looking | None = None
         self._sizing: tuple[float, float] | None = None
@@ -218,7 +218,7 @@ class Session:
         self, context: bpy.types.Context, spot: Spot, brush: BrushSettings, *, inverted: bool
     ) -> None:
         self._look(wait=True)
-        pieces = painted.beginning(
+        pieces = paint_target.begin_stroke(
             paintable(context),
             brush.brush(inverted=inverted),
             spot.view,
@@ -313,14 +313,14 @@ class Session:
 
     def _pick(self, context: bpy.types.Context, spot: Spot, brush: BrushSettings) -> None:
         self._look(wait=True)
-        pieces = sight.color_at(paintable(context), spot.view, spot.point)
+        pieces = visible_splats.color_at(paintable(context), spot.view, spot.point)
         self._looking = _Looking(context, pieces)
         self._look(wait=bpy.app.background)
 
     def _show_undone(self, context: bpy.types.Context) -> None:
         ob = objects.meant(context)
         if objects.is_splats(ob):
-            painted.show_as_kept(ob)
+            paint_target.show_as_kept(ob)
             redraw_views()
 
     def _place_cursor(self, spot: Spot | None, brush: BrushSettings) -> None:
@@ -366,7 +366,7 @@ def paintable(context: bpy.types.Context) -> bpy.types.Object:
     if not objects.is_splats(ob):
         raise ValueError("Select a splat object to paint on.")
     check_shown(ob)
-    writable.check(ob.data)
+    editable_check.check(ob.data)
     objects.catch_up(ob)
     if ob.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")

@@ -5,10 +5,10 @@ from typing import ClassVar
 import bpy
 
 from .. import stored_paths
-from ..cameras import straightening
+from ..cameras import undistort_jobs
 from ..cameras.objects import cameras_of, points_of
 from ..cameras.photos import changeable
-from ..steer import masks
+from ..region_training import masks
 from .widgets import TabPanel, found, root, rows, sentence
 
 
@@ -78,15 +78,15 @@ def draw_straightening(
     cameras: list[bpy.types.Object],
 ) -> None:
     """How far the photos are straightened, where some are; else a button where some have to be."""
-    queue = straightening.QUEUE
+    queue = undistort_jobs.QUEUE
     if queue.busy:
         row, total = layout.row(align=True), max(queue.total, 1)
         text = f"Straightening photos: {queue.done} of {queue.total}"
         row.progress(factor=queue.done / total, text=text)
         row.operator("gscore.stop_straightening", text="", icon="X")
         return
-    lack = straightening.LACKING.of(empty, cameras)
-    for problem in straightening.problems_of(lack)[:1]:
+    lack = undistort_jobs.LACKING.of(empty, cameras)
+    for problem in undistort_jobs.problems_of(lack)[:1]:
         sentence(layout, context, problem, icon="ERROR")
     if lack.copies:
         button = layout.operator("gscore.straighten_photos", icon="IMAGE_DATA")

@@ -3,9 +3,9 @@
 import bpy
 
 from ..capture.inspection import ShownFacts
-from ..job import captures, facts
-from ..search import work
-from ..sequence import work as sequence
+from ..sequence import train_sequence as sequence
+from ..sfm import find_cameras
+from ..training import captures, facts
 from .manual import draw_help
 from .widgets import TabPanel, has_python, rows, sentence
 
@@ -72,7 +72,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: ShownFacts) -> None:
     """The button that finds cameras; or why that is not possible yet."""
-    job = work.job_of(context.scene)
+    job = find_cameras.job_of(context.scene)
     if job is not None and job.busy:
         layout.label(text="Finding cameras; see Progress", icon="TIME")
         return

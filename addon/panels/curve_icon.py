@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..interface.icons import PictureIcons
-from ..job.curve import LOSS_COLOR, PSNR_COLOR
-from ..job.job import Job
+from ..training.curve import LOSS_COLOR, PSNR_COLOR
+from ..training.training_job import Job
 
 _SIZE = 192
 _SWATCH = 32

@@ -6,10 +6,10 @@ import bpy
 
 from .. import preferences
 from ..capture.inspection import ShownFacts
-from ..depth import colors, networks, work
+from ..depth import colors, networks, predict_depth
 from ..depth.job import DepthJob
-from ..interface.flags import error_words
-from ..job import verb_job
+from ..interface.option_labels import error_words
+from ..training import verb_job
 from .depth_table import draw_counts, draw_table
 from .progress import clock
 from .widgets import TabPanel, found, has_python, root, rows, sentence
@@ -43,7 +43,7 @@ class DepthPanel(TabPanel, bpy.types.Panel):
 
 def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: ShownFacts) -> None:
     """How far a prediction is, or what can be started."""
-    job = work.job_of(context.scene)
+    job = predict_depth.job_of(context.scene)
     if job is not None and not job.ended:
         row = layout.row(align=True)
         row.progress(factor=job.share, text=bar_text(job))
@@ -104,13 +104,13 @@ def draw_predict(layout: bpy.types.UILayout, facts: ShownFacts) -> None:
 def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The table, and the switch of the cameras' colors."""
     scene = context.scene
-    problem = work.run_report(scene)[1]
+    problem = predict_depth.run_report(scene)[1]
     if problem:
         sentence(layout, context, problem, icon="ERROR")
-    known = work.reports(scene)
+    known = predict_depth.reports(scene)
     if len(known) > 1:
         layout.row(align=True).prop(scene.gscore, "depth_shown", expand=True)
-    report = work.report(scene)
+    report = predict_depth.report(scene)
     if report is None:
         return
     if report.why:

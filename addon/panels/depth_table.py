@@ -11,8 +11,8 @@ from bpy.props import BoolProperty, CollectionProperty, IntProperty, PointerProp
 
 from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport, DepthRow
-from ..depth import work
-from ..process import beat
+from ..depth import predict_depth
+from ..process import poll_timer
 from .widgets import rows, sentence
 
 ICONS = {
@@ -133,7 +133,7 @@ def draw_table(layout: bpy.types.UILayout, context: bpy.types.Context, report: D
     """Draw the list, and the numbers of the chosen view."""
     table = table_of(context)
     if table is None or _filled.get(table.name) is not report:
-        beat.ensure()
+        poll_timer.ensure()
         layout.label(text="Filling the table...", icon="TIME")
         return
     column = layout.column(align=True)
@@ -170,7 +170,7 @@ def fill() -> bool:
     manager = bpy.context.window_manager
     changed = False
     for scene in {window.scene for window in manager.windows} or {bpy.context.scene}:
-        report = work.report(scene)
+        report = predict_depth.report(scene)
         tables = manager.gscore_depth.tables
         table = tables.get(scene.name)
         done = table is not None and len(table.views) == len(report.rows) if report else True
@@ -209,17 +209,17 @@ def _width(context: bpy.types.Context) -> float:
 CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
 
 
-_FOLLOWER = beat.Follower(fill)
+_FOLLOWER = poll_timer.Poller(fill)
 
 
 def on_register() -> None:
     """Make room for tables, and fill them."""
     bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
-    beat.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Take them back."""
-    beat.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.FOLLOWERS.remove(_FOLLOWER)
     _filled.clear()
     del bpy.types.WindowManager.gscore_depth

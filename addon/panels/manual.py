@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface.operators import Acting
+from ..interface.base_operator import BaseOperator
 
 _ROOT = Path(__file__).parents[2]
 _PLACES = (_ROOT / "manual.html", _ROOT / "docs" / "blender.md")
@@ -64,7 +64,7 @@ def draw_help(layout: bpy.types.UILayout) -> None:
     layout.operator(OpenManual.bl_idname, text="", icon="HELP", emboss=False)
 
 
-class OpenManual(Acting, bpy.types.Operator):
+class OpenManual(BaseOperator, bpy.types.Operator):
     """Open the manual of Train Splats in the web browser; it is on this computer"""
 
     bl_idname = "gscore.open_manual"

@@ -5,13 +5,13 @@ from typing import ClassVar
 
 import bpy
 
-from ..core import judged_psnr
-from ..job import session, verb_job
-from ..job.curve import Curve
-from ..job.job import Job
-from ..search import work as search_work
-from ..search.job import SearchJob
+from ..core import headline_psnr
+from ..sfm import find_cameras as search_work
+from ..sfm.job import SearchJob
 from ..splats.objects import is_splats
+from ..training import run_state, verb_job
+from ..training.curve import Curve
+from ..training.training_job import Job
 from . import curve_icon
 from .widgets import TabPanel, job, rows, sentence
 
@@ -43,7 +43,7 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         state = current.state
         draw_numbers(layout, current)
         if state.sentence:
-            icon = "ERROR" if state.status == session.FAILED else "CHECKMARK"
+            icon = "ERROR" if state.status == run_state.FAILED else "CHECKMARK"
             sentence(layout, context, state.sentence, icon=icon)
         if current.silence:
             sentence(layout, context, current.silence, icon="QUESTION")
@@ -139,30 +139,30 @@ def lines(curve: Curve) -> dict[str, str]:
 def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current: Job) -> None:
     """What can be asked of the training now."""
     status = current.state.status
-    if status in (session.RUNNING, session.STARTING, session.PAUSED):
+    if status in (run_state.RUNNING, run_state.STARTING, run_state.PAUSED):
         row = layout.row(align=True)
-        if status == session.PAUSED:
+        if status == run_state.PAUSED:
             row.operator("gscore.continue_training", icon="PLAY")
         else:
             row.operator("gscore.pause_training", icon="PAUSE")
         row.operator("gscore.stop_training", icon="SNAP_FACE")
         row.operator("gscore.discard_training", icon="TRASH")
-    elif status == session.STOPPING:
+    elif status == run_state.STOPPING:
         row = layout.row(align=True)
         row.label(text="Writing a checkpoint...")
         row.operator("gscore.discard_training", text="Do Not Wait", icon="TRASH")
     if current.state.ended and is_splats(context.scene.gscore.result):
         layout.operator("gscore.show_splats", icon="SHADING_RENDERED").trained = True
     row = layout.row(align=True)
-    if status in (session.RUNNING, session.PAUSED):
+    if status in (run_state.RUNNING, run_state.PAUSED):
         row.operator("gscore.update_splats", icon="FILE_REFRESH")
     if context.scene.gscore.preview is not None:
         row.operator("gscore.show_test_view", icon="IMAGE_DATA")
 
 
-def bar_text(state: session.RunState) -> str:
+def bar_text(state: run_state.RunState) -> str:
     """What stands in the progress bar."""
-    if state.status in (session.PAUSED, session.STOPPING):
+    if state.status in (run_state.PAUSED, run_state.STOPPING):
         return state.status.capitalize()
     if not state.iterations or state.started is None:
         return state.phase.capitalize()
@@ -170,12 +170,12 @@ def bar_text(state: session.RunState) -> str:
     return f"{state.share:.0%}{left}"
 
 
-def numbers(state: session.RunState) -> list[tuple[str, str]]:
+def numbers(state: run_state.RunState) -> list[tuple[str, str]]:
     """Labels and values of a run."""
     pairs = [("Step", f"{state.step:,} / {state.iterations:,}")]
     if state.loss is not None:
         pairs.append(("Loss", f"{state.loss:.4f}"))
-    if (psnr := judged_psnr(state.metrics)) is not None:
+    if (psnr := headline_psnr(state.metrics)) is not None:
         pairs.append(("PSNR", f"{psnr:.2f} dB"))
     elif state.psnr is not None:
         pairs.append(("PSNR", f"{state.psnr:.2f} dB"))

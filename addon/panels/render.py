@@ -3,13 +3,13 @@
 import bpy
 
 from ..cameras.objects import is_camera
-from ..render import see_through
-from ..render.apart import SPLAT_SCENE
+from ..render import transparent_bounces
 from ..render.composite_nodes import combine_node, is_older
+from ..render.compositing_scene import SPLAT_SCENE
 from ..render.engine import NAME
-from ..render.held_meshes import not_taken_over
-from ..render.ignored import NOT_TAKEN_OVER
+from ..render.holdout_meshes import not_taken_over
 from ..render.panels import draw_render
+from ..render.unsupported_settings import NOT_TAKEN_OVER
 from ..splats.objects import meant
 from ..stored_paths import RUN
 from .widgets import TabPanel, root, sentence
@@ -31,7 +31,7 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             text = "The engine Gaussian Splats draws them exactly as they were trained."
             sentence(layout, context, text, icon="INFO")
             layout.operator("gscore.use_engine", icon="SCENE")
-        if see_through.ends_early(scene):
+        if transparent_bounces.ends_early(scene):
             most = scene.cycles.transparent_max_bounces
             text = f"Cycles ends rays after {most} splats, so soft splats come out dark."
             sentence(layout, context, text, icon="ERROR")

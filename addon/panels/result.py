@@ -8,9 +8,9 @@ from .. import attributes, stored_paths
 from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
 from ..histograms.icons import ICONS
-from ..interface.flags import error_words
+from ..interface.option_labels import error_words
 from ..live import handler
-from ..splats import edit, even_scale, live, mending
+from ..splats import edit, live, mending, uniform_scale
 from ..splats.objects import in_question, is_native, is_splats, meant
 from .widgets import TabPanel, job, limit, rows, sentence
 
@@ -41,8 +41,8 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         if ob != meant(context):
             row.operator("gscore.select_result", text="Select")
         draw_counts(layout, context, ob)
-        draw_behind(layout, context)
-        if not even_scale.is_even(ob):
+        draw_outdated(layout, context)
+        if not uniform_scale.is_even(ob):
             text = "Its scale differs between axes, or is zero; splats cannot be stretched."
             sentence(layout, context, text, icon="ERROR")
             layout.operator("gscore.make_scale_even")
@@ -84,7 +84,7 @@ def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.operator("gscore.export_splats", text="Export", icon="EXPORT")
 
 
-def draw_behind(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def draw_outdated(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What Apply or Join of Blender has left behind in the selected splats, and what mends it."""
     found = mending.behind(context)
     problems = {ob.name: mending.problem(ob) for ob in found}

@@ -5,10 +5,10 @@ from typing import ClassVar
 import bpy
 
 from ..splats.objects import in_question
-from ..timeline import follow
+from ..timeline import frame_sync
+from ..timeline.frame_at import moment_of, series_of
 from ..timeline.frames import Series
 from ..timeline.library import LIBRARY
-from ..timeline.moment import moment_of, series_of
 from ..timeline.settings import is_sequence
 from .widgets import TabPanel, rows, sentence
 
@@ -67,7 +67,7 @@ def draw_frames(
         sentence(layout, context, series.gap_words(), icon="ERROR")
     moment = moment_of(ob, context.scene.frame_current_final)
     damaged = LIBRARY.frame(moment.files[0])[1] if moment is not None and moment.files else ""
-    if text := damaged or follow.problem_of(ob):
+    if text := damaged or frame_sync.problem_of(ob):
         sentence(layout, context, text, icon="ERROR")
     elif ob.library is not None or not ob.data.is_editable:
         text = "Linked: EEVEE and Cycles show the frame that its file was saved with."

@@ -8,13 +8,13 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..core import PRESETS, Estimate, RunInfo
-from ..interface.flags import error_words
-from ..job import facts, forecast, guides, results, within
-from ..job.earlier import EarlierRun
-from ..job.options import AS_PRESET, BY_WIDTH, continuation
-from ..job.properties import purpose_of
+from ..interface.option_labels import error_words
 from ..paths import output_folder
-from ..sequence import work as sequence
+from ..sequence import train_sequence as sequence
+from ..training import box_limit, facts, forecast, guides, results
+from ..training.existing_run import EarlierRun
+from ..training.options import AS_PRESET, BY_WIDTH, continuation
+from ..training.properties import purpose_of
 from .widgets import TabPanel, found, has_python, job, limit, sentence
 
 _DETAILS = (
@@ -178,7 +178,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         return
     if problem:
         sentence(layout, context, problem, icon="ERROR")
-    if not_together := within.problem(context.scene.gscore):
+    if not_together := box_limit.problem(context.scene.gscore):
         sentence(layout, context, not_together, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4
@@ -207,7 +207,7 @@ def draw_missing(
     """A button that brings the splats of a run, where the scene shows none or earlier ones."""
     ob = context.scene.gscore.result
     shown = ob is not None and results.is_of_run(ob, before.info.path)
-    if shown and results.is_behind(ob, before):
+    if shown and results.is_outdated(ob, before):
         text = f"{ob.name} shows other splats than this run has now."
         sentence(layout, context, text, icon="INFO")
     elif shown or before.info.splats is None:

@@ -6,10 +6,10 @@ import bpy
 
 from ..cameras.lookup import root_from
 from ..core import GsError, SequenceFrame, choose_frames
-from ..interface.flags import error_words
-from ..job import guides, verb_job
-from ..sequence import work
+from ..interface.option_labels import error_words
+from ..sequence import train_sequence
 from ..sequence.job import SequenceJob
+from ..training import guides, verb_job
 from .widgets import TabPanel, has_python, root, rows, sentence
 
 _WARNINGS_SHOWN = 3
@@ -29,7 +29,7 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
         if not scene.gscore.capture_path.strip():
             sentence(layout, context, "Choose the folder of the frames under Capture.", icon="INFO")
             return
-        frames, problem = work.frames_of(scene)
+        frames, problem = train_sequence.frames_of(scene)
         if problem:
             sentence(layout, context, problem, icon="INFO")
             return
@@ -52,7 +52,7 @@ def draw_guides(
     scene = context.scene
     own, within = scene.gscore_train_sequence, scene.gscore.train_within
     if within is not None:
-        sentence(layout, context, work.ONLY_WITHIN.format(within.name), icon="INFO")
+        sentence(layout, context, train_sequence.ONLY_WITHIN.format(within.name), icon="INFO")
     if not any(guides.chosen(scene)):
         return
     layout.prop(own, "guide_start")
@@ -72,13 +72,13 @@ def draw_state(
     layout: bpy.types.UILayout, context: bpy.types.Context, frames: list[SequenceFrame]
 ) -> None:
     """The bar of a training, or the buttons that begin one; and what has been trained."""
-    job = work.job_of(context.scene)
+    job = train_sequence.job_of(context.scene)
     if job is not None:
         draw_job(layout, context, job)
         if not job.ended:
             return
-    output = work.output_of(context.scene)
-    there, problem = work.trained_in(output)
+    output = train_sequence.output_of(context.scene)
+    there, problem = train_sequence.trained_in(output)
     if problem:
         sentence(layout, context, problem, icon="ERROR")
     if there is not None and there.frames:
@@ -93,7 +93,7 @@ def draw_state(
         return
     big = layout.row(align=True)
     big.scale_y = 1.4
-    if there is None and not work.begun(output):
+    if there is None and not train_sequence.is_started(output):
         big.operator("gscore.train_sequence", icon="PLAY")
         return
     big.operator("gscore.train_sequence", text="Go On", icon="PLAY").resume = True

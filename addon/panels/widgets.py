@@ -5,12 +5,12 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
-from ..interface.flags import error_words
-from ..interface.questions import letters, wrapped
+from ..interface.confirm_operator import letters, wrapped
+from ..interface.option_labels import error_words
 from ..interface.sidebar import TAB
-from ..job import facts, training
-from ..job.job import Job
-from ..python import setup
+from ..trainer_python import setup
+from ..training import facts, start_training
+from ..training.training_job import Job
 
 
 class TabPanel:
@@ -62,7 +62,7 @@ def root(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def job(context: bpy.types.Context) -> Job | None:
     """The scene's training."""
-    return training.job_of(context.scene)
+    return start_training.job_of(context.scene)
 
 
 def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:

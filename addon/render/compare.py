@@ -7,18 +7,18 @@ from functools import partial
 import bpy
 import numpy as np
 
-from ..cameras import formulas as cm
+from ..cameras import camera_math as cm
 from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr, read_header, rgba_png
 from ..interface.blocks import with_uid
-from ..process.background import Cancelled
-from ..process.pieces import Check, Pieces, aside
+from ..process.background_task import Cancelled
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from . import picture
+from .camera_photo import Target, load_target
 from .engine import final_cache
-from .photo import Target, load_target
 from .scene import Placed
 from .snapshot import Snapshot
 from .world import background_of, world_light
@@ -103,7 +103,7 @@ class Comparing:
             placed = yield from self._snapshot.read()
         finally:
             self._snapshot.drop()
-        found = yield from aside(partial(self._drawn, placed, target), "Drawing the splats")
+        found = yield from run_in_thread(partial(self._drawn, placed, target), "Drawing the splats")
         camera = with_uid(bpy.data.objects, self._camera)
         if camera is None:
             raise ValueError(f"The camera {self._name} was taken away meanwhile.")

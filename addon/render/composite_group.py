@@ -3,7 +3,7 @@
 import bpy
 
 from .. import compat
-from . import held_passes
+from . import holdout_passes
 from .color import NOTHING
 
 GROUP = "Combine by Depth"
@@ -60,7 +60,7 @@ def group() -> bpy.types.NodeTree:
     backdrop = tree.interface.new_socket("World", in_out="INPUT", socket_type="NodeSocketColor")
     backdrop.default_value = (0, 0, 0, 0)
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    for name in held_passes.NAMES:  # after all others, whose links in older files so stay
+    for name in holdout_passes.NAMES:  # after all others, whose links in older files so stay
         tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
     _fill(tree)
     return tree
@@ -75,7 +75,7 @@ def _fill(tree: bpy.types.NodeTree) -> None:
     """The formula, with its names."""
     given = _placed(tree.nodes.new("NodeGroupInput"), tree)
     meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    h, gone, held_depth, g, t = (given.outputs[name] for name in held_passes.NAMES)
+    h, gone, held_depth, g, t = (given.outputs[name] for name in holdout_passes.NAMES)
     pictures = [_channels(tree, one) for one in (splats, meshes, world)]
     s, a = pictures[0][3], pictures[1][3]
     p = _before(tree, splat_depth, mesh_depth, g)

@@ -3,7 +3,7 @@
 import bpy
 
 from .. import compat
-from . import held_passes
+from . import holdout_passes
 from .composite_group import group, is_of_now
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
@@ -64,7 +64,7 @@ def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node, layers: bpy.types.
 
 def _link_held(tree: bpy.types.NodeTree, layers: bpy.types.Node, combine: bpy.types.Node) -> None:
     """Tell the node of what is held out, of which the node of the splats knows."""
-    for name in held_passes.NAMES:
+    for name in holdout_passes.NAMES:
         tree.links.new(layers.outputs[name], combine.inputs[name])
 
 

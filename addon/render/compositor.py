@@ -3,12 +3,12 @@
 import bpy
 
 from .. import compat
-from ..interface import writable
+from ..interface import editable_check
 from ..splats.objects import is_splats
-from .apart import MAIN_SCENE, SPLAT_SCENE
 from .composite_nodes import combine_node, insert, remove, show_passes
+from .compositing_scene import MAIN_SCENE, SPLAT_SCENE
 from .engine import ENGINE_BEFORE, NAME
-from .held_meshes import held_by
+from .holdout_meshes import holdouts_of
 from .passes import MATTES
 
 _FILM = "gs_film_transparent"
@@ -71,7 +71,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
         raise ValueError(f"Scene {scene.name} has no splat objects: import a splat PLY first.")
     if scene.camera is None:
         raise ValueError(f"Scene {scene.name} has no camera: add one first.")
-    writable.check(*_changed(scene))
+    editable_check.check(*_changed(scene))
     if SPLAT_SCENE not in scene:
         scene[_FILM] = scene.render.film_transparent
     if scene.render.engine == NAME:
@@ -180,7 +180,7 @@ def _follow_layer(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
     """Give the splats' scene the splats, and what is held out of the meshes' scene: it hides splats
     behind it."""
-    wanted = [*filter(is_splats, scene.objects), *held_by(scene)]
+    wanted = [*filter(is_splats, scene.objects), *holdouts_of(scene)]
     for ob in [o for o in other.collection.objects if o not in wanted]:
         other.collection.objects.unlink(ob)
     for ob in wanted:
@@ -244,7 +244,7 @@ def rest(scene: bpy.types.Scene) -> None:
     """Pass the render on as it is while the scene's own engine draws the splats, which would lie
     over themselves; its film is what it was then."""
     node, rests = combine_node(scene), scene.render.engine == NAME
-    if node is None or not writable.keeps(node.id_data) or not writable.keeps(scene):
+    if node is None or not editable_check.keeps(node.id_data) or not editable_check.keeps(scene):
         return
     if node.mute != rests:
         node.mute = rests
@@ -265,7 +265,7 @@ def take_down(scene: bpy.types.Scene) -> None:
     others = [other for other in others if isinstance(other, bpy.types.Scene)]
     if combine_node(scene) is None and not others:
         raise ValueError(f"Scene {scene.name} has no compositing of splats to be removed.")
-    writable.check(*_changed(scene))
+    editable_check.check(*_changed(scene))
     if (tree := compat.compositor_tree(scene)) is not None:
         remove(tree)
     for ob in filter(is_splats, scene.objects):

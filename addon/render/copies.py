@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .frozen import Freezer, Frozen, FrozenMesh
+from .mesh_copies import Freezer, Frozen, FrozenMesh
 from .scene import Placed, Source, place
 
 COPY_BUDGET = 0.003

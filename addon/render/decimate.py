@@ -9,13 +9,13 @@ from bpy.props import IntProperty
 from .. import attributes, compat
 from ..cameras.objects import cameras_of, rigid_viewmat, root_of, stated
 from ..core import Splats, importance_of, most_important, psnr, render
-from ..process.pieces import Check, Pieces, aside
-from ..splats import carried, objects, parts
-from ..splats.carried import Column
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..splats import objects, point_attributes, separate_join
+from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
 from ..splats.framed import frame_of
-from ..splats.held import Held
-from ..splats.leaving import Leaving
+from ..splats.point_attributes import Column
+from ..splats.read_chunked import ChunkedRead
 
 _VIEWS, _WIDTH = 4, 256
 """Pictures that are compared, and the pixels of their larger side."""
@@ -91,7 +91,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
 
     count: IntProperty(name="Splats", description="How many stay", default=100_000, min=1)
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Delete the others."""
         ob, count = held.there(), self.count
         total = len(ob.data.vertices)
@@ -99,7 +99,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
             return f"{ob.name} has {total:,} splats; none were deleted."
         held.check_points_alone()
         views, antialias = views_of(ob), bool(ob.get(objects.ANTIALIAS))
-        table = yield from Leaving(ob).table()
+        table = yield from ChunkedRead(ob).table()
 
         def compare(check: Check) -> tuple[np.ndarray, float]:
             splats = _splats(table, held.name)
@@ -109,8 +109,8 @@ class DecimateSplats(Editing, bpy.types.Operator):
             same = likeness(splats, after, views, antialias=antialias, check=check)
             return np.flatnonzero(keep), same
 
-        rows, same = yield from aside(compare, f"Comparing {len(views)} pictures")
-        yield from parts.kept(held, table, rows)
+        rows, same = yield from run_in_thread(compare, f"Comparing {len(views)} pictures")
+        yield from separate_join.kept(held, table, rows)
         left = total - count
         return f"Deleted {left:,} splats; {len(views)} pictures are alike to {same:.1f} dB."
 
@@ -118,7 +118,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
 def _splats(table: list[Column], name: str) -> Splats:
     """The splats of a table, which stays as it is, without what turns with the view: that is half
     of the time, and changes the figure by 0.1 to 0.5 dB."""
-    columns = carried.of_splats(table, rest=False)
+    columns = point_attributes.of_splats(table, rest=False)
     for one, values in columns.items():
         attributes.check_finite(values, one, name)
     return attributes.as_splats({one: values.copy() for one, values in columns.items()})

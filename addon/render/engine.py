@@ -10,28 +10,28 @@ import numpy as np
 
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
-from ..interface.flags import error_words
-from ..timeline import follow
-from ..timeline.moment import gap_sentence
+from ..interface.option_labels import error_words
+from ..timeline import frame_sync
+from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
-from . import copies, held_meshes, held_passes, ignored, picture
-from .apart import main_scene
-from .film import MESHES, SHARE, Film
+from . import copies, holdout_meshes, holdout_passes, picture, unsupported_settings
+from .compositing_scene import main_scene
 from .model import SplatCache
-from .passes import Asked, asked_of
+from .pass_renderer import MESHES, SHARE, Film
+from .passes import RequestedPasses, requested_passes
 from .regions import border_corner, border_window, camera_of, drawn_window
 from .renders_only import renders_only
 from .samples import Mean
 from .scene import Identity, Placed, sources
 from .selections import tinted_in
-from .stage import Stage
+from .shutter_lens import Stage
 from .stereo import eye_of, refusal, views_of
 from .viewport import (
     EXACT,
     OVER,
     STAND_INS,
-    Painter,
     Request,
+    ViewPainter,
     Viewport,
     redraw_when_ready,
     view_camera,
@@ -44,7 +44,7 @@ ENGINE_BEFORE = "gs_engine_before"
 """Custom property of a scene: the engine that it had before this one was chosen for it."""
 final_cache = SplatCache()
 """Decoded splats of the last picture: the frames of an animation share it."""
-_painters: WeakSet[Painter] = WeakSet()
+_painters: WeakSet[ViewPainter] = WeakSet()
 """Of all viewports in Rendered shading."""
 
 
@@ -63,7 +63,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self, scene: bpy.types.Scene | None = None, renderlayer: Any = None
     ) -> None:
         """Tell the compositor which passes there will be."""
-        for one in asked_of(scene, renderlayer).registered():
+        for one in requested_passes(scene, renderlayer).registered():
             self.register_pass(scene, renderlayer, *one)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -84,7 +84,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Something in the scene has changed."""
         copies.SHARED.forget_changed(depsgraph)
-        held_meshes.SHARED.forget_changed(depsgraph)
+        holdout_meshes.SHARED.forget_changed(depsgraph)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Show the last picture that is ready, and ask for the one of now.
@@ -103,7 +103,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             self.update_stats("", error_words(error))
             return
         live = next((one for one in STAND_INS if one.stands_in(context)), None)
-        held = held_meshes.SHARED.of(depsgraph)
+        held = holdout_meshes.SHARED.of(depsgraph)
         holds = bool(held) or any(one.holdout for one in placed)
         stays = live is not None and not holds and live.stays(context)
         over = not stays and any(one.lays_over(context) for one in STAND_INS)
@@ -141,7 +141,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         # Not in __init__, whose arguments differ between versions of Blender.
         if self._view is None:
             self._view = Viewport(final_cache)
-            held_meshes.SHARED.clear()  # nobody told of changes while none was drawn
+            holdout_meshes.SHARED.clear()  # nobody told of changes while none was drawn
             _painters.add(self._view.painter)
             # Not in __del__ either: by then the instance's attributes are out of reach.
             finalize(self, self._view.painter.close)
@@ -152,7 +152,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         context: bpy.types.Context,
         depsgraph: bpy.types.Depsgraph,
         placed: list[Placed],
-        held: tuple[held_meshes.HeldMesh, ...],
+        held: tuple[holdout_meshes.HoldoutMesh, ...],
         *,
         over: bool,
     ) -> Request:
@@ -199,7 +199,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         camera = self._camera(depsgraph.scene)
         scene, layer = depsgraph.scene, depsgraph.view_layer_eval
-        self._warn(ignored.Shown(scene=scene, layer=layer, camera=camera))
+        self._warn(unsupported_settings.Shown(scene=scene, layer=layer, camera=camera))
         for view in views_of(scene.render):
             self._render_view(depsgraph, camera, view)
 
@@ -213,7 +213,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         eye = eye_of(self, view)
         stage = Stage(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = stage.view()
-        asked = asked_of(scene, layer)
+        asked = requested_passes(scene, layer)
         film = self._film(depsgraph, depths=asked.depth)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
@@ -225,10 +225,10 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         else:
             passes = film.shoot(still, self.test_break)
             covered = film.coverage(still, self.test_break) if asked.mattes else {}
-            held = held_passes.blocked(film, still, self.test_break) if asked.held else {}
+            held = holdout_passes.blocked(film, still, self.test_break) if asked.held else {}
         if asked.held:
-            held |= held_passes.depths(film, still, self.test_break)
-            passes |= held_passes.completed(held, passes)
+            held |= holdout_passes.depths(film, still, self.test_break)
+            passes |= holdout_passes.completed(held, passes)
         else:
             passes.pop(MESHES, None)
         passes.pop(SHARE, None)  # no pass of Blender's
@@ -250,7 +250,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return Film(options=options, transparent=transparent, to_scene=rec709_to_scene())
 
     def _mean(
-        self, film: Film, stage: Stage, asked: Asked, count: int
+        self, film: Film, stage: Stage, asked: RequestedPasses, count: int
     ) -> tuple[dict[str, np.ndarray], dict[Identity, np.ndarray], dict[str, np.ndarray]]:
         """The means of the passes, but depths, from all over the lens and the exposure; how much
         each object adds, and what is held out blocks, in the mean, where that is asked for."""
@@ -267,7 +267,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 if last is None or not view.same(last):
                     last, shot = view, plain.shoot(view, self.test_break)
                     parts = plain.coverage(view, self.test_break) if asked.mattes else {}
-                    held = held_passes.blocked(plain, view, self.test_break) if asked.held else {}
+                    held = (
+                        holdout_passes.blocked(plain, view, self.test_break) if asked.held else {}
+                    )
                 if self.test_break():
                     raise Cancelled
                 row = None if shares is None else shares[i]
@@ -277,12 +279,12 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
         return picture.result(), covered.result(), blocked.result()
 
-    def _warn(self, shown: ignored.Shown) -> None:
+    def _warn(self, shown: unsupported_settings.Shown) -> None:
         """Say what has no effect or is missing; of an animation with its first frame."""
         if self.is_animation and shown.scene.frame_current != shown.scene.frame_start:
             return
         gaps = (gap_sentence(ob) for ob in shown.splats if plays(ob))
-        for sentence in [*ignored.without_effect(shown), *filter(None, gaps)]:
+        for sentence in [*unsupported_settings.without_effect(shown), *filter(None, gaps)]:
             self.report({"WARNING"}, sentence)
 
     def _camera(self, scene: bpy.types.Scene) -> bpy.types.Object:
@@ -335,18 +337,18 @@ CLASSES = (SplatsRenderEngine,)
 
 def on_register() -> None:
     """Have sequences leave their meshes alone while this engine renders."""
-    follow.TAKE_FRAMES.add(NAME)
+    frame_sync.TAKE_FRAMES.add(NAME)
 
 
 def on_unregister() -> None:
     """Let go of viewports and their splats."""
-    follow.TAKE_FRAMES.discard(NAME)
+    frame_sync.TAKE_FRAMES.discard(NAME)
     _leave_viewports()
     for painter in list(_painters):
         painter.close()
     final_cache.clear()
     copies.SHARED.clear()
-    held_meshes.SHARED.clear()
+    holdout_meshes.SHARED.clear()
 
 
 def _leave_viewports() -> None:

@@ -10,7 +10,7 @@ HALF = float(0.5 / sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
 """Added to sh0 it makes white of grey, taken off it black."""
 
 
-def held_out(splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
+def apply_holdout(splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
     """Splats to draw, so that some of them cut holes.
 
     Args:

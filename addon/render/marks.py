@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core import Splats, sh_basis
-from .frozen import HIDDEN, SELECTED
+from .mesh_copies import HIDDEN, SELECTED
 
 TINT = np.float32([1.0, 0.5, 0.05])
 """sRGB values, near those of selected vertices in Blender's own themes."""

@@ -10,7 +10,7 @@ import numpy as np
 from ..cameras.render_camera import RenderCamera
 from ..core import Rendered, mesh_depth
 from ..triangles import Triangles, joined, repeated
-from .held_meshes import HeldMesh
+from .holdout_meshes import HoldoutMesh
 from .picture import Window
 
 _LOOKS = 4
@@ -50,7 +50,7 @@ class Hidden:
         return left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1
 
 
-def hidden(held: Sequence[HeldMesh], camera: RenderCamera) -> Hidden:
+def hidden(held: Sequence[HoldoutMesh], camera: RenderCamera) -> Hidden:
     """What meshes hide from a camera, looked for at 4 x 4 places of each pixel.
 
     Raises:

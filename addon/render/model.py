@@ -8,11 +8,11 @@ import numpy as np
 
 from .. import attributes
 from ..core import Splats, transform_splats
-from ..interface.flags import error_words
-from .frozen import FrozenMesh
-from .holdout import held_out
+from ..interface.option_labels import error_words
+from .copy_fingerprint import Trace, repainted_rows, trace_of
+from .holdout import apply_holdout
+from .mesh_copies import FrozenMesh
 from .scene import Identity, Placed
-from .trace import Trace, repainted_rows, trace_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ class SplatCache:
     def _hold_out(self, splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
         """`Model.splats` and `shares`, of splats of which so many each are held out or not."""
         if self._held is None or self._held[0] is not splats or self._held[1] != runs:
-            self._held = splats, runs, held_out(splats, runs)
+            self._held = splats, runs, apply_holdout(splats, runs)
         return self._held[2]
 
     def _merge(self, turned: list[tuple[Splats, np.ndarray]]) -> Splats:

@@ -5,17 +5,17 @@ from typing import ClassVar
 
 import bpy
 
+from ..interface.base_operator import OnScene, make_active
 from ..interface.images import show_soon
-from ..interface.operators import OnScene, make_active
-from ..interface.stepping import Stepping
-from ..process.pieces import Pieces
+from ..interface.incremental_operator import IncrementalOperator
+from ..process.incremental_tasks import Pieces
 from ..splats.error_maps import splats_in_view
 from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
 from . import compare as comparing
 from . import compositor
 from .engine import ENGINE_BEFORE, NAME
-from .worst import worst_of
+from .worst_photo import worst_of
 
 
 def use_engine(scene: bpy.types.Scene) -> None:
@@ -78,7 +78,7 @@ class UsePhotoColors(OnScene, bpy.types.Operator):
         return ""
 
 
-class ComparePhoto(Stepping, bpy.types.Operator):
+class ComparePhoto(IncrementalOperator, bpy.types.Operator):
     """Render from an imported camera and show it beside its photo, with the error and the PSNR"""
 
     bl_idname = "gscore.compare_photo"
@@ -95,7 +95,7 @@ class ComparePhoto(Stepping, bpy.types.Operator):
         return (yield from compared(context, chosen_camera(context, self.camera)))
 
 
-class CompareWorstPhoto(Stepping, bpy.types.Operator):
+class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
     """Compare with the photo that the splats meet worst of those that were measured"""
 
     bl_idname = "gscore.compare_worst_photo"

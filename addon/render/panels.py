@@ -6,14 +6,14 @@ import bpy
 
 from ..cameras.panorama import KINDS, kind_of
 from ..compat import panorama_settings
-from ..interface.questions import letters, wrapped
+from ..interface.confirm_operator import letters, wrapped
 from ..splats.objects import is_native, is_splats
 from ..timeline.settings import plays
-from . import ignored
+from . import unsupported_settings
 from .engine import NAME
-from .held_meshes import may_hide
+from .holdout_meshes import may_hide
 from .operators import changes_colors
-from .stage import blurs
+from .shutter_lens import blurs
 
 _OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
 """Panels that say of themselves that they are for other engines, but show what this one reads."""
@@ -44,10 +44,10 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         box = layout.box()
         box.label(text=f"{changes} changes the colors", icon="ERROR")
         box.operator("gscore.use_photo_colors", icon="CHECKMARK")
-    shown = ignored.Shown(scene=scene, layer=layer, camera=scene.camera)
-    for text in ignored.refused(shown):
+    shown = unsupported_settings.Shown(scene=scene, layer=layer, camera=scene.camera)
+    for text in unsupported_settings.refused(shown):
         wrapped(layout, text, icon="ERROR", width=width)
-    for text in ignored.without_effect(shown):
+    for text in unsupported_settings.without_effect(shown):
         wrapped(layout, text, icon="INFO", width=width)
 
 

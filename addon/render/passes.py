@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 
 from ..compat import index_pass_name
-from . import cryptomatte, held_passes
-from .apart import main_scene
+from . import cryptomatte, holdout_passes
+from .compositing_scene import main_scene
 from .coverage import index_pass, summed
 from .scene import Identity
 
@@ -26,7 +26,7 @@ MATTES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class RequestedPasses:
     """The passes of a view layer besides the picture."""
 
     depth: bool
@@ -51,7 +51,7 @@ class Asked:
         if self.depth:
             found.append(("Depth", 1, "Z", "VALUE"))
         if self.held:
-            found += [(name, 1, "Z", "VALUE") for name in held_passes.NAMES]
+            found += [(name, 1, "Z", "VALUE") for name in holdout_passes.NAMES]
         if self.index:
             found.append((index_pass_name(), 1, "X", "VALUE"))
         for kind in self.kinds:
@@ -97,14 +97,14 @@ _NAMES = {
 }
 
 
-def asked_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Asked:
+def requested_passes(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> RequestedPasses:
     """What a view layer of a scene asks for; scenes whose splats are laid among meshes ask for what
     that takes."""
     kinds = {
         cryptomatte.OBJECT: layer.use_pass_cryptomatte_object,
         cryptomatte.ASSET: layer.use_pass_cryptomatte_asset,
     }
-    return Asked(
+    return RequestedPasses(
         depth=layer.use_pass_z,
         held=layer.use_pass_z and main_scene(scene) is not None,
         index=layer.use_pass_object_index,

@@ -2,7 +2,7 @@
 
 import bpy
 
-from .stage import has_depth_of_field, has_motion_blur
+from .shutter_lens import has_depth_of_field, has_motion_blur
 
 
 def renders_only(depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object | None) -> str:

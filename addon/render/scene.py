@@ -10,10 +10,10 @@ import numpy as np
 
 from ..splats.filters import Filters, filters_of
 from ..splats.objects import ANTIALIAS, chain, is_native, is_splats
-from ..timeline.moment import Moment, moment_of
-from . import apart
-from .frozen import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
+from ..timeline.frame_at import Moment, moment_of
+from . import compositing_scene
 from .instances import instances
+from .mesh_copies import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
 
 NO_SPLATS = (
     "There are no splats to render: import a splat PLY, or enable the splat object and its "
@@ -42,12 +42,16 @@ class Source:
     @property
     def is_seen(self) -> bool:
         """Whether the camera sees it, not only light that others throw."""
-        return self.ob.visible_camera and apart.is_seen(self.shown_by.original, self._depsgraph)
+        return self.ob.visible_camera and compositing_scene.is_seen(
+            self.shown_by.original, self._depsgraph
+        )
 
     @property
     def is_holdout(self) -> bool:
         """Whether it, or its collection, cuts a hole into the picture."""
-        return self.ob.is_holdout or apart.is_held_out(self.shown_by.original, self._depsgraph)
+        return self.ob.is_holdout or compositing_scene.is_held_out(
+            self.shown_by.original, self._depsgraph
+        )
 
     @property
     def uid(self) -> int:

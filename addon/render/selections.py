@@ -7,8 +7,8 @@ from enum import Enum
 import bpy
 import numpy as np
 
-from .frozen import HIDDEN, SELECTED
 from .marks import shown, tinted_splats
+from .mesh_copies import HIDDEN, SELECTED
 from .model import Model
 from .scene import Placed
 

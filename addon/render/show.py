@@ -8,14 +8,14 @@ from bpy.props import BoolProperty
 
 from .. import stored_paths
 from ..cameras import photos
-from ..interface.operators import Acting, make_active
+from ..interface.base_operator import BaseOperator, make_active
 from ..splats import framed
 from ..splats.error_maps import is_map, show_map, siblings
 from ..splats.objects import in_question, is_splats
 from .operators import use_engine
 
 
-class ShowSplats(Acting, bpy.types.Operator):
+class ShowSplats(BaseOperator, bpy.types.Operator):
     """Show the splats as they were trained: engine, colors and shading are set, photos hidden, and
     views are turned to the splats, as the photo's camera that looks most as they do sees them"""
 

@@ -6,9 +6,9 @@ from functools import partial
 import bpy
 import numpy as np
 
-from ..process.pieces import Check, Pieces, aside
-from ..splats.leaving import Leaving
-from .frozen import Frozen, FrozenMesh
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..splats.read_chunked import ChunkedRead
+from .mesh_copies import Frozen, FrozenMesh
 from .scene import NO_SPLATS, NONE_IN_VIEW, Placed, place, sources
 
 
@@ -23,7 +23,7 @@ class Snapshot:
         """
         self._placed: list[Placed] = []
         self._frozen: dict[int, Frozen] = {}
-        self._leaving: dict[int, tuple[str, Leaving]] = {}
+        self._leaving: dict[int, tuple[str, ChunkedRead]] = {}
         try:
             for source in sources(depsgraph):
                 self._placed.append(place(source, FrozenMesh(source.ob.name, 0)))
@@ -32,7 +32,7 @@ class Snapshot:
                 if source.moment is not None:
                     self._frozen[source.uid] = source.frozen()
                 else:
-                    taken = Leaving(source.ob.original)
+                    taken = ChunkedRead(source.ob.original)
                     self._leaving[source.uid] = (source.ob.name, taken)
         except ValueError:
             self.drop()
@@ -41,10 +41,12 @@ class Snapshot:
             raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
 
     def read(self) -> Pieces[list[Placed]]:
-        """Copy them; errors as `Leaving.read`."""
+        """Copy them; errors as `ChunkedRead.read`."""
         for uid, (name, taken) in self._leaving.items():
             columns = yield from taken.read()
-            self._frozen[uid] = yield from aside(partial(_frozen, name, columns), "Reading splats")
+            self._frozen[uid] = yield from run_in_thread(
+                partial(_frozen, name, columns), "Reading splats"
+            )
         return [replace(one, frozen=self._frozen[one.uid]) for one in self._placed]
 
     def drop(self) -> None:

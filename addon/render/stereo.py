@@ -6,7 +6,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..cameras import formulas
+from ..cameras import camera_math
 from ..cameras.objects import frame_of, lens_of, rigid_viewmat
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
@@ -62,5 +62,5 @@ def seen_by(
     """
     matrix, shift = eye(ob)
     frame = frame_of(scene, camera.width, camera.height)
-    K = formulas.intrinsics(replace(lens_of(ob.data), shift_x=shift), frame)
+    K = camera_math.intrinsics(replace(lens_of(ob.data), shift_x=shift), frame)
     return replace(camera, viewmat=rigid_viewmat(matrix, ob.name), K=K)

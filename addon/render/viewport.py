@@ -14,19 +14,19 @@ import numpy as np
 from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
-from ..cameras.formulas import FLIP
+from ..cameras.camera_math import FLIP
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
-from ..interface.flags import error_words
+from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
 from ..process import threads
 from . import picture
-from .film import Film
-from .held_meshes import HeldMesh, same_meshes
+from .holdout_meshes import HoldoutMesh, same_meshes
 from .model import Model, SplatCache
+from .pass_renderer import Film
 from .scene import Placed
 from .selections import Tinted, marked
-from .stage import View
+from .shutter_lens import View
 
 QUICK = 0.08
 """Seconds a picture should take while the view turns; above, it is drawn smaller first."""
@@ -38,7 +38,7 @@ _POLL = 0.02
 """Seconds between two looks whether a picture is ready."""
 
 
-class Wish(Protocol):
+class ViewRequest(Protocol):
     """A picture that is wanted of a painter."""
 
     @property
@@ -74,7 +74,7 @@ class Request:
     """A picture that is wanted in Rendered shading."""
 
     placed: list[Placed]
-    held: tuple[HeldMesh, ...]
+    held: tuple[HoldoutMesh, ...]
     camera: RenderCamera
     options: picture.Options
     transparent: bool
@@ -104,7 +104,7 @@ class Request:
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """As `Wish`; scene-linear, if it is not to lie over the view."""
+        """As `ViewRequest`; scene-linear, if it is not to lie over the view."""
         options = self.options
         if options.window is not None:
             camera, window = _scaled(self.camera, options.window, camera)
@@ -120,19 +120,19 @@ class Request:
         return film.shoot(view, stop, cancel)["Combined"]
 
 
-class Painter:
+class ViewPainter:
     """Draws the last picture that was asked for, smaller first; knows nothing of bpy."""
 
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
         self._wish = threading.Condition()
-        self._request: Wish | None = None
+        self._request: ViewRequest | None = None
         self._cancel = CancelFlag()
         self._thread: threading.Thread | None = None
         self._factor = 1
         self.pixels: np.ndarray | None = None
         """[H, W, 4] of the last finished picture, bottom row first."""
-        self.made: Wish | None = None
+        self.made: ViewRequest | None = None
         """What it was made of."""
         self.problem = ""
         """Why there is no picture."""
@@ -140,13 +140,13 @@ class Painter:
         """Whether something was finished since this was last set to False."""
         self.busy = False
         """Whether something is being drawn."""
-        self._finished: Wish | None = None
+        self._finished: ViewRequest | None = None
 
-    def shows(self, request: Wish) -> bool:
+    def shows(self, request: ViewRequest) -> bool:
         """Whether `pixels` are this picture in full size."""
         return self.pixels is not None and request.same(self._finished)
 
-    def ask(self, request: Wish) -> None:
+    def ask(self, request: ViewRequest) -> None:
         """Draw this from now on.
 
         What is drawn for an older wish is dropped where it takes long, but for its small picture:
@@ -170,7 +170,7 @@ class Painter:
     _closed = False
 
     def _run(self) -> None:
-        done: Wish | None = None
+        done: ViewRequest | None = None
         while True:
             with self._wish:
                 self.busy = self._request is not None and self._request is not done
@@ -188,7 +188,7 @@ class Painter:
                 self.problem = error_words(error) or "Out of memory."
                 self.pixels, done, self.fresh = None, request, True
 
-    def _paint(self, request: Wish) -> None:
+    def _paint(self, request: ViewRequest) -> None:
         """Draw at a size that is quick, then at the full one."""
         model = self._cache.model(request.placed)
         for factor in dict.fromkeys((self._factor, 1)):
@@ -210,7 +210,7 @@ class Painter:
         wanted = (took / QUICK) ** 0.5  # the last one was full size
         self._factor = min(COARSEST, max(1, int(np.ceil(wanted))))
 
-    def _is_old(self, request: Wish) -> bool:
+    def _is_old(self, request: ViewRequest) -> bool:
         return self._request is not request
 
 
@@ -218,7 +218,7 @@ class Viewport:
     """One 3D viewport in Rendered shading; used on the main thread only."""
 
     def __init__(self, cache: SplatCache) -> None:
-        self.painter = Painter(cache)
+        self.painter = ViewPainter(cache)
         self._texture: tuple[np.ndarray, gpu.types.GPUTexture] | None = None
 
     @property
@@ -407,7 +407,7 @@ def _scaled(
     return replace(view, K=K, width=ends[0], height=ends[1]), (*places, *sizes)
 
 
-def redraw_when_ready(painter: Painter) -> None:
+def redraw_when_ready(painter: ViewPainter) -> None:
     """Have 3D views drawn again once the painter has something new."""
 
     def poll() -> float | None:

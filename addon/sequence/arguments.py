@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Protocol
 
-from ..job.options import Machine, Settings, new_run, resumed_run
+from ..training.options import Machine, Settings, new_run, resumed_run
 
 
 class OwnSettings(Protocol):

@@ -9,9 +9,9 @@ import bpy
 
 from ..cameras.lookup import root_from
 from ..core import GUIDE_FILE, GUIDES, SequenceFrame, frame_pattern, write_mesh
-from ..job import guides
-from ..timeline import follow
+from ..timeline import frame_sync
 from ..timeline.frames import slots_of
+from ..training import guides
 from ..triangles import Triangles
 
 
@@ -143,7 +143,7 @@ class _Files:
 def _other_frames(scene: bpy.types.Scene) -> Iterator[None]:
     """Go through the timeline and come back; sequences of splats stay as they are meanwhile."""
     frame, subframe = scene.frame_current, scene.frame_subframe
-    with follow.left_alone():
+    with frame_sync.left_alone():
         try:
             yield
         finally:

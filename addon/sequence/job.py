@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..core import Event, FrameStarted, Progress, SequenceDone, judged_psnr
-from ..job.verb_job import STOPPING, VerbJob
+from ..core import Event, FrameStarted, Progress, SequenceDone, headline_psnr
+from ..training.verb_job import STOPPING, VerbJob
 
 FINISHED = "finished"
 """Reason of a sequence that came to its end."""
@@ -73,7 +73,7 @@ class SequenceJob(VerbJob):
         done = self.done
         if done is None or (done.reason != FINISHED and self.status == STOPPING):
             return ""
-        psnr = judged_psnr(done.metrics)
+        psnr = headline_psnr(done.metrics)
         quality = "" if psnr is None else f", PSNR {psnr:.2f} dB in the mean"
         ended = "" if done.reason == FINISHED else f" It ended early: {done.reason}."
         return f"{done.frames:,} frames are complete{quality}.{ended}"

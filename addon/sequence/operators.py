@@ -5,15 +5,15 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty
 
-from ..interface.operators import Acting
-from ..interface.questions import Asking
-from ..job.verb_job import FAILED
-from ..job.verb_operators import Cancelling
-from . import work
+from ..interface.base_operator import BaseOperator
+from ..interface.confirm_operator import ConfirmMixin
+from ..training.verb_job import FAILED
+from ..training.verb_operators import Cancelling
+from . import train_sequence
 from .job import SequenceJob
 
 
-class TrainSequence(Asking, Acting, bpy.types.Operator):
+class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
     """Train the frames of a multi-view video, or of a folder of captures, one after the other in
     the background, each from the splats of the one before"""
 
@@ -40,18 +40,18 @@ class TrainSequence(Asking, Acting, bpy.types.Operator):
 
     def question(self, context: bpy.types.Context) -> list[str]:
         """Name what an earlier sequence loses, and what the training would not see."""
-        output = work.output_of(context.scene)
+        output = train_sequence.output_of(context.scene)
         lines = []
-        if self.overwrite and work.begun(output):
+        if self.overwrite and train_sequence.is_started(output):
             lines = [f"The frames in {output} are replaced for good."]
         self.confirm = "Start Over" if lines else "Train Without"
-        return lines if self.resume else lines + work.not_seen(context.scene)
+        return lines if self.resume else lines + train_sequence.not_seen(context.scene)
 
     def act(self, context: bpy.types.Context) -> str:
         """Start."""
         if not self.resume:
-            self.warn(work.not_seen(context.scene))
-        job = work.train_sequence(
+            self.warn(train_sequence.not_seen(context.scene))
+        job = train_sequence.train_sequence(
             context.scene, resume=self.resume, overwrite=self.overwrite, wait=self.wait
         )
         if job.status == FAILED:
@@ -68,7 +68,7 @@ class StopSequence(Cancelling, bpy.types.Operator):
 
     def job_of(self, scene: bpy.types.Scene) -> SequenceJob | None:
         """The training of the scene's sequence."""
-        return work.job_of(scene)
+        return train_sequence.job_of(scene)
 
 
 CLASSES = (TrainSequence, StopSequence)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..core import DataConfig, SequenceFrame, SequenceIndex, find_frames, read_sequence
 from ..interface.lookup import Lookup
-from ..job.verb_jobs import VerbJobs
+from ..training.verb_jobs import VerbJobs
 from .job import SequenceJob
 
 JOBS: VerbJobs[SequenceJob] = VerbJobs()

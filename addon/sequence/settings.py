@@ -3,7 +3,7 @@
 import bpy
 
 from ..core import SequenceOptions
-from ..job.declared import declared
+from ..training.declared import declared
 
 
 class TrainSequenceSettings(bpy.types.PropertyGroup):

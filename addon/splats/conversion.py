@@ -21,9 +21,9 @@ from ..core import (
     read_splat_file,
     write_splat_file,
 )
-from ..process.pieces import Check
-from ..process.program import Process
-from ..python import setup
+from ..process.child_program import Process
+from ..process.incremental_tasks import Check
+from ..trainer_python import setup
 
 _PERIOD = 0.05
 """Seconds between two looks at the other Python."""

@@ -9,17 +9,17 @@ from mathutils import Matrix
 
 from .. import attributes, compat
 from ..cameras.objects import local_matrix
-from ..interface import writable
+from ..interface import editable_check
 from ..nodes import display
-from ..process.pieces import Check, Pieces, aside
-from . import filters, lag, objects, parts, places
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from . import bounds, filters, lag, objects, separate_join
 from . import settings as splat_settings
-from .carried import Column
-from .filling import Filling, filled, swap
-from .held import Held
-from .leaving import Leaving
-from .ready import points_of
-from .turning import moved
+from .edit_guard import EditGuard
+from .mesh_buffers import points_of
+from .point_attributes import Column
+from .read_chunked import ChunkedRead
+from .rotation import moved
+from .write_chunked import ChunkedWrite, filled, swap
 
 _QUICK = 200_000
 """Splats whose filters run in a few milliseconds."""
@@ -76,27 +76,29 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
     return 0 if points is None else len(points.points)
 
 
-def apply_filters(held: Held) -> Pieces[int]:
+def apply_filters(held: EditGuard) -> Pieces[int]:
     """Delete what the filters hide and reset them; other attributes of the mesh follow.
 
     Returns:
         Number of splats deleted.
 
     Raises:
-        ValueError: missing attributes, nothing would be left, or as `Held.to_change`; nothing is
-            changed then.
+        ValueError: missing attributes, nothing would be left, or as `EditGuard.to_change`; nothing
+            is changed then.
     """
     ob = held.there()
     held.check_points_alone()
     limits = filters.filters_of(ob)
-    table = yield from Leaving(ob).table()
-    keep = yield from aside(partial(_passing, table, limits), f"Looking through {held.name}")
+    table = yield from ChunkedRead(ob).table()
+    keep = yield from run_in_thread(
+        partial(_passing, table, limits), f"Looking through {held.name}"
+    )
     if len(keep) and not keep.any():
         raise ValueError(f"{held.name}: the filters hide every splat; relax them before applying.")
     if keep.all():
         ob = held.to_change()
     else:
-        ob = yield from parts.kept(held, table, np.flatnonzero(keep))
+        ob = yield from separate_join.kept(held, table, np.flatnonzero(keep))
     splat_settings.reset_filters(ob)
     return int((~keep).sum())
 
@@ -116,7 +118,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     """
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before a crop box is added.")
-    placed = places.in_world(ob)
+    placed = bounds.in_world(ob)
     if not len(placed):
         raise ValueError(f"{ob.name} has no splats to put a box around.")
     low, high = np.quantile(placed, [_CROP_QUANTILE, 1 - _CROP_QUANTILE], axis=0)
@@ -130,20 +132,20 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     box.matrix_parent_inverse = ob.matrix_world.inverted_safe()
     box.location = (low + high) / 2
     box.scale = np.maximum((high - low) / 2, 1e-6)
-    writable.link_beside(box, ob)
+    editable_check.link_like(box, ob)
     context.view_layer.update()
     ob.gscore.crop_object = box
     return box
 
 
-def apply_transform(held: Held) -> Pieces[None]:
+def apply_transform(held: EditGuard) -> Pieces[None]:
     """Apply the object's own location, rotation and scale to its splats, exactly.
 
     Blender's own Apply moves the points alone and leaves ellipsoids and colours as they were.
 
     Raises:
         ValueError: the scale is uneven, other objects show the same splats, it is moved meanwhile,
-            or as `Held.to_change`; nothing is changed then.
+            or as `EditGuard.to_change`; nothing is changed then.
     """
     ob = held.there()
     _check_unshared(ob)
@@ -151,12 +153,12 @@ def apply_transform(held: Held) -> Pieces[None]:
     matrix = local_matrix(ob)
     objects.moved(attributes.NO_SPLATS, matrix, held.name)  # refuses what cannot be
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)
-    table = yield from Leaving(ob).table(whole=False)
-    changed = yield from aside(
+    table = yield from ChunkedRead(ob).table(whole=False)
+    changed = yield from run_in_thread(
         partial(moved, table, matrix, held.name), f"Turning splats of {held.name}"
     )
     [mesh] = yield from filled(
-        [Filling(points_of(changed), held.copied_mesh)], partial(_check_applicable, held)
+        [ChunkedWrite(points_of(changed), held.copied_mesh)], partial(_check_applicable, held)
     )
     ob = held.there()
     lag.forget(mesh)
@@ -169,7 +171,7 @@ def apply_transform(held: Held) -> Pieces[None]:
     ob.matrix_basis = Matrix.Identity(4)
 
 
-def _check_applicable(held: Held) -> None:
+def _check_applicable(held: EditGuard) -> None:
     _check_unshared(held.to_change())
     held.check_unmoved()
 

@@ -8,17 +8,17 @@ import bpy
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty
 
 from .. import attributes
+from ..interface.base_operator import make_active
 from ..interface.blocks import with_uid
-from ..interface.operators import make_active
-from ..interface.stepping import Stepping
-from ..process.pieces import Check, Pieces, aside
-from . import edit, grading, objects, parts
-from .held import Held
-from .leaving import leaving
+from ..interface.incremental_operator import IncrementalOperator
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from . import edit, grading, objects, separate_join
+from .edit_guard import EditGuard
 from .operators import OnSplats, edit_vertices
+from .read_chunked import read_chunked
 
 
-class Editing(Stepping, OnSplats):
+class Editing(IncrementalOperator, OnSplats):
     """Works on the mesh outside of Edit Mode, and goes back to it."""
 
     leaves_edit_mode: ClassVar = True
@@ -41,7 +41,7 @@ class Editing(Stepping, OnSplats):
         try:
             objects.check_writable(ob)
             context.view_layer.update()  # what was done until now is no change
-            held = Held(ob)
+            held = EditGuard(ob)
             return (yield from self.edit(context, held))
         finally:
             if held is not None:
@@ -49,7 +49,7 @@ class Editing(Stepping, OnSplats):
             if edited:
                 _edit_again(context, uid)
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Do it; ValueError where it cannot be done."""
         raise NotImplementedError
 
@@ -92,7 +92,7 @@ class GradeSplats(Editing, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Grade."""
         ob = held.there()
         selected, whole = attributes.selected(ob.data), len(ob.data.vertices)
@@ -105,7 +105,7 @@ class GradeSplats(Editing, bpy.types.Operator):
             gain=tuple(self.gain),
             saturation=self.saturation,
         )
-        columns = yield from leaving(ob, [attributes.BASE])
+        columns = yield from read_chunked(ob, [attributes.BASE])
         base = columns[attributes.BASE]
 
         def change(check: Check) -> int:
@@ -113,7 +113,7 @@ class GradeSplats(Editing, bpy.types.Operator):
             base[some] = graded
             return len(graded)
 
-        count = yield from aside(change, self.bl_label)
+        count = yield from run_in_thread(change, self.bl_label)
         mesh = held.to_change().data
         kind = mesh.attributes[attributes.BASE].data_type
         attributes.fill(mesh, attributes.BASE, kind, base.ravel())
@@ -127,9 +127,9 @@ class SeparateSplats(Editing, bpy.types.Operator):
     bl_idname = "gscore.separate_splats"
     bl_label = "Separate Splats"
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Separate."""
-        made = yield from parts.separated(held, attributes.selected(held.there().data))
+        made = yield from separate_join.separated(held, attributes.selected(held.there().data))
         return f"{len(made.data.vertices):,} splats are {made.name}."
 
 
@@ -152,14 +152,14 @@ class JoinSplats(Editing, bpy.types.Operator):
         children = [child for other in others for child in other.children]
         return (*super().changes(context), *others, *children)
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Join."""
         ob, others = held.there(), _others(context)
-        parts.check_joinable(ob, others)  # before the selection changes
+        separate_join.check_joinable(ob, others)  # before the selection changes
         make_active(context, ob)  # before: 4.2 crashes where selected objects have just gone
-        helds = [Held(other) for other in others]
+        helds = [EditGuard(other) for other in others]
         try:
-            ob = yield from parts.joined(held, helds)
+            ob = yield from separate_join.joined(held, helds)
         finally:
             for other in helds:
                 other.close()
@@ -181,7 +181,7 @@ class ApplyFilters(Editing, bpy.types.Operator):
         ob = objects.meant(context)
         return ob.data, ob
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Delete."""
         count = yield from edit.apply_filters(held)
         return f"Deleted {count:,} splats, {len(held.found().data.vertices):,} left."
@@ -199,7 +199,7 @@ class ApplySplatTransform(Editing, bpy.types.Operator):
         ob = objects.meant(context)
         return ob.data, ob
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Apply."""
         yield from edit.apply_transform(held)
         return ""

@@ -9,14 +9,14 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..cameras.placing import origin_of
+from ..cameras.capture_transform import origin_of
 from ..compat import matrix_to_numpy
-from ..core import BackendError, GsError, Splats, given_up_by, join_splats, write_splat_file
-from ..process.pieces import Check, Pieces, ResultT, aside, at_once
+from ..core import BackendError, GsError, Splats, file_errors, join_splats, write_splat_file
+from ..process.incremental_tasks import Check, Pieces, ResultT, run_blocking, run_in_thread
 from . import conversion, filters, objects
-from .files import BLENDER, SOURCE, note_of_up, source_matrix, source_matrix_of_data
 from .filters import Filters
-from .leaving import Leaving
+from .read_chunked import ChunkedRead
+from .splat_files import BLENDER, SOURCE, note_of_up, source_matrix, source_matrix_of_data
 
 Written = tuple[int, tuple[str, ...]]
 """Number of splats written, and sentences on what the format does not hold of them and on how many
@@ -34,7 +34,7 @@ class _Part:
     """What is left out; None: nothing."""
 
     def made(self, columns: dict[str, np.ndarray]) -> Splats:
-        """The splats of the file, of columns that `Leaving` read; ValueError as `objects.moved`."""
+        """Splats for the file of columns that `ChunkedRead` read; ValueError as `objects.moved`."""
         keep = None if self.filters is None else filters.passing(columns, self.filters)
         splats = attributes.as_splats(columns)
         splats = splats if keep is None else splats.subset(keep)
@@ -61,7 +61,7 @@ def export_splats(
         ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
         GsError: the file cannot be written.
     """
-    return at_once(exporting(obs, path, world=world, filtered=filtered))
+    return run_blocking(exporting(obs, path, world=world, filtered=filtered))
 
 
 def exporting(
@@ -76,10 +76,10 @@ def exporting(
     antialiased = all(ob.get(objects.ANTIALIAS) for ob in obs)
     comments = note_of_up(obs[0], world)
     origin = None if world == BLENDER else origin_of(obs[0])
-    taken: list[Leaving] = []
+    taken: list[ChunkedRead] = []
     try:
         for ob in obs:
-            taken.append(Leaving(ob))
+            taken.append(ChunkedRead(ob))
         read = []
         for one in taken:
             read.append((yield from one.read()))
@@ -87,19 +87,23 @@ def exporting(
         for one in taken:
             one.drop()
 
-    splats, total = yield from aside(_in_words(partial(_together, parts, read)), "Collecting")
+    splats, total = yield from run_in_thread(
+        _in_words(partial(_together, parts, read)), "Collecting"
+    )
     how = {"antialiased": antialiased, "comments": comments, "origin": origin}
 
     def write(check: Check) -> Sequence[str]:
-        with given_up_by(check):
+        with file_errors(check):
             return write_splat_file(path, splats, **how).notes
 
     try:
-        notes = yield from aside(_in_words(write), f"Writing {path.name}")
+        notes = yield from run_in_thread(_in_words(write), f"Writing {path.name}")
     except BackendError as error:
         said = {"antialiased": antialiased, "origin": origin, "lacking": error}
         beside = partial(conversion.write, path, splats, conversion.other(), **said)
-        notes = yield from aside(_in_words(beside), f"Writing {path.name} in the trainer's Python")
+        notes = yield from run_in_thread(
+            _in_words(beside), f"Writing {path.name} in the trainer's Python"
+        )
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
     return len(splats), (*notes, *left)

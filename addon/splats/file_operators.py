@@ -16,11 +16,11 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.lookup import root_of_run
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
-from ..interface.operators import make_active
-from ..interface.stepping import Stepping
-from ..process.pieces import Pieces
-from . import exporting, files, framed
-from .arriving import Arriving
+from ..interface.base_operator import make_active
+from ..interface.incremental_operator import IncrementalOperator
+from ..process.incremental_tasks import Pieces
+from . import exporting, framed, splat_files
+from .import_operator import ImportOperator
 from .objects import can_export, hide_points, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
@@ -44,7 +44,7 @@ AXIS_ITEMS = [
 ]
 _UP_ITEMS = [
     (
-        files.FROM_FILE,
+        splat_files.FROM_FILE,
         "As Exported",
         "The axis that a comment of the file states, as gscore and nerfstudio write it; -Y Up "
         "where none does, as COLMAP and most trainers have it",
@@ -53,16 +53,16 @@ _UP_ITEMS = [
 ]
 _WORLDS = [
     (
-        files.SOURCE,
+        splat_files.SOURCE,
         "Photos",
         "The world of the photos' cameras (COLMAP's) or of the imported file: the alignment of "
         "the capture, or the turn of the import, is taken back",
     ),
-    (files.BLENDER, "Blender", "Blender's world, as the scene shows the splats, +Z up"),
+    (splat_files.BLENDER, "Blender", "Blender's world, as the scene shows the splats, +Z up"),
 ]
 
 
-class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
+class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
     """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD;
     or a level of detail of a .lod file"""
 
@@ -80,7 +80,7 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
         name="Up",
         description="Axis of the file that points up",
         items=_UP_ITEMS,
-        default=files.FROM_FILE,
+        default=splat_files.FROM_FILE,
     )
     under_capture: BoolProperty(
         name="Under the Capture",
@@ -92,7 +92,7 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
     level: IntProperty(
         name="Level",
         description="Of a file of levels of detail, which one: 0 is the finest; -1 the finest of "
-        f"{files.MOST_AT_ONCE:,} splats at most",
+        f"{splat_files.MOST_AT_ONCE:,} splats at most",
         default=-1,
         min=-1,
         max=15,
@@ -114,7 +114,7 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
         """Open the file browser, or the options of a file that was dropped."""
         return self.invoke_popup(context)
 
-    def wanted(self, context: bpy.types.Context) -> list[files.Wanted]:
+    def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
         """What the properties say; ValueError where they ask for what there is not."""
         paths = [Path(self.directory, file.name) for file in self.files if file.name]
         active = root_of(context.object) if self.under_capture else None
@@ -127,7 +127,9 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
             parent = active
             if self.under_capture and parent is None:
                 parent = root_of_run(context.scene, path)
-            found.append(files.want(path, parent=parent, up=self.up, level=level, cropped=cropped))
+            found.append(
+                splat_files.want(path, parent=parent, up=self.up, level=level, cropped=cropped)
+            )
         return found
 
     def show(
@@ -150,7 +152,7 @@ class ImportSplats(Arriving, bpy.types.Operator, ImportHelper):
         return f"Imported {total:,} splats from {len(made)} file(s)."
 
 
-class ExportSplats(Stepping, bpy.types.Operator, ExportHelper):
+class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
     """Export the selected splats, edited and moved as they are, as one file"""
 
     bl_idname = "gscore.export_splats"

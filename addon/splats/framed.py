@@ -5,7 +5,7 @@ import numpy as np
 
 from ..cameras.objects import cameras_of, root_of
 from ..interface import framing
-from . import places
+from . import bounds
 
 
 def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
@@ -42,7 +42,7 @@ def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.S
 
 def _shown(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """[M, 3] places and [M] weights of splats."""
-    placed = places.in_world(ob)
+    placed = bounds.in_world(ob)
     if not len(placed):
         raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
-    return placed, places.opacities(ob)
+    return placed, bounds.opacities(ob)

@@ -5,13 +5,13 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface.stepping import Stepping
-from ..process.pieces import Pieces
+from ..interface.incremental_operator import IncrementalOperator
+from ..process.incremental_tasks import Pieces
 from . import mending, objects
-from .held import Held
+from .edit_guard import EditGuard
 
 
-class MendSplats(Stepping, bpy.types.Operator):
+class MendSplats(IncrementalOperator, bpy.types.Operator):
     """Turn and scale shapes and colors of the splats along, where Apply or Join of Blender has
     moved their places alone; what was stretched gets its places and its scale of before"""
 
@@ -40,7 +40,7 @@ class MendSplats(Stepping, bpy.types.Operator):
         try:
             for ob in found:
                 objects.catch_up(ob)
-                helds.append(Held(ob))
+                helds.append(EditGuard(ob))
             stretched = yield from mending.mended(helds)
         finally:
             for held in helds:

@@ -7,16 +7,16 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes
-from ..interface import writable
-from ..process.pieces import Check, Pieces, aside
-from . import carried, lag, objects, parts
-from .carried import Column
-from .filling import Filling, filled, swap
+from ..interface import editable_check
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from . import lag, objects, point_attributes, separate_join
+from .edit_guard import EditGuard, all_to_change
 from .fitted import is_similarity
-from .held import Held, all_to_change
-from .leaving import Leaving
-from .ready import Points, points_of
-from .turning import turned
+from .mesh_buffers import Points, points_of
+from .point_attributes import Column
+from .read_chunked import ChunkedRead
+from .rotation import turned
+from .write_chunked import ChunkedWrite, filled, swap
 
 APPLIED = (
     "The places of the splats of {} were turned or scaled alone, as Apply of Blender does: their "
@@ -51,7 +51,7 @@ def behind(context: bpy.types.Context) -> list[bpy.types.Object]:
 class Mend:
     """What lags in one object, put right: prepared bit by bit, then done at once."""
 
-    def __init__(self, held: Held) -> None:
+    def __init__(self, held: EditGuard) -> None:
         """Find out what there is to do.
 
         Raises:
@@ -63,7 +63,7 @@ class Mend:
         self._odd = [int(k) for k in self._there if not is_similarity(self._lags[k])]
         for k in self._odd:
             for user in _users(ob):
-                writable.check(user)
+                editable_check.check(user)
                 _with_lag(user, self._lags[k])
         # One part stays where it is; others become objects of their own.
         every = self._odd and len(self._odd) == len(self._there)
@@ -74,22 +74,22 @@ class Mend:
         else:
             held.check_movable()
 
-    def filling(self) -> "Pieces[list[Filling[Points]]]":
+    def filling(self) -> "Pieces[list[ChunkedWrite[Points]]]":
         """Look what its meshes will be: its own, then those of parts that leave it.
 
         Raises:
             ValueError: attributes are missing or not finite.
         """
-        table = yield from Leaving(self._held.there()).table(whole=bool(self._apart))
-        own, *others = yield from aside(
+        table = yield from ChunkedRead(self._held.there()).table(whole=bool(self._apart))
+        own, *others = yield from run_in_thread(
             partial(self._mended, table), f"Turning splats of {self._held.name}"
         )
         make = self._held.emptied_mesh if self._apart else self._held.copied_mesh
         emptied = self._held.emptied_mesh
-        return [Filling(own, make), *(Filling(other, emptied) for other in others)]
+        return [ChunkedWrite(own, make), *(ChunkedWrite(other, emptied) for other in others)]
 
     def _mended(self, table: list[Column], check: Check) -> list[Points]:
-        for name, values in carried.of_splats(table).items():
+        for name, values in point_attributes.of_splats(table).items():
             attributes.check_finite(values, name, self._held.name)
         check()
         numbers, changed = self._numbers, []
@@ -110,7 +110,7 @@ class Mend:
             return [points_of(changed)]
         stays = np.flatnonzero(~np.isin(numbers, self._apart))
         rows = [stays, *(np.flatnonzero(numbers == k) for k in self._apart)]
-        return [points_of(carried.picked(table, some)) for some in rows]
+        return [points_of(point_attributes.picked(table, some)) for some in rows]
 
     def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
         """Put what `filling` made, filled, in its place; the objects that are stretched now."""
@@ -122,14 +122,14 @@ class Mend:
         for user in _users(ob) if taken else ():
             _take_back(user, self._lags[self._own])
         for k, mesh in zip(self._apart, others, strict=True):
-            taken.append(parts.split_off(ob, mesh))
+            taken.append(separate_join.split_off(ob, mesh))
             _take_back(taken[-1], self._lags[k])
         for mesh in meshes:
             lag.follow(mesh)
         return taken
 
 
-def mended(helds: list[Held]) -> Pieces[list[bpy.types.Object]]:
+def mended(helds: list[EditGuard]) -> Pieces[list[bpy.types.Object]]:
     """Turn and scale shapes and colors of objects along with the places that are there.
 
     What was stretched gets the places of before instead, and its object that matrix; a part that

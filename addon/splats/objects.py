@@ -9,8 +9,8 @@ import numpy as np
 from .. import attributes, compat
 from ..cameras.objects import points_of
 from ..core import Splats, transform_splats
-from ..interface import writable
-from . import lag, live, settings, succession
+from ..interface import editable_check
+from . import copy_metadata, lag, live, settings
 
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
@@ -62,7 +62,7 @@ def around(
     ob = bpy.data.objects.new(mesh.name, mesh)
     ob["gs_kind"] = KIND
     ob.parent = parent
-    writable.taking([collection or bpy.context.collection])[0].objects.link(ob)
+    editable_check.taking([collection or bpy.context.collection])[0].objects.link(ob)
     if size:
         # Half the typical splat: points then neither merge nor vanish.
         ob.gscore.point_size = 0.5 * size
@@ -84,7 +84,7 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     check_refreshable(ob)
     # Vertices can be added to a mesh, but not removed, so start over where the number differs.
     if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
-        succession.empty(ob.data)
+        copy_metadata.empty(ob.data)
     lag.forget(ob.data)
     _fill(ob.data, splats)
 
@@ -93,7 +93,7 @@ def check_refreshable(ob: bpy.types.Object) -> None:
     """Raise ValueError unless all splats of an object can be replaced now, whatever their number,
     with nothing lost that is on its mesh."""
     check_writable(ob)
-    succession.check_points_alone(ob.data, ob.name)
+    copy_metadata.check_points_alone(ob.data, ob.name)
 
 
 def catch_up(ob: bpy.types.Object) -> None:
@@ -159,7 +159,7 @@ def check_writable(ob: bpy.types.Object) -> None:
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are changed.")
     if ob.type != "MESH":
         raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
-    writable.check(ob.data)
+    editable_check.check(ob.data)
 
 
 def is_splats(ob: bpy.types.Object | None) -> bool:

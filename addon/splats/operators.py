@@ -6,15 +6,15 @@ from typing import ClassVar
 import bpy
 
 from .. import compat
+from ..interface.base_operator import BaseOperator, make_active
 from ..interface.blocks import with_uid
-from ..interface.operators import Acting, make_active
-from ..interface.stepping import Stepping
-from ..process.pieces import Pieces
-from . import edit, even_scale, native, settings
+from ..interface.incremental_operator import IncrementalOperator
+from ..process.incremental_tasks import Pieces
+from . import edit, native_splats, settings, uniform_scale
 from .objects import is_native, is_splats, meant
 
 
-class OnSplats(Acting):
+class OnSplats(BaseOperator):
     """Works on the active splat object, or on the one that the active object crops: on its own
     settings, where it does not say otherwise."""
 
@@ -66,15 +66,15 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """Those that are scaled anew."""
-        return even_scale.uneven(meant(context))
+        return uniform_scale.uneven(meant(context))
 
     def act(self, context: bpy.types.Context) -> str:
         """Change the scales."""
-        changed = even_scale.make_even(context, meant(context))
+        changed = uniform_scale.make_even(context, meant(context))
         return f"One scale for all axes: {', '.join(changed)}." if changed else "It is even."
 
 
-class ResetDisplay(Stepping, OnSplats, bpy.types.Operator):
+class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
     """Add the display modifier again after it was removed, or bring it up to date"""
 
     bl_idname = "gscore.reset_display"
@@ -92,7 +92,7 @@ class ResetDisplay(Stepping, OnSplats, bpy.types.Operator):
         return ""
 
 
-class TakeNativeSplats(Stepping, bpy.types.Operator):
+class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
     """Make a splat object of Blender's own Gaussian splats, which filters, tools and training know.
     Those stay, hidden"""
 
@@ -114,7 +114,7 @@ class TakeNativeSplats(Stepping, bpy.types.Operator):
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Make it."""
-        made = yield from native.taking(context.object)
+        made = yield from native_splats.taking(context.object)
         if context.mode == "OBJECT" and made.name in context.view_layer.objects:
             make_active(context, made)
         return f"{made.name} has {len(made.data.vertices):,} splats."

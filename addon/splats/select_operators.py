@@ -10,18 +10,18 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 
 from .. import attributes
 from ..core import in_unit_shape
-from ..process.pieces import Pieces, aside
-from . import choose, filters
+from ..process.incremental_tasks import Pieces, run_in_thread
+from . import filters, selection_masks
+from .edit_guard import EditGuard
 from .edit_operators import Editing
-from .held import Held
-from .leaving import leaving
 from .operators import check_shown, edit_vertices
+from .read_chunked import read_chunked
 
 _MODES = [
-    (choose.SET, "New", "Select what is found, and nothing else"),
-    (choose.ADD, "Add", "Add what is found to the selection"),
-    (choose.TAKE, "Subtract", "Deselect what is found"),
-    (choose.COMMON, "Intersect", "Keep selected what is found"),
+    (selection_masks.SET, "New", "Select what is found, and nothing else"),
+    (selection_masks.ADD, "Add", "Add what is found to the selection"),
+    (selection_masks.TAKE, "Subtract", "Deselect what is found"),
+    (selection_masks.COMMON, "Intersect", "Keep selected what is found"),
 ]
 
 
@@ -38,17 +38,17 @@ class _Choosing(Editing):
     @property
     def how(self) -> str:
         """What becomes of the selection, as `choose.combined` takes it."""
-        return choose.SET
+        return selection_masks.SET
 
-    def edit(self, context: bpy.types.Context, held: Held) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Select."""
         ob = held.there()
         check_shown(ob)  # before the selection changes
         before = attributes.selected(ob.data)
         find, how = self.find(ob, before), self.how
-        columns = yield from leaving(ob, self.reads)
-        chosen = yield from aside(
-            lambda check: choose.combined(before, find(columns), how), self.bl_label
+        columns = yield from read_chunked(ob, self.reads)
+        chosen = yield from run_in_thread(
+            lambda check: selection_masks.combined(before, find(columns), how), self.bl_label
         )
         ob = held.to_change()
         check_shown(ob)
@@ -135,8 +135,8 @@ class SelectByColor(_Selecting, bpy.types.Operator):
 
         def alike(columns: dict[str, np.ndarray]) -> np.ndarray:
             base = columns[attributes.BASE]
-            wanted = choose.colors(base[before]).mean(axis=0) if color is None else color
-            return choose.alike(base, wanted, tolerance)
+            wanted = selection_masks.colors(base[before]).mean(axis=0) if color is None else color
+            return selection_masks.similar_color(base, wanted, tolerance)
 
         return alike
 
@@ -179,7 +179,9 @@ class SelectBySize(_Selecting, bpy.types.Operator):
         low, high = self.low, self.high
 
         def between(columns: dict[str, np.ndarray]) -> np.ndarray:
-            return choose.between(columns[attributes.SCALE].max(axis=1, initial=0.0), low, high)
+            return selection_masks.between(
+                columns[attributes.SCALE].max(axis=1, initial=0.0), low, high
+            )
 
         return between
 
@@ -229,7 +231,7 @@ class SelectFlood(_Selecting, bpy.types.Operator):
 
         def flooded(columns: dict[str, np.ndarray]) -> np.ndarray:
             means, base = columns[attributes.POSITION], columns[attributes.BASE]
-            return choose.flooded(means, base, before, gap, tolerance)
+            return selection_masks.flooded(means, base, before, gap, tolerance)
 
         return flooded
 
@@ -256,7 +258,7 @@ class SelectFloaters(_Selecting, bpy.types.Operator):
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
         """As `gscore convert --min-cluster`."""
         gap, few = self.gap, self.few
-        return lambda columns: choose.floaters(attributes.as_splats(columns), gap, few)
+        return lambda columns: selection_masks.floaters(attributes.as_splats(columns), gap, few)
 
 
 CLASSES = (

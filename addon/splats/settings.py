@@ -9,7 +9,7 @@ from .. import attributes, compat
 from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
 from ..nodes.graph import is_of_another_blender
-from ..process.pieces import BUDGET, Pieces
+from ..process.incremental_tasks import BUDGET, Pieces
 from . import live
 from .filters import BOX, SPHERE
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import bpy
 from bpy.app.handlers import persistent
 
-from ..interface import writable
+from ..interface import editable_check
 from . import lag
 from .objects import is_splats
 
@@ -51,7 +51,7 @@ def look_at_all() -> None:
 
 def _look(mesh: bpy.types.Mesh) -> None:
     _state.unseen.discard(mesh.session_uid)
-    if writable.keeps(mesh) and lag.follow(mesh):
+    if editable_check.keeps(mesh) and lag.follow(mesh):
         _state.noted.add(mesh.session_uid)
 
 

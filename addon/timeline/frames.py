@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..core import SPLAT_ENDINGS, GsError, read_sequence
-from ..interface.flags import error_words
+from ..interface.option_labels import error_words
 
 LOOP, HOLD, HIDE = "LOOP", "HOLD", "HIDE"
 """What is shown before the first frame and after the last one."""

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import bpy
 
-from ..cameras.placing import origin_of
+from ..cameras.capture_transform import origin_of
 from ..core import read_splat_file
-from ..interface import writable
+from ..interface import editable_check
 from ..paths import relative
-from ..splats import files, objects
+from ..splats import objects, splat_files
 from ..splats.objects import ANTIALIAS
 from . import mesh
 from .frames import Series, find_series
@@ -47,9 +47,9 @@ def import_sequence(
     ob = objects.create(read.splats, folder.name, collection=context.collection, parent=parent)
     if read.antialiased:
         ob[ANTIALIAS] = True
-    files.stand(ob, read.origin)
+    splat_files.stand(ob, read.origin)
     if parent is None:
-        files.turn_up(ob, up)
+        splat_files.turn_up(ob, up)
     mesh.note(ob.data, first)
     let_play(ob, folder, called=called, start=start)
     return ob, series
@@ -86,5 +86,5 @@ def keep_frame(ob: bpy.types.Object, number: int) -> bpy.types.Object:
     kept.gscore_sequence.folder = ""
     kept.gscore_sequence.edited = False
     kept.name = kept.data.name = f"{ob.name} {number}"
-    writable.link_beside(kept, ob)
+    editable_check.link_like(kept, ob)
     return kept

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..attributes import NO_SPLATS, columns
 from ..core import GsError, Splats, read_splat_file
-from ..interface.flags import error_words
+from ..interface.option_labels import error_words
 from ..process import threads
 from ..splats.filters import Filters, mask
 from .frames import FrameFile, Series, find_series

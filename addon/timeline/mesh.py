@@ -11,8 +11,8 @@ import bpy
 import numpy as np
 
 from .. import attributes
-from ..splats import objects, succession
-from ..splats.filling import check_replaceable, replace
+from ..splats import copy_metadata, objects
+from ..splats.write_chunked import check_replaceable, replace
 from .frames import FrameFile
 from .library import Frame
 
@@ -75,7 +75,7 @@ def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
         replace(ob, mesh)
         return
     check_replaceable(ob)
-    succession.hand_over(old, mesh)
+    copy_metadata.hand_over(old, mesh)
     ob.data = mesh
     mesh.name = old.name
 

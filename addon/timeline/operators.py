@@ -10,21 +10,21 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS, collected_warnings
-from ..interface.operators import Acting, OnScene, make_active
-from ..interface.stepping import Stepping
-from ..process import beat
-from ..process.pieces import Pieces, stepped
+from ..interface.base_operator import BaseOperator, OnScene, make_active
+from ..interface.incremental_operator import IncrementalOperator
+from ..process import poll_timer
+from ..process.incremental_tasks import Pieces, stepped
 from ..splats.file_operators import AXIS_ITEMS
 from ..splats.objects import hide_points, is_splats, meant
-from . import follow, importing
-from .coming import SequenceComing
+from . import frame_sync, importing
+from .async_import import SequenceComing
+from .frame_at import folder_of, moment_of
 from .frames import Series, name_of_file
 from .library import LIBRARY
-from .moment import folder_of, moment_of
 from .settings import is_sequence
 
 
-class OnSequence(Acting):
+class OnSequence(BaseOperator):
     """Works on the active splat object, which plays a sequence."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
@@ -39,7 +39,7 @@ class OnSequence(Acting):
         return False
 
 
-class ImportSequence(Stepping, OnScene, bpy.types.Operator):
+class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
     """Import a folder of frames, of gscore sequence or with numbered files of splats, as one object
     that plays on the timeline"""
 
@@ -132,7 +132,7 @@ class ImportSequence(Stepping, OnScene, bpy.types.Operator):
         if self.set_range:
             context.scene.frame_start = max(self.start, 0)
             context.scene.frame_end = max(self.start + series.slots - 1, 0)
-        beat.ensure()
+        poll_timer.ensure()
         return _imported(series)
 
     def _parent(self, context: bpy.types.Context) -> bpy.types.Object | None:
@@ -168,7 +168,7 @@ class PlayAgain(OnSequence, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Play."""
         importing.play_again(meant(context))
-        follow.settings_changed(meant(context))
+        frame_sync.settings_changed(meant(context))
         return ""
 
 
@@ -181,8 +181,8 @@ class KeepFrame(OnSequence, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Keep it."""
         ob, scene = meant(context), context.scene
-        follow.bring(scene)
-        if problem := follow.problem_of(ob):
+        frame_sync.bring(scene)
+        if problem := frame_sync.problem_of(ob):
             raise ValueError(problem)
         moment = moment_of(ob, scene.frame_current_final, wait=True)
         if moment is not None and moment.hidden:
@@ -193,7 +193,7 @@ class KeepFrame(OnSequence, bpy.types.Operator):
         return f"{kept.name} holds {len(kept.data.vertices):,} splats."
 
 
-class LookAgain(OnSequence, bpy.types.Operator):
+class RescanFrames(OnSequence, bpy.types.Operator):
     """Look at the folder of the frames again, and at files that could not be read"""
 
     bl_idname = "gscore.look_at_frames_again"
@@ -203,11 +203,11 @@ class LookAgain(OnSequence, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Look."""
         LIBRARY.forget(folder_of(meant(context)))
-        follow.settings_changed(meant(context))
+        frame_sync.settings_changed(meant(context))
         return ""
 
 
-CLASSES = (ImportSequence, PlayAgain, KeepFrame, LookAgain)
+CLASSES = (ImportSequence, PlayAgain, KeepFrame, RescanFrames)
 
 
 def _imported(series: Series) -> str:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from gscore.bench.quality import COMPARED
-from gscore.io.pictures.images import resize, write_png
+from gscore.io.images.read_image import resize, write_png
 from gscore.io.ply.splats import read_ply
 from gscore.presets import PRESETS
 from gscore.raster.api import render

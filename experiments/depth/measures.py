@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gscore.depth.maps import MapFolder, read_map
-from gscore.io.pictures.images import read_mask, resize
+from gscore.io.images.read_image import read_mask, resize
 from gscore.io.ply.splats import read_ply
 from gscore.raster.api import Rendered, render
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gscore.bench.paired import Difference
-from gscore.bench.quality import Comparison, JudgedView, Training, compare
+from gscore.bench.quality import Comparison, ScoredView, Training, compare
 
 _Arms = dict[str, dict[int, dict[str, Any]]]
 """By arm and seed: what `compare.main` wrote of a run."""
@@ -107,7 +107,7 @@ def _training(row: dict[str, Any]) -> Training:
         seconds=row["cpu_seconds"],
         splats=row["splats"],
         gap=None,
-        views=tuple(JudgedView(**view) for view in row["judged"]),
+        views=tuple(ScoredView(**view) for view in row["judged"]),
     )
 
 

@@ -11,7 +11,7 @@ from ..io.ply.splats import write_splats
 from ..metrics.machine import peak_memory_bytes
 from ..splats import SH_REST_BY_DEGREE
 from ..trainer.run import train
-from .child import run_child
+from .child_process import run_child
 from .synthetic import SyntheticPhotos
 
 MIN_STEPS = 10

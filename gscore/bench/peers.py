@@ -7,7 +7,7 @@ from typing import Any
 from ..errors import FormatError
 from ..io.files import read_bytes
 from ..json_text import parse_json
-from ..shown import quoted, shown
+from ..quoting import brief, quoted
 from .time_error import Curve
 from .training import Point
 
@@ -27,9 +27,9 @@ def read_peers(path: Path) -> tuple[str, list[Curve]]:
         curves = [_curve(entry, f"curve {i}") for i, entry in enumerate(_list(content, "curves"))]
         return str(content["capture"]), curves
     except KeyError as error:
-        raise FormatError(f"{path}: the value {shown(error)} is missing.") from error
+        raise FormatError(f"{path}: the value {brief(error)} is missing.") from error
     except (AttributeError, TypeError, ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: not a file of curves ({shown(error)}).") from error
+        raise FormatError(f"{path}: not a file of curves ({brief(error)}).") from error
 
 
 def _curve(entry: dict[str, Any], where: str) -> Curve:

@@ -9,19 +9,19 @@ from typing import Any
 from ..config import TrainConfig
 from ..datasets import Dataset
 from ..errors import FormatError
-from ..events import finite, judged_psnr
+from ..events import finite, headline_psnr
 from ..metrics import Lpips, LpipsNet, evaluate, psnr
 from ..metrics.evaluate import target_picture
+from .default_rule import CaptureChange, Verdict, decide_default
 from .paired import Difference, paired_difference, trimmed_mean
 from .training import Color, PictureOf, train_measured
-from .verdict import CaptureChange, Verdict, judge
 
 COMPARED = ("psnr", "psnr_cc", "ssim", "lpips")
 """What is known of a view."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class JudgedView:
+class ScoredView:
     """A held-out view; a number that does not exist is None, as in metrics.json."""
 
     name: str
@@ -46,7 +46,7 @@ class Training:
     splats: int
     gap: float | None
     """Median PSNR of the training views above that of the held-out ones, dB."""
-    views: tuple[JudgedView, ...]
+    views: tuple[ScoredView, ...]
 
     @property
     def key(self) -> tuple[str, str, int, int]:
@@ -93,7 +93,7 @@ class Comparison:
     verdict: Verdict
 
 
-def train_judged(
+def train_scored(
     config: TrainConfig,
     photos: Dataset,
     judged: Dataset,
@@ -153,10 +153,10 @@ def _view_psnr(picture_of: PictureOf, photos: Dataset, index: int, background: C
     return psnr(picture_of(index), target, mask=weights)
 
 
-def _judged(view: Mapping[str, Any]) -> JudgedView:
-    return JudgedView(
+def _judged(view: Mapping[str, Any]) -> ScoredView:
+    return ScoredView(
         name=view["name"],
-        psnr=judged_psnr(view),
+        psnr=headline_psnr(view),
         psnr_cc=view["psnr_cc"],
         ssim=view["ssim"],
         lpips=view["lpips"],
@@ -175,7 +175,7 @@ def read_training(content: Any) -> Training:
         FormatError: a value is missing or of another kind.
     """
     try:
-        views = tuple(JudgedView(**view) for view in content["views"])
+        views = tuple(ScoredView(**view) for view in content["views"])
         training = Training(**content | {"views": views})
         texts = [training.capture, training.variant, *(view.name for view in views)]
         if not (all(isinstance(text, str) for text in texts) and training.seconds > 0):
@@ -246,7 +246,7 @@ def compare(trainings: Sequence[Training], base: str, variant: str) -> Compariso
         captures=captures,
         psnr_cc=overall,
         seconds=seconds,
-        verdict=judge(overall, seconds, captures),
+        verdict=decide_default(overall, seconds, captures),
     )
 
 

@@ -11,7 +11,7 @@ from ..raster.memory import zeros
 from ..raster.request import Frustum, Settings
 from ..scene import Cameras
 from ..splats import PARAMETERS, Splats
-from .setting import BenchSetting
+from .bench_setting import BenchSetting
 
 STAGES = (
     "project_ms",

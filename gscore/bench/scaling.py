@@ -12,7 +12,7 @@ import numpy as np
 
 from ..io.ply.splats import write_splats
 from ..json_text import parse_json
-from .child import run_child
+from .child_process import run_child
 from .synthetic import SyntheticPhotos
 
 SPLATS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)

@@ -8,12 +8,12 @@ from ..config import TrainConfig
 from ..metrics.machine import peak_memory_bytes
 from ..raster import backend
 from ..splats import Splats
-from ..trainer.host.heap import large_pieces_apart
-from ..trainer.host.state import ordinary_state
-from ..trainer.photos.views import Photos
+from ..trainer.host.isolated_state import isolated_torch_state
+from ..trainer.host.malloc import mmap_large_blocks
+from ..trainer.photos.view_sampler import Photos
 from ..trainer.trainer import Trainer
+from .bench_setting import BenchSetting
 from .raster import STAGES
-from .setting import BenchSetting
 
 _WARM_UP = 5
 """Steps that are not counted: the first ones allocate."""
@@ -75,8 +75,8 @@ def bench_step(
     laps: dict[str, float] = {}
     stages = dict.fromkeys(STAGES, 0.0)
     pairs = pixels = 0.0
-    large_pieces_apart()
-    with ordinary_state():
+    mmap_large_blocks()
+    with isolated_torch_state():
         trainer = Trainer(config, photos, start=splats, photo_cache=photo_cache)
         for step in range(total):
             began = time.perf_counter()

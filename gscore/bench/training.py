@@ -14,11 +14,11 @@ from ..metrics.image import psnr, ssim
 from ..raster.api import render_camera
 from ..splats import Splats
 from ..trainer.depth.stereo import stereo_start
-from ..trainer.host.state import ordinary_state
-from ..trainer.photos.views import Photos
-from ..trainer.schedule.enough import limit_by_photos
+from ..trainer.host.isolated_state import isolated_torch_state
+from ..trainer.photos.view_sampler import Photos
+from ..trainer.schedule.caps import cap_by_photos
 from ..trainer.trainer import Trainer
-from ..trainer.views.judged import judge_photos
+from ..trainer.views.photo_analysis import analyze_photos
 
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""
@@ -165,11 +165,11 @@ def train_measured(
     if judged is not None:
         judged.preload(judged.test)
     seconds = forward = backward = 0.0
-    with ordinary_state():
+    with isolated_torch_state():
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
         if limited:
-            config, _ = limit_by_photos(
+            config, _ = cap_by_photos(
                 config,
                 photos=len(photos.train),
                 points=photos.scene.points.given,
@@ -178,7 +178,7 @@ def train_measured(
                 compared=True,
             )
         seconds += time.perf_counter() - began
-        exposure, placing = judge_photos(config, photos)
+        exposure, placing = analyze_photos(config, photos)
         trainer = Trainer(
             config,
             photos,
@@ -194,7 +194,7 @@ def train_measured(
             forward += trainer.laps.raster.get("forward_pairs", 0)
             backward += trainer.laps.raster.get("backward_pairs", 0)
             if step in at or step == config.iterations:
-                background = trainer.sight.background
+                background = trainer.renderer.background
                 seen = trainer.photos if judged is None else judged
                 found = quality(seen, _pictures(trainer, judged), background)
                 points.append(
@@ -209,7 +209,7 @@ def train_measured(
             if on_step is not None:
                 on_step(step)
         if at_end is not None:
-            at_end(_pictures(trainer, judged), trainer.sight.background)
+            at_end(_pictures(trainer, judged), trainer.renderer.background)
         return Trained(
             seconds=seconds,
             points=points,
@@ -221,9 +221,9 @@ def train_measured(
 
 def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
     """What draws the splats as they are over the fixed background; None: at the trained size."""
-    background = trainer.sight.background
+    background = trainer.renderer.background
     if judged is None:
-        return lambda index: trainer.sight.picture(index, background=background).numpy()
+        return lambda index: trainer.renderer.picture(index, background=background).numpy()
     cameras, splats = judged.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:

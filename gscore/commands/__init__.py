@@ -20,10 +20,10 @@ from pathlib import Path
 from .._version import __version__
 from ..errors import ConfigError, GsError
 from ..extras import how_to_install, missing
-from ..shown import quoted, shown
+from ..quoting import brief, quoted
 from .parser import Parser, nearest, sentence
 from .terminal.interrupt import Interrupt, interrupts
-from .terminal.status import beginning, wrapped
+from .terminal.status import show_while, wrapped
 from .terminal.streams import steady_streams
 
 VERBS = {
@@ -117,7 +117,7 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
     try:
         _check_working_folder()
         wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)
-        with beginning(sys.stderr, "" if wants_help else f"Starting {prog}"):
+        with show_while(sys.stderr, "" if wants_help else f"Starting {prog}"):
             module = import_module(f".{verb}", __package__)
         parser = Parser(
             prog=prog,
@@ -165,7 +165,7 @@ def _failure(prog: str, error: BaseException) -> int:
         case MemoryError():
             return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
         case OSError() if (why := _DISK_ERRORS.get(error.errno or 0)) is not None:
-            return _complain(prog, f"{shown(error.filename or 'output')}: {why}.")
+            return _complain(prog, f"{brief(error.filename or 'output')}: {why}.")
     return _internal(prog, error)
 
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.block_record import block_name, block_records
 from ..io.runs import checkpoints_in, results_in
-from ..shown import shown
-from ..words import count_words
-from .terminal.launcher import under_torchrun
-from .together import agent, train_in_turn, train_together
+from ..quoting import brief
+from ..text_format import count_words
+from .terminal.torchrun_launch import under_torchrun
+from .torchrun import agent, train_distributed, train_in_turn
 
 if TYPE_CHECKING:
-    from ..trainer.ranks.team import Team
+    from ..trainer.distributed.process_group import ProcessGroup
 
-Lead = Callable[[argparse.Namespace, "Team | None"], int]
+Lead = Callable[[argparse.Namespace, "ProcessGroup | None"], int]
 """Trains one capture, as rank 0 of a team or alone; returns the exit code."""
 
 
@@ -44,10 +44,10 @@ def train_blocks(args: argparse.Namespace, lead: Lead) -> int:
             return train_in_turn(args, lambda args, team: _all(args, lead, team))
         return _all(args, lead, None)
     one = _one(args, _found(args, [args.block])[0], resume=args.resume)
-    return train_together(one, lead) if under_torchrun() else lead(one, None)
+    return train_distributed(one, lead) if under_torchrun() else lead(one, None)
 
 
-def _all(args: argparse.Namespace, lead: Lead, team: "Team | None") -> int:
+def _all(args: argparse.Namespace, lead: Lead, team: "ProcessGroup | None") -> int:
     codes: list[int] = []
 
     def through(blocks: Iterable[int], *, resume: bool) -> str:
@@ -69,16 +69,18 @@ def _all(args: argparse.Namespace, lead: Lead, team: "Team | None") -> int:
     return max(codes, default=0)
 
 
-def _all_in_turn(args: argparse.Namespace, team: "Team", through: Callable[..., str]) -> None:
-    from ..trainer.ranks.agree import check_ready
-    from ..trainer.ranks.turns import Shared
+def _all_in_turn(
+    args: argparse.Namespace, team: "ProcessGroup", through: Callable[..., str]
+) -> None:
+    from ..trainer.distributed.consistency import check_ready
+    from ..trainer.distributed.work_queue import WorkQueue
 
-    shared = Shared(team=team, output=args.output, agent=agent())
+    shared = WorkQueue(team=team, output=args.output, agent=agent())
     resume, blocks, failure = args.resume, [], None
     try:
         blocks = _found(args)
-        if team.leads:
-            resume = resume or shared.begun
+        if team.is_rank0:
+            resume = resume or shared.has_started
             _check_room(args, blocks, resume=resume)
     except GsError as error:
         failure = error
@@ -98,19 +100,19 @@ def _found(args: argparse.Namespace, wanted: Sequence[int] | None = None) -> lis
     records = block_records(source)
     if not records:
         raise DatasetError(
-            f"{shown(source)} holds no blocks; give the folder that gscore split has written."
+            f"{brief(source)} holds no blocks; give the folder that gscore split has written."
         )
     count = next(iter(records.values())).count
     wanted = range(count) if wanted is None else wanted
     for index in wanted:
         if not 0 <= index < count:
             raise ConfigError(
-                f"There is no block {index} in {shown(source)}: its {count_words(count, 'block')} "
+                f"There is no block {index} in {brief(source)}: its {count_words(count, 'block')} "
                 f"count from 0 to {count - 1}."
             )
         if index not in records:
             raise DatasetError(
-                f"Block {index} of {count} is not in {shown(source)}. Copy {block_name(index)} "
+                f"Block {index} of {count} is not in {brief(source)}. Copy {block_name(index)} "
                 "there, or train those that are there one by one with --block."
             )
     return list(wanted)
@@ -120,7 +122,7 @@ def _check_room(args: argparse.Namespace, blocks: Sequence[int], *, resume: bool
     begun = [name for name in map(block_name, blocks) if results_in(args.output / name)]
     if begun and not (resume or args.overwrite):
         raise ConfigError(
-            f"{shown(args.output)} holds runs on {count_words(len(begun), 'block')}, the first in "
+            f"{brief(args.output)} holds runs on {count_words(len(begun), 'block')}, the first in "
             f"{begun[0]}; go on with --resume, which keeps those that are complete, replace them "
             "with --overwrite, or choose another folder."
         )

@@ -16,12 +16,12 @@ from ..errors import ConfigError, DatasetError
 from ..io.metrics_file import read_metrics
 from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
+from ..quoting import brief
 from ..report.compare_page import PairPictures, names_of, write_comparison
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..scene import Cameras
-from ..shown import shown
-from ..words import count_words
-from .given.model import GivenModel, open_model
+from ..text_format import count_words
+from .args.model_argument import ModelArgument, open_model
 from .parser import add_threads_option
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Counted, Status, wrapped
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_output(output: Path, *, overwrite: bool) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"{shown(output)}: the comparison is a page; give a name with .html.")
+        raise ConfigError(f"{brief(output)}: the comparison is a page; give a name with .html.")
     check_folder(output.parent)
     check_replaced([output], overwrite=overwrite)
 
@@ -93,34 +93,34 @@ def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
     return comparison
 
 
-def _opened(folder: Path) -> GivenModel:
+def _opened(folder: Path) -> ModelArgument:
     if not folder.is_dir():
-        raise ConfigError(f"{shown(folder)} is no folder; two runs are compared, by their folders.")
+        raise ConfigError(f"{brief(folder)} is no folder; two runs are compared, by their folders.")
     # An evaluation in a folder of its own names the splats that it measured.
     measured = None if (folder / "config.json").is_file() else read_metrics(folder).get("model")
     model = open_model(Path(measured) if measured else folder)
     if model.data is None or model.run is None:
         raise ConfigError(
-            f"{shown(folder)} holds no config.json, so it is not known what was trained there; "
+            f"{brief(folder)} holds no config.json, so it is not known what was trained there; "
             "give the folder that gscore train wrote."
         )
     return model
 
 
-def _data_config(models: list[GivenModel], source: Path | None) -> DataConfig:
+def _data_config(models: list[ModelArgument], source: Path | None) -> DataConfig:
     """How the first run read the capture that both were trained on."""
     first, second = (model.data for model in models if model.data is not None)
     if source is not None:
         return replace(first, source=source)
     if first.source.resolve() != second.source.resolve():
         raise ConfigError(
-            f"{shown(str(models[0].run))} was trained on {shown(first.source)}, "
-            f"{shown(str(models[1].run))} on {shown(second.source)}: runs of one capture are "
+            f"{brief(str(models[0].run))} was trained on {brief(first.source)}, "
+            f"{brief(str(models[1].run))} on {brief(second.source)}: runs of one capture are "
             "compared. Where both are the same photos, say with -s where they are."
         )
     if not first.source.exists():
         raise DatasetError(
-            f"The capture {shown(first.source)}, on which both runs were trained, is not there any "
+            f"The capture {brief(first.source)}, on which both runs were trained, is not there any "
             "more; say with -s SOURCE where it is now."
         )
     return first
@@ -130,7 +130,7 @@ def _labels(folders: tuple[Path, Path]) -> tuple[str, str]:
     """The shortest ends of both paths that tell them apart."""
     parts = [folder.resolve().parts for folder in folders]
     if parts[0] == parts[1]:
-        raise ConfigError(f"{shown(folders[0])} is given twice; a run does not differ from itself.")
+        raise ConfigError(f"{brief(folders[0])} is given twice; a run does not differ from itself.")
     for count in range(1, max(map(len, parts)) + 1):
         first, second = ("/".join(each[-count:]) for each in parts)
         if first != second:
@@ -138,7 +138,7 @@ def _labels(folders: tuple[Path, Path]) -> tuple[str, str]:
     raise AssertionError("two paths differ somewhere")
 
 
-def _compared(label: str, folder: Path, model: GivenModel) -> ComparedRun:
+def _compared(label: str, folder: Path, model: ModelArgument) -> ComparedRun:
     options: dict[str, Any] = {}
     command = ""
     metrics = read_metrics(folder) or read_metrics(model.run or folder)
@@ -153,7 +153,7 @@ def _compared(label: str, folder: Path, model: GivenModel) -> ComparedRun:
 
 def _pictures(
     comparison: RunComparison,
-    models: list[GivenModel],
+    models: list[ModelArgument],
     dataset: Dataset,
     threads: int,
     status: Status,
@@ -166,7 +166,7 @@ def _pictures(
     missing = [name for name in names if name not in places]
     if missing:
         raise DatasetError(
-            f"The capture {dataset.source} holds no view {shown(missing[0])}, on which both runs "
+            f"The capture {dataset.source} holds no view {brief(missing[0])}, on which both runs "
             "were scored; say with -s where the capture is that they were trained on."
         )
     told = Counted(status, len(names), "view")
@@ -187,7 +187,7 @@ def _pictures(
     return found
 
 
-def _rendered(model: GivenModel, cameras: Cameras, index: int, threads: int) -> np.ndarray:
+def _rendered(model: ModelArgument, cameras: Cameras, index: int, threads: int) -> np.ndarray:
     return np.clip(model.picture(cameras, index, threads=threads), 0, 1)
 
 

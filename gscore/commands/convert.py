@@ -19,14 +19,14 @@ from ..io.files import read_bytes
 from ..io.lod_file import is_lod_file
 from ..io.ply.up_axis import UP_NOTE, stated_up
 from ..lod.read import LOD_FORMAT, read_lod
-from ..shown import shown
+from ..quoting import brief
 from ..splats import Splats
-from ..words import count_words, number, size_words
-from .given.convert_options import SPZ_VERSION
-from .given.convert_options import add_arguments as add_arguments
-from .given.model import GivenModel, find_splats, open_model
+from ..text_format import count_words, number, size_words
+from .args.convert_options import SPZ_VERSION
+from .args.convert_options import add_arguments as add_arguments
+from .args.model_argument import ModelArgument, find_splats, open_model
 from .pictures.before_after import picture_loss, some_view, write_before_after
-from .pictures.shots import captured_cameras, view_index
+from .pictures.render_cameras import captured_cameras, view_index
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
@@ -69,7 +69,7 @@ def _check_output(args: argparse.Namespace) -> None:
     """Raise where something would be replaced, or written in a way that nobody can read."""
     beside = format_to_write(args.output).beside(args.output)
     if args.picture is not None and args.picture.suffix.lower() != ".png":
-        raise ConfigError(f"{shown(args.picture)}: the picture is a PNG; give a name with .png.")
+        raise ConfigError(f"{brief(args.picture)}: the picture is a PNG; give a name with .png.")
     if args.picture is None and args.picture_view is not None:
         raise ConfigError("--picture-view belongs to --picture FILE.png.")
     written = [path for path in (args.output, *beside, args.picture) if path is not None]
@@ -117,7 +117,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     return _facts(args, models, edited, written) | {"error": None if lost is None else asdict(lost)}
 
 
-def _open(path: Path, args: argparse.Namespace) -> GivenModel:
+def _open(path: Path, args: argparse.Namespace) -> ModelArgument:
     """A model; of levels of detail the one that is asked for, in the box if there is one.
 
     Raises:
@@ -129,24 +129,24 @@ def _open(path: Path, args: argparse.Namespace) -> GivenModel:
             box = None  # the crop says what is wrong with it
         to_unit = None if box is None else box_matrix(box[0], box[1])
         found = read_lod(path, args.level or 0, to_unit=to_unit)
-        return GivenModel(file=found, run=None, data=None, train=None)
+        return ModelArgument(file=found, run=None, data=None, train=None)
     find_splats(path)  # what is not there has no levels either
     if args.level is not None:
-        raise ConfigError(f"--level is for levels of detail, and {shown(path)} has none.")
+        raise ConfigError(f"--level is for levels of detail, and {brief(path)} has none.")
     return open_model(path)
 
 
-def _check_not_read(args: argparse.Namespace, models: list[GivenModel]) -> None:
+def _check_not_read(args: argparse.Namespace, models: list[ModelArgument]) -> None:
     made = {args.output, *format_to_write(args.output).beside(args.output)}
     for model in models:
         read = {model.path} if model.file.format == LOD_FORMAT else files_of(model.path)
         if any(a.exists() and b.exists() and a.samefile(b) for a in made for b in read):
             raise ConfigError(
-                f"{shown(args.output)} is what is read; choose another output, so that it stays."
+                f"{brief(args.output)} is what is read; choose another output, so that it stays."
             )
 
 
-def _views(args: argparse.Namespace, model: GivenModel) -> EditViews | None:
+def _views(args: argparse.Namespace, model: ModelArgument) -> EditViews | None:
     """The cameras of the capture or run; None where there are none and none were named."""
     if args.source is None and not _has_cameras(model):
         return None
@@ -158,7 +158,7 @@ def _views(args: argparse.Namespace, model: GivenModel) -> EditViews | None:
     )
 
 
-def _has_cameras(model: GivenModel) -> bool:
+def _has_cameras(model: ModelArgument) -> bool:
     return model.run is not None and (model.run / "cameras.json").is_file()
 
 
@@ -176,7 +176,7 @@ def _with_views(
 _Write = Callable[[Path, Splats], WrittenFile]
 
 
-def _writer(models: list[GivenModel], spz_version: int, *, keeps_up: bool) -> _Write:
+def _writer(models: list[ModelArgument], spz_version: int, *, keeps_up: bool) -> _Write:
     """Writes splats in the format of a file's name, with the axis that the first model states as
     up where they were not moved."""
     up = stated_up(models[0].file.comments) if keeps_up else ""
@@ -227,7 +227,7 @@ def _pictured(args: argparse.Namespace, views: EditViews | None) -> int:
 
 def _facts(
     args: argparse.Namespace,
-    models: list[GivenModel],
+    models: list[ModelArgument],
     edited: Edited,
     written: WrittenFile,
 ) -> dict[str, Any]:
@@ -239,7 +239,7 @@ def _facts(
         )
     given = [model.path.resolve() for model in models]
     warnings += [
-        f"{shown(path)} is given {given.count(path)} times, so its splats lie over each other."
+        f"{brief(path)} is given {given.count(path)} times, so its splats lie over each other."
         for path in dict.fromkeys(given)
         if given.count(path) > 1
     ]
@@ -304,7 +304,7 @@ def _read_matrix(path: Path) -> np.ndarray:
         values = []
     if len(values) != 16:
         raise ConfigError(
-            f"{shown(path)} holds no matrix: 16 numbers were expected, row by row, such as "
+            f"{brief(path)} holds no matrix: 16 numbers were expected, row by row, such as "
             "1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 1."
         )
     return np.array(values).reshape(4, 4)

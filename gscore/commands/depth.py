@@ -5,12 +5,12 @@ import argparse
 from ..depth.catalogue import known, network_names
 from ..depth.network import WHERE
 from ..errors import ConfigError
+from .args.depth_options import add_arguments as add_arguments
+from .depth_maps.make_maps import StopMessage, make_maps
 from .depth_maps.networks import list_models
-from .depth_maps.words import facts_of, print_result
-from .depth_maps.work import Told, make_maps
-from .given.depth_options import add_arguments as add_arguments
-from .terminal.attend import attend
+from .depth_maps.result_text import facts_of, print_result
 from .terminal.output import print_json
+from .terminal.run_job import run_job
 
 
 def run(args: argparse.Namespace) -> int:
@@ -29,8 +29,8 @@ def run(args: argparse.Namespace) -> int:
         _check_stereo(args)
     elif args.method == "network" and args.model is None:
         raise ConfigError(f"--method network takes a network: --model FILE.onnx. {WHERE}.")
-    told = Told()
-    result, code = attend(
+    told = StopMessage()
+    result, code = run_job(
         args, lambda show, control: make_maps(args, show, control, told), stopped=told
     )
     if result is None:

@@ -22,9 +22,9 @@ from ..metrics.machine import (
 )
 from ..sh import rgb_to_sh0
 from ..splats import Splats
-from ..words import count_words, size_words
+from ..text_format import count_words, size_words
 from .terminal.output import print_json
-from .terminal.status import beginning, wrapped
+from .terminal.status import show_while, wrapped
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look, try, say; 0 if this machine can train, 2 if something needed is missing."""
-    with beginning(sys.stderr, "Looking at the packages"):
+    with show_while(sys.stderr, "Looking at the packages"):
         facts = _facts()
     if args.json:
         print_json(facts)

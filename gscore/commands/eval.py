@@ -13,26 +13,26 @@ from ..config import DataConfig
 from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..errors import Cancelled, ConfigError, DatasetError, GsError
-from ..events import EvalDone, EvalProgress, Show, Warn, judged_psnr
+from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr
 from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
-from ..io.places import check_place
+from ..io.output_paths import check_output_path
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
+from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.splat_errors import SplatErrors
-from ..metrics.strangers import told_of_strangers
+from ..quoting import as_typed, brief
 from ..raster import backend
 from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.error_map import brightest, error_map
 from ..report.page_link import link_page
 from ..scene import Cameras
-from ..shown import shown, typed
-from ..words import colour_words, count_words, psnr_name, quality_words, stopped_words
-from .given.data_options import add_data_options, with_data_options
-from .given.model import GivenModel, add_model_argument, model_path, open_model
+from ..text_format import colour_words, count_words, psnr_name, quality_words, stopped_words
+from .args.data_options import add_data_options, with_data_options
+from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
-from .terminal.attend import attend
 from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.run_job import run_job
 from .terminal.status import wrapped
 
 _STOPPED = "Stopped; nothing was written."
@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, write metrics.json and report.html, say the means."""
-    result, code = attend(
+    result, code = run_job(
         args, lambda show, control: _measure(args, show, control), stopped=lambda: _STOPPED
     )
     if result is None:
@@ -156,8 +156,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         background=model.background,
         on_view=_Views(model, cameras, indices, pictures, errors, show, control),
     )
-    warnings += told_of_strangers(
-        judged_psnr(evaluation.mean), f"The splats of {shown(str(model.path))}"
+    warnings += photo_mismatch_warnings(
+        headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
     )
     names = cameras.names
     metrics = Metrics(
@@ -193,7 +193,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
             print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
         else:
             show(Warn(message=sentence))
-    views = {view["name"]: judged_psnr(view) for view in content["views"]}
+    views = {view["name"]: headline_psnr(view) for view in content["views"]}
     show(EvalDone(split=split, path=str(output), views=views, **mapped))
     return content | mapped, output
 
@@ -202,7 +202,7 @@ def _say(show: Show, what: str) -> None:
     show(EvalProgress(done=0, total=0, view=what, eta_s=float("nan")))
 
 
-def _write_map(path: Path, model: GivenModel, errors: SplatErrors) -> dict[str, Any]:
+def _write_map(path: Path, model: ModelArgument, errors: SplatErrors) -> dict[str, Any]:
     """Write the splats in the colours of their errors; what `EvalDone` tells of them."""
     found = errors.mean()
     bright = brightest(found)
@@ -217,7 +217,7 @@ class _Views:
 
     def __init__(
         self,
-        model: GivenModel,
+        model: ModelArgument,
         cameras: Cameras,
         indices: list[int],
         pictures: PictureCollector,
@@ -246,7 +246,7 @@ class _Views:
             size = int(of.widths[at]), int(of.heights[at])
             view = Frustum(of.viewmats[at], of.Ks[at], *size, self._model.near)
             self._errors.add(view, rendered, target, weights)
-        psnr = judged_psnr(values)
+        psnr = headline_psnr(values)
         worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
         done, total = place + 1, len(self._indices)
         left = (time.monotonic() - self._began) / done * (total - done)
@@ -254,18 +254,18 @@ class _Views:
         self._show(EvalProgress(done=done, total=total, view=text, eta_s=left))
 
 
-def _stopped(model: GivenModel, course: Course) -> list[str]:
+def _stopped(model: ModelArgument, course: Course) -> list[str]:
     """A sentence on a training that was stopped before its last step."""
     asked = 0 if model.train is None or model.train.time_budget else model.train.iterations
     words = stopped_words({"reason": course.reason, "steps": course.steps}, asked)
     if not words or model.run is None:
         return []
-    again = typed("train", "-o", model.run, "--resume")
+    again = as_typed("train", "-o", model.run, "--resume")
     return [f"The training was {words}, so these figures are of a part of it; {again} goes on."]
 
 
 def _doubts(
-    model: GivenModel, dataset: Dataset, course: Course, *, asked: str, split: str
+    model: ModelArgument, dataset: Dataset, course: Course, *, asked: str, split: str
 ) -> list[str]:
     """Sentences on what the figures do not say."""
     found = []
@@ -282,9 +282,11 @@ def _doubts(
     return found
 
 
-def _check_output(output: Path, config: DataConfig, model: GivenModel, *, overwrite: bool) -> None:
+def _check_output(
+    output: Path, config: DataConfig, model: ModelArgument, *, overwrite: bool
+) -> None:
     """Raise where metrics.json and report.html would mix with or replace something else's."""
-    check_place(output, config)
+    check_output_path(output, config)
     if model.run is not None and output.resolve() == model.run.resolve():
         return
     if (output / "config.json").is_file():
@@ -295,7 +297,7 @@ def _check_output(output: Path, config: DataConfig, model: GivenModel, *, overwr
     check_replaced((output / "metrics.json", output / "report.html"), overwrite=overwrite)
 
 
-def _data_config(args: argparse.Namespace, model: GivenModel) -> DataConfig:
+def _data_config(args: argparse.Namespace, model: ModelArgument) -> DataConfig:
     """How the run read its capture, changed by what was given; a bare PLY needs `-s`."""
     if model.data is not None:
         config = model.data
@@ -337,24 +339,24 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     return "train", dataset.train
 
 
-def _of_region(dataset: Dataset, model: GivenModel) -> tuple[Dataset, list[str]]:
+def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[str]]:
     """The capture as far as it sees the region that the run trained, with its masks, and sentences
     about it; all of it where the run trained all."""
     config = model.train
     if config is None or config.region is None:
         return dataset, []
-    from ..trainer.region.box import Box
-    from ..trainer.region.photos import RegionPhotos
+    from ..trainer.region.region_box import RegionBox
+    from ..trainer.region.region_photos import RegionPhotos
 
     try:
-        box = Box.read(config.region).about(dataset.scene.cameras.origin)
+        box = RegionBox.read(config.region).about(dataset.scene.cameras.origin)
     except GsError as error:
         return dataset, [f"The run trained a region, but whole pictures are measured: {error}"]
     narrow = config.start_splats is None
     return RegionPhotos(dataset, box, near=config.near, narrow=narrow), []
 
 
-def _of_the_training(model: GivenModel) -> Course:
+def _of_the_training(model: ModelArgument) -> Course:
     """How the training went and why it ended, from the metrics.json that it wrote."""
     if model.run is None or model.path != model.run / "point_cloud.ply":
         return Course()

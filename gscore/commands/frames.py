@@ -5,11 +5,11 @@ import sys
 from pathlib import Path
 
 from ..errors import DatasetError
-from ..io.places import check_place
-from ..video import FrameRequest, extract_frames
+from ..io.output_paths import check_output_path
+from ..video import ExtractRequest, extract_frames
 from ..video.request import FRAME_FORMATS
-from .terminal.attend import add_output_options, attend
 from .terminal.output import check_folder, print_json
+from .terminal.run_job import add_output_options, run_job
 from .terminal.status import wrapped
 
 
@@ -53,12 +53,12 @@ def run(args: argparse.Namespace) -> int:
             f"{args.video} is a folder; gscore frames takes a video. If it holds photos, give it "
             "to gscore train."
         )
-    request = FrameRequest(
+    request = ExtractRequest(
         video=args.video, output=args.output, frames=args.frames, format=args.format
     )
-    check_place(request.output)
+    check_output_path(request.output)
     check_folder(request.output)
-    frames, code = attend(
+    frames, code = run_job(
         args,
         lambda show, control: extract_frames(
             request, on_event=show, control=control, overwrite=args.overwrite

@@ -20,11 +20,10 @@ from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in, read_run, training_in
 from ..io.sequences import read_sequence
-from ..sfm.plain import check_no_cameras_above, is_plain
-from ..shown import typed
+from ..quoting import as_typed
+from ..sfm.photo_folders import check_no_cameras_above, is_photo_folder
 from ..splats import Splats, sigmoid
-from ..video import is_video
-from ..words import (
+from ..text_format import (
     count_words,
     quality_words,
     size_words,
@@ -32,13 +31,14 @@ from ..words import (
     stopped_words,
     time_words,
 )
-from .given.data_options import add_mask_options, with_data_options
-from .given.model import GivenModel, find_splats, open_model
+from ..video import is_video
+from .args.data_options import add_mask_options, with_data_options
+from .args.model_argument import ModelArgument, find_splats, open_model
 from .lod import lod_facts, lod_text
-from .plain_photos import photos_facts, photos_text
+from .photo_folder_info import photos_facts, photos_text
 from .terminal.output import print_json
 from .terminal.status import wrapped
-from .video_facts import video_facts, video_text
+from .video_info import video_facts, video_text
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _EXPONENT = 350.0
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         facts = {"kind": "sequence", "path": str(path), **vars(index)}
     elif path.is_dir() and _holds_model(path):
         facts = _run_facts(path)
-    elif is_plain(path) and not block_records(path):
+    elif is_photo_folder(path) and not block_records(path):
         check_no_cameras_above(path)
         facts = photos_facts(path, with_data_options(DataConfig(source=path), args))
     else:
@@ -100,7 +100,7 @@ def _holds_model(folder: Path) -> bool:
     return True
 
 
-def _model_facts(model: GivenModel) -> dict[str, Any]:
+def _model_facts(model: ModelArgument) -> dict[str, Any]:
     splats = model.splats
     size = model.file.storage_bytes
     return {
@@ -286,7 +286,9 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
         by = f", by process {facts['process']}" if facts["process"] else ""
         lines.append(f"  in training now{by}; what lies here is of before, or not complete yet")
     elif unfinished := facts["unfinished"]:
-        hint = f"; go on with: {typed('train', '-o', facts['path'], '--resume')}" if count else ""
+        hint = (
+            f"; go on with: {as_typed('train', '-o', facts['path'], '--resume')}" if count else ""
+        )
         lines.append(f"  {unfinished}{hint}")
     lines.append(f"  {count_words(count, 'checkpoint')}")
     if facts["model"] is None:
@@ -308,7 +310,7 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
             f"{count_words(entry.get('steps'), 'step')} in {took}{quality}"
         )
     if len(frames) != total:
-        lines.append(f"  go on with: {typed('sequence', '-o', facts['path'], '--resume')}")
+        lines.append(f"  go on with: {as_typed('sequence', '-o', facts['path'], '--resume')}")
     return lines
 
 

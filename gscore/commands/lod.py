@@ -14,10 +14,10 @@ from ..io.lod_file import LOD_ENDING, is_lod_file
 from ..io.lod_index import LodIndex
 from ..lod.build import LodFacts, build_lod
 from ..lod.measure import measured_levels
-from ..logged import collected_warnings
-from ..shown import shown
-from ..words import count_words, number, size_words
-from .given.model import background_of, find_run, find_splats, near_of, trained_antialiased
+from ..quoting import brief
+from ..text_format import count_words, number, size_words
+from ..warning_log import collected_warnings
+from .args.model_argument import background_of, find_run, find_splats, near_of, trained_antialiased
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     """Build, measure, say what each level has."""
     if args.output.suffix.lower() != LOD_ENDING:
         raise ConfigError(
-            f"{shown(args.output)}: levels of detail are a file whose name ends in {LOD_ENDING}; "
+            f"{brief(args.output)}: levels of detail are a file whose name ends in {LOD_ENDING}; "
             f"give such a name with -o."
         )
     check_folder(args.output.parent)
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     model = find_splats(args.model)
     if is_lod_file(model):
         raise ConfigError(
-            f"{shown(model)} holds levels of detail already. Give the file of splats that it was "
+            f"{brief(model)} holds levels of detail already. Give the file of splats that it was "
             f"made of, or write that with gscore convert."
         )
     _check_not_the_model(args.output, model)
@@ -138,5 +138,5 @@ def _facts_of(model: Path) -> LodFacts:
 def _check_not_the_model(output: Path, model: Path) -> None:
     if any(output.exists() and output.samefile(read) for read in files_of(model)):
         raise ConfigError(
-            f"{shown(output)} is what is read; choose another output, so that it stays."
+            f"{brief(output)} is what is read; choose another output, so that it stays."
         )

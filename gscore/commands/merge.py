@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..blocks.merge import TrainedBlock, check_complete, merge_blocks
+from ..blocks.merge_splats import TrainedBlock, check_complete, merge_blocks
 from ..config import DataConfig, TrainConfig
 from ..config_file import differences, load_config
 from ..errors import ConfigError, DatasetError
@@ -14,9 +14,9 @@ from ..formats import format_to_write, write_splat_file
 from ..io.block_record import BLOCK_RECORD, RUN_BLOCK, BlockRecord, read_block
 from ..io.metrics_file import read_metrics
 from ..io.runs import is_run, read_run
-from ..shown import shown, typed
-from ..words import count_words, number
-from .given.model import GivenModel, open_model
+from ..quoting import as_typed, brief
+from ..text_format import count_words, number
+from .args.model_argument import ModelArgument, open_model
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         f"  block {records[i].index}: {number(kept)} of {count_words(count, 'splat')}"
         for i, count, kept in zip(order, trained, merged.kept, strict=True)
     ]
-    head = f"{shown(args.output)}: {count_words(len(merged.splats), 'splat')} of"
+    head = f"{brief(args.output)}: {count_words(len(merged.splats), 'splat')} of"
     if not args.quiet:
         print(wrapped("\n".join([head, *lines]), sys.stdout))
     return 0
@@ -109,10 +109,10 @@ def _runs(given: list[Path]) -> list[Path]:
             found.append(path)
             continue
         if not path.is_dir():
-            raise ConfigError(f"{shown(path)} is no folder; give the runs by their folders.")
+            raise ConfigError(f"{brief(path)} is no folder; give the runs by their folders.")
         inside = sorted(folder.parent for folder in path.glob("*/config.json"))
         if not inside:
-            raise DatasetError(f"{shown(path)} is no run, and there are none in it.")
+            raise DatasetError(f"{brief(path)} is no run, and there are none in it.")
         found += inside
     return found
 
@@ -128,19 +128,19 @@ def _record(run: Path, blocks: Path | None) -> BlockRecord:
     record, remembered = read_block(place), read_block(run, RUN_BLOCK)
     if record is not None and remembered is not None and not record.is_cell_of(remembered):
         raise ConfigError(
-            f"{shown(run)} was trained on block {remembered.index} of {remembered.count} of "
-            f"another split than the one in {shown(place)} now. Train the new blocks, or move them "
+            f"{brief(run)} was trained on block {remembered.index} of {remembered.count} of "
+            f"another split than the one in {brief(place)} now. Train the new blocks, or move them "
             "away to merge the runs by the cells that they remember."
         )
     if (known := remembered or record) is not None:
         return known
     if not place.is_dir():
         raise DatasetError(
-            f"{shown(run)} was trained on {shown(place)}, which is not there. Say with --blocks "
+            f"{brief(run)} was trained on {brief(place)}, which is not there. Say with --blocks "
             "where the folder of the blocks is."
         )
     raise ConfigError(
-        f"{shown(run)} was trained on {shown(place)}, which is no block: there is no "
+        f"{brief(run)} was trained on {brief(place)}, which is no block: there is no "
         f"{BLOCK_RECORD}. Only runs on what `gscore split` wrote can be merged."
     )
 
@@ -149,7 +149,7 @@ def _unsure(path: Path) -> Iterator[str]:
     """A sentence about a run that does not remember its block."""
     if not (path / RUN_BLOCK).is_file():
         yield (
-            f"{shown(path)} does not remember its block (no {RUN_BLOCK}), so the one in the folder "
+            f"{brief(path)} does not remember its block (no {RUN_BLOCK}), so the one in the folder "
             "that it was trained on is taken for it. Where that was split again since, train anew."
         )
 
@@ -159,7 +159,7 @@ def _check_outside_runs(output: Path) -> None:
     inside = next(filter(is_run, output.resolve().parents), None)
     if inside is not None:
         raise ConfigError(
-            f"{shown(output)} is in the folder of a training, {shown(inside)}, where it could "
+            f"{brief(output)} is in the folder of a training, {brief(inside)}, where it could "
             "replace results of that. Choose a place outside of it."
         )
 
@@ -173,18 +173,18 @@ def _stopped(path: Path) -> Iterator[str]:
     run = read_run(path)
     if run is not None and run.splats is None:
         raise ConfigError(
-            f"{shown(path)} has not ended: {count_words(run.steps, 'step')} are kept, and no "
-            f"splats. Go on with: {typed('train', '-o', path, '--resume')}"
+            f"{brief(path)} has not ended: {count_words(run.steps, 'step')} are kept, and no "
+            f"splats. Go on with: {as_typed('train', '-o', path, '--resume')}"
         )
     reason = str(read_metrics(path).get("reason") or FINISHED)
     if run is not None and reason not in ENDED:
         yield (
-            f"{shown(path)} was stopped after {count_words(run.steps, 'step')} ({reason}). To "
-            f"train it to its end: {typed('train', '-o', path, '--resume')}; then merge again."
+            f"{brief(path)} was stopped after {count_words(run.steps, 'step')} ({reason}). To "
+            f"train it to its end: {as_typed('train', '-o', path, '--resume')}; then merge again."
         )
 
 
-def _compare(runs: list[Path], models: list[GivenModel]) -> list[str]:
+def _compare(runs: list[Path], models: list[ModelArgument]) -> list[str]:
     """Sentences on options in which runs differ.
 
     Raises:
@@ -195,13 +195,13 @@ def _compare(runs: list[Path], models: list[GivenModel]) -> list[str]:
     for path, model in zip(runs[1:], models[1:], strict=True):
         if model.antialias != first.antialias:
             raise ConfigError(
-                f"{shown(runs[0])} and {shown(path)} differ in --antialias, so their splats cannot "
+                f"{brief(runs[0])} and {brief(path)} differ in --antialias, so their splats cannot "
                 "be drawn together. Train one of them anew."
             )
         changed = [*_changed(first.train, model.train), *_changed(first.data, model.data)]
         if changed:
             warnings.append(
-                f"{shown(path)} was trained with other options than {shown(runs[0])}: "
+                f"{brief(path)} was trained with other options than {brief(runs[0])}: "
                 f"{'; '.join(changed[:3])}{'; ...' if len(changed) > 3 else ''}."
             )
     return warnings

@@ -11,12 +11,12 @@ from ..config_file import to_json
 from ..errors import ConfigError
 from ..live_options import LiveOptions
 from ..options import Option, options_of
+from ..quoting import quoted
 from ..sequence_options import SequenceOptions
-from ..shown import quoted
-from .given.data_options import HOLD_OUT
-from .given.declared import plain, preset_values
-from .given.names_3dgs import ALIASES
-from .given.no_effect import reason_of
+from .args.data_options import HOLD_OUT
+from .args.option_names_3dgs import ALIASES
+from .args.run_options import plain, preset_values
+from .args.unused_options import reason_of
 from .parser import nearest
 from .terminal.output import print_json
 from .terminal.status import wrapped

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from ..config import checked_threads
 from ..errors import ConfigError
-from ..shown import quoted, shown
+from ..quoting import brief, quoted
 from .terminal.status import wrapped
 
 _REQUIRED = "the following arguments are required: "
@@ -88,7 +88,7 @@ class Parser(argparse.ArgumentParser):
         self._check_names(words)
         found, unknown = self.parse_known_args(words, namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {shown(' '.join(unknown))}")
+            self.error(f"unrecognized arguments: {brief(' '.join(unknown))}")
         return found
 
     def _check_names(self, words: Sequence[str]) -> None:
@@ -101,11 +101,11 @@ class Parser(argparse.ArgumentParser):
             return
         offered = sorted(set(_options(self)))
         hints = [
-            f"{shown(name)}: did you mean --{guess}"
+            f"{brief(name)}: did you mean --{guess}"
             for name in unknown
             if (guess := nearest(name[2:], offered))
         ]
-        missing = f"there is no option {shown(', '.join(unknown))}"
+        missing = f"there is no option {brief(', '.join(unknown))}"
         self.error(f"{'; '.join(hints)}?" if hints else missing)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -13,18 +13,18 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets.resolution import check_resolution
 from ..errors import ConfigError
+from ..io.images.read_image import SIGNED, write_png
 from ..io.lod_file import LOD_ENDING, is_lod_file
-from ..io.pictures.images import SIGNED, write_png
-from ..io.places import check_apart, check_place
-from ..lod.draw import LOD_PX, LodModel
+from ..io.output_paths import check_output_path, check_separate
+from ..lod.lod_renderer import LOD_PX, LodModel
+from ..quoting import as_typed, brief, quoted
 from ..raster.api import Rendered
 from ..scene import Cameras
-from ..shown import quoted, shown, typed
-from ..words import count_words
-from .given.lod_model import GivenLod
-from .given.model import GivenModel, add_model_argument, model_path, open_model
+from ..text_format import count_words
+from .args.lod_argument import LodArgument
+from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
-from .pictures.shots import FPS, PATHS, find_shots
+from .pictures.render_cameras import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
 from .terminal.marks import is_ours
@@ -171,12 +171,12 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     status.show(["Reading the splats"])
     model = _open(args)
     if not model.count:
-        raise ConfigError(f"{shown(str(model.path))} holds no splats, so there is nothing to draw.")
+        raise ConfigError(f"{brief(str(model.path))} holds no splats, so there is nothing to draw.")
     for data in (None, *_captures(args, model)):
         if _is_file(args.output):
-            check_apart(args.output.parent, data)
+            check_separate(args.output.parent, data)
         else:
-            check_place(args.output, data)
+            check_output_path(args.output, data)
     for sentence in model.warnings:
         status.clear()
         print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
@@ -208,11 +208,11 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "height": int(shots.heights[0]),
         "splats": model.count,
         "fps": work.fps,
-        **(model.drawn() if isinstance(model, GivenLod) else {}),
+        **(model.drawn() if isinstance(model, LodArgument) else {}),
     }
 
 
-def _open(args: argparse.Namespace) -> GivenModel | GivenLod:
+def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
     """The model; of levels of detail, how coarse it may be.
 
     Raises:
@@ -223,7 +223,8 @@ def _open(args: argparse.Namespace) -> GivenModel | GivenLod:
         if args.lod_px is not None or args.lod_splats is not None:
             raise ConfigError(
                 f"--lod-px and --lod-splats are for levels of detail, and {path} has none. Make "
-                "them first: " + typed("lod", path, "-o", Path(path.name).with_suffix(LOD_ENDING))
+                "them first: "
+                + as_typed("lod", path, "-o", Path(path.name).with_suffix(LOD_ENDING))
             )
         return open_model(path)
     pixels = LOD_PX if args.lod_px is None else args.lod_px
@@ -232,7 +233,7 @@ def _open(args: argparse.Namespace) -> GivenModel | GivenLod:
             f"--lod-px must be 0 or more, and --lod-splats 1 or more, got {pixels:g} and "
             f"{args.lod_splats}."
         )
-    return GivenLod(model=LodModel(path), lod_px=pixels, most=args.lod_splats)
+    return LodArgument(model=LodModel(path), lod_px=pixels, most=args.lod_splats)
 
 
 def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
@@ -243,7 +244,7 @@ def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
     return f"{text}\nFiles that were there before stay: {others}" if others else text
 
 
-def _captures(args: argparse.Namespace, model: GivenModel | GivenLod) -> list[DataConfig]:
+def _captures(args: argparse.Namespace, model: ModelArgument | LodArgument) -> list[DataConfig]:
     """The captures whose photos the pictures must not replace, which have the same names."""
     given = [] if args.cameras is None else [DataConfig(source=args.cameras)]
     return given + ([] if model.data is None else [model.data])
@@ -261,7 +262,7 @@ class _Work:
 
     def __init__(
         self,
-        model: GivenModel | GivenLod,
+        model: ModelArgument | LodArgument,
         shots: Cameras,
         options: dict[str, Any],
         status: Status,

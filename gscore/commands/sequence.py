@@ -9,22 +9,22 @@ from ..config import DataConfig, TrainConfig
 from ..control import Control
 from ..errors import ConfigError, GsError
 from ..events import Show, Warn
-from ..io.places import check_place
+from ..io.output_paths import check_output_path
 from ..io.sequences import SEQUENCE_FILE
+from ..quoting import as_typed
 from ..sequence_options import SequenceOptions
-from ..shown import typed
-from ..words import count_words, quality_words
+from ..text_format import count_words, quality_words
 from . import train as train_command
-from .given.declared import declare, given_options
-from .given.live import onlookers_of
-from .terminal.attend import attend
-from .terminal.launcher import under_torchrun
+from .args.run_options import declare, passed_options
+from .args.viewer_options import viewer_clients_of
 from .terminal.output import check_folder, others_in, print_json
+from .terminal.run_job import run_job
 from .terminal.status import wrapped
-from .together import agent, train_in_turn
+from .terminal.torchrun_launch import under_torchrun
+from .torchrun import agent, train_in_turn
 
 if TYPE_CHECKING:
-    from ..trainer.ranks.team import Team
+    from ..trainer.distributed.process_group import ProcessGroup
     from ..trainer.sequence import SequenceResult
 
 _ONE_FRAME = {
@@ -63,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
     return train_in_turn(args, _run) if under_torchrun() else _run(args, None)
 
 
-def _run(args: argparse.Namespace, team: "Team | None") -> int:
-    result, code = attend(args, lambda show, control: _train(args, show, control, team))
+def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
+    result, code = run_job(args, lambda show, control: _train(args, show, control, team))
     if result is None:
         return code
     if args.json:
@@ -87,9 +87,9 @@ class _Asked:
 
 
 def _train(
-    args: argparse.Namespace, show: Show, control: Control, team: "Team | None"
+    args: argparse.Namespace, show: Show, control: Control, team: "ProcessGroup | None"
 ) -> "SequenceResult":
-    from ..trainer.ranks.agree import check_ready
+    from ..trainer.distributed.consistency import check_ready
     from ..trainer.sequence import train_sequence
 
     asked, failure = None, None
@@ -102,7 +102,7 @@ def _train(
     elif failure:
         raise failure
     assert asked is not None
-    with onlookers_of(args, asked.data.source, show) as onlookers:
+    with viewer_clients_of(args, asked.data.source, show) as viewers:
         return train_sequence(
             asked.config,
             asked.data,
@@ -112,14 +112,14 @@ def _train(
             options=asked.options,
             resume=args.resume,
             overwrite=args.overwrite,
-            onlookers=onlookers,
+            viewers=viewers,
             frame=asked.frame,
             team=team,
             agent=agent(),
         )
 
 
-def _asked(args: argparse.Namespace, show: Show, team: "Team | None") -> _Asked:
+def _asked(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") -> _Asked:
     from ..trainer.sequence import read_options
 
     for name, (option, instead) in _ONE_FRAME.items():
@@ -127,17 +127,17 @@ def _asked(args: argparse.Namespace, show: Show, team: "Team | None") -> _Asked:
             raise ConfigError(f"{option} is for one training: {instead}.")
     if team and args.frame is not None:
         raise ConfigError("--frame is for one process; torchrun gives out all frames in turn.")
-    check_place(args.output)
+    check_output_path(args.output)
     check_folder(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
     others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
     if others and not args.events:
         show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
     stored = read_options(args.output) if args.resume else None
-    given = given_options(SequenceOptions, args)
+    given = passed_options(SequenceOptions, args)
     # The number of a frame would be an option of each frame too.
     own = argparse.Namespace(**vars(args) | {"frame": None})
-    data, config = train_command.told_configs(own, show)
+    data, config = train_command.configs_with_messages(own, show)
     return _Asked(
         config=config,
         data=data,
@@ -159,5 +159,5 @@ def _summary(result: "SequenceResult") -> str:
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":
-        lines.append(f"To go on: {typed('sequence', '-o', result.output, '--resume')}")
+        lines.append(f"To go on: {as_typed('sequence', '-o', result.output, '--resume')}")
     return "\n".join(lines)

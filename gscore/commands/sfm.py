@@ -6,15 +6,15 @@ from pathlib import Path
 
 from ..control import Control
 from ..errors import ConfigError
-from ..io.places import check_place
-from ..sfm import Found, Request, find_cameras
-from ..sfm.request import MAPPERS, MATCHERS
-from ..sfm.sources import photos_from
-from ..shown import shown
+from ..io.output_paths import check_output_path
+from ..quoting import brief
+from ..sfm import SearchRequest, SearchResult, find_cameras
+from ..sfm.photo_sources import photos_from
+from ..sfm.search_request import MAPPERS, MATCHERS
 from ..video import is_video
 from .parser import add_threads_option
-from .terminal.attend import Show, attend
 from .terminal.output import check_folder, print_json
+from .terminal.run_job import Show, run_job
 from .terminal.status import wrapped
 
 
@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search, write the capture, say how good it is."""
-    request = Request(
+    request = SearchRequest(
         photos=args.source[0],
         output=args.output,
         masks=args.masks,
@@ -103,11 +103,11 @@ def run(args: argparse.Namespace) -> int:
         threads=args.threads,
     )
     if args.frames and not any(map(is_video, args.source)):
-        names = " and ".join(map(shown, args.source))
+        names = " and ".join(map(brief, args.source))
         raise ConfigError(f"--frames is for videos; {names} is none.")
-    check_place(request.output)
+    check_output_path(request.output)
     check_folder(request.output)
-    found, code = attend(
+    found, code = run_job(
         args,
         lambda show, control: _find(request, args, show, control),
         stopped=lambda: "Stopped; the same command goes on where this one ended.",
@@ -121,7 +121,9 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-def _find(request: Request, args: argparse.Namespace, show: Show, control: Control) -> Found:
+def _find(
+    request: SearchRequest, args: argparse.Namespace, show: Show, control: Control
+) -> SearchResult:
     with photos_from(
         request, args.source, frames=args.frames, on_event=show, control=control
     ) as photos:

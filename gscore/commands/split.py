@@ -4,15 +4,15 @@ import argparse
 import sys
 from pathlib import Path
 
-from ..blocks.cut import Cut, cut_capture
-from ..blocks.sight import MARGIN, SHARE
-from ..blocks.write import check_empty, write_blocks
+from ..blocks.block_photos import MARGIN, SHARE
+from ..blocks.split_capture import Cut, cut_capture
+from ..blocks.write_blocks import check_empty, write_blocks
 from ..config import DataConfig
-from ..io.places import check_place
-from ..shown import typed
-from ..words import count_words, number
-from .given.data_options import add_split_options, with_data_options
-from .given.declared import declare
+from ..io.output_paths import check_output_path
+from ..quoting import as_typed
+from ..text_format import count_words, number
+from .args.data_options import add_split_options, with_data_options
+from .args.run_options import declare
 from .terminal.output import check_folder, print_json
 from .terminal.status import Counted, Status, wrapped
 
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Choose, link, say what each block has and how it is trained."""
     data = with_data_options(DataConfig(source=args.source, eval=True), args)
-    check_place(args.output, data)
+    check_output_path(args.output, data)
     check_folder(args.output)
     check_empty(args.output)
     with Status(sys.stderr, quiet=args.quiet) as status:
@@ -103,7 +103,8 @@ def _lines(cut: Cut, output: Path) -> list[str]:
             "capture goes around one thing. A higher --share leaves more out."
         )
     lines.append(
-        f"Next: {typed('train', output, '-o', 'RUNS')}, or on many machines with --block 0, 1, ...;"
+        f"Next: {as_typed('train', output, '-o', 'RUNS')}, or on many machines with "
+        "--block 0, 1, ...;"
     )
     lines.append("then: gscore merge RUNS -o merged.ply")
     return lines

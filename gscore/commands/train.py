@@ -11,27 +11,33 @@ from ..config import LIFTED_BY, DataConfig, TrainConfig
 from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
-from ..io.places import check_place
+from ..io.output_paths import check_output_path
 from ..io.runs import options_of_run, others_in_run
 from ..presets import PRESETS
-from ..shown import typed
-from ..words import colour_words, count_words, learnt_exposure, quality_words, size_words
+from ..quoting import as_typed
+from ..text_format import (
+    colour_words,
+    count_words,
+    has_exposure_correction,
+    quality_words,
+    size_words,
+)
+from .args.data_options import add_data_options, with_data_options
+from .args.option_names_3dgs import add_3dgs_names, translate
+from .args.run_options import Set, declare, passed_options
+from .args.unused_options import unused_options
+from .args.viewer_options import add_live_options, check_live_options, viewer_clients_of
 from .block_runs import train_blocks, wants_blocks
-from .cameras import is_finding, with_cameras
-from .given.data_options import add_data_options, with_data_options
-from .given.declared import Set, declare, given_options
-from .given.live import add_live_options, check_live_options, onlookers_of
-from .given.names_3dgs import add_3dgs_names, translate
-from .given.no_effect import idle_options
-from .terminal.attend import STOPPED, add_output_options, attend
-from .terminal.launcher import under_torchrun
+from .find_cameras import is_finding, with_cameras
 from .terminal.output import check_folder, first_few, print_json
+from .terminal.run_job import STOPPED, add_output_options, run_job
 from .terminal.status import wrapped
-from .together import agent, train_together
+from .terminal.torchrun_launch import under_torchrun
+from .torchrun import agent, train_distributed
 
 if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
-    from ..trainer.files.ended import TrainResult
-    from ..trainer.ranks.team import Team
+    from ..trainer.distributed.process_group import ProcessGroup
+    from ..trainer.files.run_result import TrainResult
 
 _HOW = {
     FINISHED: "Finished",
@@ -109,11 +115,11 @@ def run(args: argparse.Namespace) -> int:
     """Train and say how it went; returns the exit code."""
     if wants_blocks(args):
         return train_blocks(args, _run)
-    return train_together(args, _run) if under_torchrun() else _run(args, None)
+    return train_distributed(args, _run) if under_torchrun() else _run(args, None)
 
 
-def _run(args: argparse.Namespace, team: "Team | None") -> int:
-    result, code = attend(
+def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
+    result, code = run_job(
         args,
         lambda show, control: _train(args, show, control, team),
         stopped=lambda: _stopped(args),
@@ -139,7 +145,7 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
         if not stored.is_file():
-            from ..trainer.files.folder import check_free
+            from ..trainer.files.run_folder import check_free
 
             check_free(args.output)  # a run that has only just begun has written nothing yet
             raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
@@ -166,27 +172,27 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:
     """The options given one by one; a number among them that photos may limit is meant."""
-    given = given_options(TrainConfig, args)
+    given = passed_options(TrainConfig, args)
     return {LIFTED_BY[name]: 0 for name in LIFTED_BY.keys() & given.keys()} | given
 
 
-def told_configs(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:
+def configs_with_messages(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:
     """As `configs`, with a warning about options that do nothing in this run."""
     given = argparse.Namespace(**vars(args))  # `configs` fills some in
     data, config = configs(args)
-    if idle := idle_options(given, data, config):
+    if idle := unused_options(given, data, config):
         show(Warn(message=idle, code="no_effect"))
     return data, config
 
 
 def _train(
-    args: argparse.Namespace, show: Show, control: Control, team: "Team | None"
+    args: argparse.Namespace, show: Show, control: Control, team: "ProcessGroup | None"
 ) -> "TrainResult":
-    data, config = told_configs(args, show)
-    from ..trainer.files.folder import check_writable
+    data, config = configs_with_messages(args, show)
+    from ..trainer.files.run_folder import check_writable
     from ..trainer.run import train
 
-    check_place(args.output, data)  # of / or the capture nobody wants to hear what is in it
+    check_output_path(args.output, data)  # of / or the capture nobody wants to hear what is in it
     check_folder(args.output)
     check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
     others = first_few(others_in_run(args.output))
@@ -202,7 +208,7 @@ def _train(
         check=lambda names: _check_given(args, config, data, names),
         threads=config.threads,
     )
-    with onlookers_of(args, data.source, show, after_the_end=True) as onlookers:
+    with viewer_clients_of(args, data.source, show, after_the_end=True) as viewers:
         return train(
             config,
             data,
@@ -212,7 +218,7 @@ def _train(
             resume=args.resume,
             overwrite=args.overwrite,
             start_checkpoint=args.start_checkpoint,
-            onlookers=onlookers,
+            viewers=viewers,
             team=team,
             agent=agent(),
         )
@@ -222,10 +228,10 @@ def _check_given(
     args: argparse.Namespace, config: TrainConfig, data: DataConfig, names: list[str] | None
 ) -> None:
     """Raise where what was given cannot be used, before the cameras of photos are found."""
-    from ..trainer.files.named import check_named_files
+    from ..trainer.files.option_files import check_option_files
 
     check_live_options(args)
-    check_named_files(config, data, names=names, start_checkpoint=args.start_checkpoint)
+    check_option_files(config, data, names=names, start_checkpoint=args.start_checkpoint)
 
 
 def _stopped(args: argparse.Namespace) -> str:
@@ -247,7 +253,7 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
     ]
     if worth := quality_words(metrics):
         view = "test view" if metrics["split"] == "test" else "training view"
-        worth += colour_words(metrics) if learnt_exposure(metrics) else ""
+        worth += colour_words(metrics) if has_exposure_correction(metrics) else ""
         lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The {config.target_psnr:g} dB asked for were not reached.")
@@ -260,9 +266,9 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
     output = result.output
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:
-        lines.append(f"To go on: {typed('train', '-o', output, '--resume')}")
+        lines.append(f"To go on: {as_typed('train', '-o', output, '--resume')}")
     made = "orbit.mp4" if find_spec("av") else "pictures"
-    lines.append(f"To look at it: {typed('render', output, '-o', output / made)}")
+    lines.append(f"To look at it: {as_typed('render', output, '-o', output / made)}")
     return "\n".join(lines)
 
 
@@ -271,5 +277,5 @@ def _nothing_to_do(result: "TrainResult") -> str:
     return (
         f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
         f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to go "
-        f"on, or measure it again with: {typed('eval', result.output)}"
+        f"on, or measure it again with: {as_typed('eval', result.output)}"
     )

@@ -7,16 +7,16 @@ from typing import Any
 
 from ..config import DataConfig
 from ..errors import ConfigError
-from ..io.places import check_apart
+from ..io.output_paths import check_separate
 from ..page.pack import PAGE_DEGREE, pack
 from ..page.page import Page, most_splats, write_page
+from ..quoting import quoted
 from ..report.page_link import PAGE, link_page
-from ..shown import quoted
-from ..words import count_words, number, size_words
-from .given.model import GivenModel, add_model_argument, model_path, open_model
+from ..text_format import count_words, number, size_words
+from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
+from .pictures.packing_error import difference
 from .pictures.page_views import PageViews, find_views
-from .pictures.unpacked import difference
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _output(args: argparse.Namespace, model: GivenModel) -> Path:
+def _output(args: argparse.Namespace, model: ModelArgument) -> Path:
     """Where the page goes, if it may be written there."""
     if args.photos < 0:
         raise ConfigError(f"--photos must be at least 0, got {quoted(args.photos)}.")
@@ -87,12 +87,12 @@ def _output(args: argparse.Namespace, model: GivenModel) -> Path:
 
 
 def _write(
-    args: argparse.Namespace, model: GivenModel, output: Path, status: Status
+    args: argparse.Namespace, model: ModelArgument, output: Path, status: Status
 ) -> dict[str, Any]:
     """Facts on what was written."""
     given = [DataConfig(source=args.source)] if args.source and args.source.is_dir() else []
     for data in (None, *given, *([model.data] if model.data else [])):
-        check_apart(output.parent, data)
+        check_separate(output.parent, data)
     _check_splats(model)
     views = find_views(args, model, status)
     status.show(["Packing the splats"])
@@ -135,7 +135,7 @@ def _write(
     }
 
 
-def _page(title: str, model: GivenModel, packed: Any, views: PageViews) -> Page:
+def _page(title: str, model: ModelArgument, packed: Any, views: PageViews) -> Page:
     count = count_words(packed.head["count"], "splat")
     return Page(
         title=title,
@@ -151,7 +151,7 @@ def _page(title: str, model: GivenModel, packed: Any, views: PageViews) -> Page:
     )
 
 
-def _title(model: GivenModel) -> str:
+def _title(model: ModelArgument) -> str:
     """Of the capture where it is known, else of the file."""
     if model.data is not None and model.data.source.name:
         return model.data.source.name
@@ -159,7 +159,7 @@ def _title(model: GivenModel) -> str:
     return model.path.parent.name if plain else model.path.stem
 
 
-def _check_splats(model: GivenModel) -> None:
+def _check_splats(model: ModelArgument) -> None:
     degree = min(model.splats.sh_degree, PAGE_DEGREE)
     if len(model.splats) > (most := most_splats(degree)):
         raise ConfigError(

@@ -13,10 +13,10 @@ from ..io.cameras_json import read_cameras_json
 from ..io.colmap.camera_models import NO_PINHOLE
 from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
+from ..quoting import quoted
 from ..scene import Cameras
-from ..shown import quoted
+from ..text_format import count_words
 from ..transforms import opengl_from_viewmat, viewmat_from_opengl
-from ..words import count_words
 from .capture import View
 from .poses import check_focal, rigid_matrix
 from .transforms_json import views_of_file

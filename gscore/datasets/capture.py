@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ..io.colmap.model import ColmapCamera
+from ..quoting import brief
 from ..scene import PointCloud
-from ..shown import shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class Capture:
 
 def listing(names: list[str], most: int = 5) -> str:
     """The first few names for a message."""
-    return ", ".join(map(shown, names[:most])) + (", ..." if len(names) > most else "")
+    return ", ".join(map(brief, names[:most])) + (", ..." if len(names) > most else "")
 
 
 def repeated(names: list[str]) -> list[str]:

@@ -12,10 +12,10 @@ from ..io.colmap.folder import ColmapModel, read_model
 from ..io.colmap.model import ColmapPoints, PointIndex
 from ..io.files import is_file
 from ..scene import PointCloud, within_reach
-from ..words import count_words
+from ..text_format import count_words
 from .capture import Capture, View, listing, repeated
 from .folder import Folder
-from .search_record import told_of_search
+from .search_record import search_warnings
 
 
 def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
@@ -48,7 +48,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         )
     folder = Folder(root)
     files = folder.find_images(names)
-    warnings = [*model.warnings, *told_of_search(config.source, len(names))]
+    warnings = [*model.warnings, *search_warnings(config.source, len(names))]
     missing = [name for name, file in zip(names, files, strict=True) if file is None]
     if photos_required and 2 * len(missing) > len(names):
         raise DatasetError(

@@ -14,8 +14,8 @@ import numpy as np
 from ..config import checked_threads
 from ..errors import BackendError, Cancelled
 from ..scene import Scene
+from .changed_files import ChangeDetector, changed_error
 from .decode import DECODED_AT_ONCE, ViewFile, decode_view
-from .unchanged import Unchanged, changed_error
 
 T = TypeVar("T")
 
@@ -50,7 +50,9 @@ class Dataset:
         """Folder of the capture."""
         self._files = files
         self._views: dict[int, tuple[np.ndarray, np.ndarray | None]] = {}
-        self._unchanged = Unchanged(p for f in files for p in (f.image, f.mask) if p is not None)
+        self._unchanged = ChangeDetector(
+            p for f in files for p in (f.image, f.mask) if p is not None
+        )
         self._prints: dict[int, int] = {}
         """Checksums of views that were decoded and may be decoded again."""
         self._content_hash: str | None = None

@@ -9,8 +9,8 @@ from threading import Condition
 import numpy as np
 
 from ..errors import FormatError, ShapeError
-from ..io.pictures.alpha import divided, premultiplied
-from ..io.pictures.images import (
+from ..io.images.alpha import divided, premultiplied
+from ..io.images.read_image import (
     is_scaled,
     read_image,
     read_mask,

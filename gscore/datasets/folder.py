@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
 from ..io.files import is_file
-from ..io.pictures.images import IMAGE_ENDINGS
+from ..io.images.read_image import IMAGE_ENDINGS
 
 
 class Folder:

@@ -9,8 +9,8 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import has_model
-from ..shown import quoted
-from ..words import count_words
+from ..quoting import quoted
+from ..text_format import count_words
 from .capture import listing
 from .pku.case import find_video
 from .programs import find_program

@@ -7,19 +7,19 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import Cancelled
-from ..io.pictures.images import read_info
+from ..io.images.read_image import read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
-from ..words import count_words
+from ..text_format import count_words
 from .capture import View
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
-from .headers import PhotoFit, check_fit, fit_photos, told_of_photos, up_as_held
 from .masks import MaskChoice, choose_masks
-from .points import RANDOM_POINTS, colors_from_photos, random_points, told_of_points
+from .photo_headers import PhotoFit, check_fit, fit_photos, photo_warnings, up_as_held
+from .points import RANDOM_POINTS, colors_from_photos, point_warnings, random_points
 from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
-from .shots import split_apart
-from .split import is_chosen, split_views, told_of_split
+from .shots import warn_of_split_shots
+from .split import is_chosen, split_views, split_warnings
 from .undistort import Undistortion, plan_undistortion
 
 RANDOM_SEED = 0
@@ -59,7 +59,7 @@ def load_dataset(
         infos.append(read_info(view.image))
     found = fit_photos(views, infos)
     check_fit(views, infos, found)
-    warnings = [*capture.warnings, *told_of_photos(views, infos, found, cancelled)]
+    warnings = [*capture.warnings, *photo_warnings(views, infos, found, cancelled)]
     masks = choose_masks(config, capture, views, infos, found.sizes, cancelled=cancelled)
     warnings += masks.warnings
     files, Ks = _files(views, found, masks, config)
@@ -81,9 +81,9 @@ def load_dataset(
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
     by_rule = is_chosen(config, stated=capture.test_names)
-    train, test, told = split_apart(views, train, test, chosen=by_rule)
+    train, test, told = warn_of_split_shots(views, train, test, chosen=by_rule)
     warnings += told
-    warnings += told_of_split(len(views), test, config)
+    warnings += split_warnings(len(views), test, config)
     points = _points(capture.points, cameras, views, files, warnings, cancelled)
     return Dataset(
         scene=Scene(cameras=cameras, points=points, warnings=tuple(warnings)),
@@ -167,7 +167,7 @@ def _points(
 ) -> PointCloud:
     """The capture's points mended: in bounds, at least some, coloured."""
     usable = within_reach(points.points)
-    warnings += told_of_points(points, usable)
+    warnings += point_warnings(points, usable)
     if not usable.any():
         return random_points(cameras, RANDOM_POINTS, seed=RANDOM_SEED)
     seen: list[np.ndarray | None] = [view.seen for view in views]

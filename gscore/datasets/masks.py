@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
-from ..io.pictures.images import (
+from ..io.images.read_image import (
     ImageInfo,
     assumed_of_mask,
     is_scaled,
@@ -14,11 +14,11 @@ from ..io.pictures.images import (
     read_info,
     read_mask,
 )
-from ..words import count_words, number
+from ..text_format import count_words, number
 from .capture import Capture, View, listing
 from .dataset import map_threads
 from .folder import Folder
-from .mattes import are_mattes
+from .mask_meaning import are_mattes
 
 MASK_FOLDER = "masks"
 """Folder that is written, and looked for when none is given."""

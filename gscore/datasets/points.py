@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..scene import FARTHEST, Cameras, PointCloud
-from ..words import count_words, number
+from ..text_format import count_words, number
 from .dataset import map_threads
 
 RANDOM_POINTS = 100_000
@@ -14,7 +14,7 @@ GREY = 128
 """Colour of points that no photo shows, sRGB byte."""
 
 
-def told_of_points(points: PointCloud, usable: np.ndarray) -> list[str]:
+def point_warnings(points: PointCloud, usable: np.ndarray) -> list[str]:
     """Sentences on points that are left out, missing or black.
 
     Args:

@@ -6,8 +6,8 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.colmap.model import ColmapCamera
+from ..quoting import quoted
 from ..scene import FARTHEST, FOCAL_RANGE, is_focal
-from ..shown import quoted
 
 _SKEW = 1e-3
 """Of the focal length; what decomposing a float32 projection matrix leaves behind."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..scene import PointCloud
-from ..words import count_words
+from ..text_format import count_words
 from .capture import Capture, View, listing
 from .pku.photos import camera_number
 

@@ -8,11 +8,11 @@ from ..errors import GsError
 from ..io.files import read_bytes
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
-from ..words import count_words
+from ..text_format import count_words
 from .capture import listing
 
 
-def said_of_left_out(others: Sequence[Sequence[str]], alone: Sequence[str]) -> list[str]:
+def left_out_text(others: Sequence[Sequence[str]], alone: Sequence[str]) -> list[str]:
     """Sentences on photos without a camera, and what to do about them.
 
     Args:
@@ -34,7 +34,7 @@ def said_of_left_out(others: Sequence[Sequence[str]], alone: Sequence[str]) -> l
     return told
 
 
-def told_of_search(source: Path, views: int) -> list[str]:
+def search_warnings(source: Path, views: int) -> list[str]:
     """A sentence where gscore found the cameras of a capture and not all photos have one.
 
     Args:
@@ -50,7 +50,7 @@ def told_of_search(source: Path, views: int) -> list[str]:
     others, alone, photos = found.get("others"), found.get("alone"), found.get("photos")
     if not (isinstance(others, list) and all(map(_are_names, others)) and _are_names(alone)):
         return []
-    if not (isinstance(photos, int) and (told := said_of_left_out(others, alone))):
+    if not (isinstance(photos, int) and (told := left_out_text(others, alone))):
         return []
     return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *told])]
 

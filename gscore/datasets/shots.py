@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import GsError
-from ..io.pictures.image_header import ORIENTATION
-from ..io.pictures.images import TURNS
-from ..io.pictures.pillow import opened_picture, pillow
-from ..words import count_words
+from ..io.images.image_header import ORIENTATION
+from ..io.images.pillow_images import opened_picture, pillow
+from ..io.images.read_image import TURNS
+from ..text_format import count_words
 from .capture import View, listing
 from .dataset import map_threads
 
@@ -98,7 +98,7 @@ def repeats(shots: Sequence[Shot]) -> list[tuple[int, int]]:
     return [(one, i) for i, one in enumerate(first) if one != i]
 
 
-def split_apart(
+def warn_of_split_shots(
     views: Sequence[View], train: list[int], test: list[int], *, chosen: bool
 ) -> tuple[list[int], list[int], list[str]]:
     """Take photos of the shots of test views out of the training views.

@@ -6,8 +6,8 @@ from pathlib import Path, PurePosixPath
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
-from ..shown import quoted
-from ..words import count_words, number
+from ..quoting import quoted
+from ..text_format import count_words, number
 from .capture import listing
 from .folder import same_name
 
@@ -77,7 +77,7 @@ def is_chosen(config: DataConfig, *, stated: Collection[str] = ()) -> bool:
     return by_count and not (stated and config.test_offset is None)
 
 
-def told_of_split(count: int, test: Sequence[int], config: DataConfig) -> list[str]:
+def split_warnings(count: int, test: Sequence[int], config: DataConfig) -> list[str]:
     """A sentence where the rule asks for more photos than there are between two test views.
 
     Args:

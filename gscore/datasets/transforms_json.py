@@ -14,12 +14,12 @@ from ..io.colmap.camera_models import MODELS_BY_NAME
 from ..io.colmap.folder import is_safe_name
 from ..io.colmap.model import ColmapCamera
 from ..io.files import LONGEST_NAME, is_file, read_bytes
-from ..io.foreign import foreign
-from ..io.pictures.images import IMAGE_ENDINGS, read_info
+from ..io.images.read_image import IMAGE_ENDINGS, read_info
 from ..io.ply.points import read_point_cloud
+from ..io.unsupported_formats import describe_unsupported
 from ..json_text import parse_json
+from ..quoting import quoted
 from ..scene import FARTHEST, PointCloud
-from ..shown import quoted
 from ..transforms import viewmat_from_opengl
 from .capture import Capture, View, listing, repeated
 from .poses import check_focal, rigid_matrix
@@ -112,7 +112,7 @@ def load_transforms(path: Path) -> dict[str, Any]:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
         raise FormatError(
-            foreign(path)
+            describe_unsupported(path)
             or f"{path} is no transforms.json: it must hold an object with a list `frames`. Export "
             "it again, or give the folder of the capture."
         )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..words import count_words, number
+from ..text_format import count_words, number
 from .fit import NO_FIT, Fit, fit_of, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset
-from ..words import count_words
+from ..text_format import count_words
 from .align import align_robust, reliable
 from .consensus import agreed, with_errors
 from .fit import NO_FIT, Fit, fit_of, median_scale

@@ -11,8 +11,8 @@ from typing import Any
 from ..errors import BackendError, ConfigError, FormatError, GsError
 from ..extras import need
 from ..io.files import reason
-from ..shown import shown
-from ..words import size_words
+from ..quoting import brief
+from ..text_format import size_words
 from .catalogue import KnownNetwork
 
 
@@ -130,7 +130,7 @@ def _cause(error: Exception) -> str:
     """What was wrong in the end, without the advice that the hub's own errors give."""
     said = [str(each).strip() for each in _chain(error)]
     last = next((text for text in reversed(said) if text), type(error).__name__)
-    return shown(last.splitlines()[0].rstrip("."))
+    return brief(last.splitlines()[0].rstrip("."))
 
 
 def _chain(error: BaseException | None) -> list[BaseException]:

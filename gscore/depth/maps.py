@@ -10,10 +10,10 @@ import numpy as np
 from ..errors import BackendError, DatasetError, FormatError
 from ..extras import need
 from ..io.files import check_regular, read_bytes
+from ..io.images.exr_header import check_exr_size
+from ..io.images.pillow_images import loaded
 from ..io.npy import read_npy
-from ..io.pictures.exr_header import check_exr_size
-from ..io.pictures.pillow import loaded
-from ..shown import quoted
+from ..quoting import quoted
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
 """Kinds of depth maps, in the order in which they are preferred."""

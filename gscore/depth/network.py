@@ -10,7 +10,7 @@ import numpy as np
 from ..config import checked_threads
 from ..errors import ConfigError, FormatError, GsError
 from ..extras import need
-from ..io.pictures.images import resize_map
+from ..io.images.read_image import resize_map
 from .maps import DepthKind
 from .onnx_graph import GraphFacts, read_facts
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError
-from ..shown import shown
+from ..quoting import brief
 
 _ARITHMETIC = frozenset({"Sub", "Add", "Div", "Mul", "BatchNormalization"})
 _PASSING = frozenset(
@@ -68,7 +68,7 @@ def read_facts(path: Path, input_name: str, output_name: str) -> GraphFacts:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             nodes, tensors = _graph(data)
     except (OSError, ValueError, IndexError, struct.error, UnicodeDecodeError) as error:
-        raise FormatError(f"{path} is no ONNX model: {shown(error)}. Download it again.") from error
+        raise FormatError(f"{path} is no ONNX model: {brief(error)}. Download it again.") from error
     constants = {name: t.largest for name, t in tensors.items()}
     constants |= {o: n.constant for n in nodes if n.op == "Constant" for o in n.outputs}
     consumers: dict[str, list[_Node]] = {}

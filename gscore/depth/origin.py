@@ -8,8 +8,8 @@ from .._version import __version__
 from ..errors import FormatError
 from ..io.files import atomic_write
 from ..json_text import parse_json
-from ..shown import shown
-from ..words import count_words
+from ..quoting import brief
+from ..text_format import count_words
 
 STEREO_RECORD = "stereo.json"
 """File beside maps that stereo made."""
@@ -36,13 +36,13 @@ def read_record(folder: Path) -> dict[str, list[str]] | None:
         found = {key: [str(name) for name in content[key]] for key in ("photos", "maps")}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FormatError(
-            f"{path} is damaged ({shown(error)}). Make the maps again: gscore depth SOURCE "
+            f"{path} is damaged ({brief(error)}). Make the maps again: gscore depth SOURCE "
             "--method stereo --overwrite"
         ) from error
     return found
 
 
-def held_out_part(folder: Path, held_out: Collection[str]) -> tuple[str, ...]:
+def held_out_maps_warning(folder: Path, held_out: Collection[str]) -> tuple[str, ...]:
     """A sentence where photos that a run holds out had a part in its maps."""
     record = read_record(folder)
     among = [] if record is None else sorted(set(record["photos"]) & set(held_out))
@@ -50,7 +50,7 @@ def held_out_part(folder: Path, held_out: Collection[str]) -> tuple[str, ...]:
         return ()
     return (
         f"{count_words(len(among), 'held-out photo', 'held-out photos')} had a part in the depth "
-        f"maps in {folder}, for example {shown(among[0])}, so that held-out views look better than "
+        f"maps in {folder}, for example {brief(among[0])}, so that held-out views look better than "
         "views nobody has seen would. Make the maps again with the test views held out: gscore "
         "depth SOURCE --method stereo --hold-out 8",
     )

@@ -11,7 +11,7 @@ from ..errors import DatasetError, FormatError
 from ..io.colmap.folder import find_model
 from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
-from ..shown import quoted, shown
+from ..quoting import brief, quoted
 from .fit import Fit, scale_reason
 from .maps import DepthKind
 
@@ -87,7 +87,7 @@ def read_params(path: Path) -> dict[str, Params]:
     except ValueError as error:
         raise FormatError(f"{path} is not JSON ({error}). {_REMAKE}") from error
     _check_layout(path, content)
-    return {name: _entry(f"{path}: {shown(name)}", entry) for name, entry in content.items()}
+    return {name: _entry(f"{path}: {brief(name)}", entry) for name, entry in content.items()}
 
 
 def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:

@@ -14,10 +14,10 @@ from ..datasets import Dataset
 from ..datasets.decode import ViewFile
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
-from ..io.pictures.images import read_image, read_mask, write_png
+from ..io.images.read_image import read_image, read_mask, write_png
 from ..json_text import parse_json
-from ..shown import shown
-from ..words import count_words
+from ..quoting import brief
+from ..text_format import count_words
 from .fitting import find_kind
 from .maps import DepthKind, MapFolder, stem, to_inverse
 from .network import Network
@@ -168,7 +168,7 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
             changed = [k for k in record if k != "gscore" and before.get(k) != record[k]]
         except (OSError, ValueError, AttributeError) as error:
             raise FormatError(
-                f"{path} is damaged ({shown(error)}). Remove the folder or give --overwrite."
+                f"{path} is damaged ({brief(error)}). Remove the folder or give --overwrite."
             ) from error
         if not changed:
             return there

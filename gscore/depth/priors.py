@@ -12,14 +12,14 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
 from ..errors import DatasetError, FormatError
-from ..io.pictures.images import read_mask
-from ..words import count_words
+from ..io.images.read_image import read_mask
+from ..text_format import count_words
 from .confidence import confidence, shown_by
 from .fit import NO_FIT, Fit
 from .fitting import Alignment, align_views
 from .maps import CONFIDENCE, DepthKind, MapFolder, read_map, to_inverse
 from .observations import observations
-from .origin import held_out_part
+from .origin import held_out_maps_warning
 from .params import DEPTH_FOLDER
 from .samples import unusable, view_samples
 
@@ -86,7 +86,7 @@ def load_priors(
     maps = [folder.find(name) for name in dataset.names]
     warnings = [
         *_missing(folder, maps, dataset.names),
-        *held_out_part(folder.root, [dataset.names[i] for i in dataset.test]),
+        *held_out_maps_warning(folder.root, [dataset.names[i] for i in dataset.test]),
     ]
     seen = observations(data, dataset)
     samples = view_samples(maps, seen, dataset)

@@ -11,7 +11,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import ViewFile, check_proportions, fit_map
 from ..errors import DatasetError, FormatError, ShapeError
-from ..words import count_words, number
+from ..text_format import count_words, number
 from .maps import DepthKind, read_map, sample
 from .observations import Observations
 

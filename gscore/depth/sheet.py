@@ -9,8 +9,8 @@ import numpy as np
 from ..datasets import Dataset
 from ..datasets.decode import fit_map
 from ..errors import GsError
-from ..io.pictures.images import SIGNED, resize, resize_map, write_png
-from ..words import count_words
+from ..io.images.read_image import SIGNED, resize, resize_map, write_png
+from ..text_format import count_words
 from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse
 

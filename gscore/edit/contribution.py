@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..raster.blend_weights import GEOMETRY, blending_weights
 from ..raster.request import Frustum, Settings
-from ..raster.weights import GEOMETRY, blending_weights
 from ..scene import Cameras
 from ..splats import Splats
 

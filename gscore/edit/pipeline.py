@@ -11,8 +11,8 @@ from ..formats.joined import joined
 from ..importance import importance_of, most_important
 from ..scene import Cameras
 from ..splats import Splats, cut_degree, sigmoid
+from ..text_format import count_words
 from ..transforms import transform_splats
-from ..words import count_words
 from .clusters import cluster_sizes
 from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix

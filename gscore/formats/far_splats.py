@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..nearby import distances_from_middle, middle_of
+from ..morton import distances_from_middle, middle_of
 from ..splats import Splats
-from ..words import count_words
+from ..text_format import count_words
 
 _COARSE = 2.0**-10
 """Step from which a note tells of it, in distances from the middle that half of all splats do not

@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.files import read_bytes
 from ..json_text import parse_json
-from ..shown import quoted
+from ..quoting import quoted
 from .parts import check_part
 
 GLB_MAGIC = b"glTF"

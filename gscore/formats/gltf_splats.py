@@ -13,11 +13,11 @@ import numpy as np
 from ..errors import FormatError, ShapeError
 from ..io.file_sample import FileSample
 from ..io.splat_rows import drawable, log_scales, logits
+from ..quoting import quoted
 from ..sh import rgb_to_sh0
-from ..shown import quoted
 from ..splats import SH_REST_BY_DEGREE, Splats
+from ..text_format import number
 from ..transforms import transform_splats
-from ..words import number
 from . import spz
 from .axes import X, Z, half_turn
 from .gltf import GLB_MAGIC, Gltf, as_object

@@ -18,7 +18,7 @@ from ..io.files import read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, log_scales
 from ..sh import rgb_to_sh0
 from ..splats import SH_REST_BY_DEGREE, Splats
-from ..words import count_words, number
+from ..text_format import count_words, number
 from .joined import joined
 from .splat_file import Decoded, SplatFormat
 

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 from ..errors import FormatError
 from ..io.files import atomic_write
 from ..json_text import parse_json
-from ..shown import quoted
+from ..quoting import quoted
 
 Content = bytes | Callable[[BinaryIO], None]
 NamesIn = Callable[[dict[str, Any]], Iterable[Any]]

@@ -7,13 +7,13 @@ import numpy as np
 from ..io.file_sample import FileSample
 from ..io.ply.splats import (
     MIP_COMMENT,
+    has_antialias_comment,
     header_comments,
     is_antialiased_ply,
     is_origin_comment,
     origin_comment,
     read_ply,
     read_ply_parts,
-    says_antialias,
     stated_origin,
     write_splats,
 )
@@ -32,7 +32,7 @@ def read(path: Path) -> Decoded:
     return Decoded(
         splats=splats,
         layout="3DGS",
-        antialiased=says_antialias(comments),
+        antialiased=has_antialias_comment(comments),
         origin=stated_origin(path, comments),
         comments=comments,
     )
@@ -42,7 +42,7 @@ def comments_of(options: WriteOptions) -> tuple[str, ...]:
     """Lines for the header, with the mark of the compensation and the local origin."""
     marks = (MIP_COMMENT,) if options.antialiased else ()
     marks += () if options.origin is None else (origin_comment(options.origin),)
-    others = (line for line in options.comments if not says_antialias((line,)))
+    others = (line for line in options.comments if not has_antialias_comment((line,)))
     return (*marks, *(line for line in others if not is_origin_comment(line)))
 
 

@@ -17,11 +17,11 @@ from ..io.ply.compressed import CHUNK
 from ..io.ply.elements import header_bytes
 from ..io.ply.splats import is_antialiased_ply
 from ..io.splat_rows import opacity_bytes
-from ..nearby import distances_from_middle, morton_order
+from ..morton import distances_from_middle, morton_order
 from ..sh import SH_C0, sh0_to_rgb
 from ..smallest_three import smallest_three
 from ..splats import Splats
-from ..words import count_words
+from ..text_format import count_words
 from . import ply
 from .far_splats import FAR, cut_extremes, moved_within
 from .splat_file import Decoded, SplatFormat, WriteOptions

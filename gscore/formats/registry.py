@@ -12,14 +12,14 @@ import numpy as np
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.file_sample import FileSample, sample_file
 from ..io.files import is_file, reason
-from ..io.foreign import foreign
 from ..io.splat_rows import drawable_rows
-from ..logged import collected_warnings
+from ..io.unsupported_formats import describe_unsupported
+from ..quoting import brief
 from ..scene import checked_origin, origin_words
 from ..sh import MAX_DEGREE
-from ..shown import shown
 from ..splats import SH_REST_BY_DEGREE, Splats, cut_degree
-from ..words import count_words, number
+from ..text_format import count_words, number
+from ..warning_log import collected_warnings
 from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
 from .splat_file import Decoded, SplatFile, SplatFormat, WriteOptions, WrittenFile
 
@@ -163,7 +163,7 @@ def write_splat_file(
     if not len(kept):
         # A .splat of none has no bytes; programs that read the others refuse most of them.
         raise ConfigError(
-            f"There is no splat to write into {shown(path)}"
+            f"There is no splat to write into {brief(path)}"
             f"{': none of them can be drawn' if notes else ''}. Give a model with splats."
         )
     kept = kept if sh_degree is None else cut_degree(kept, sh_degree)
@@ -223,13 +223,13 @@ def format_to_write(path: Path) -> SplatFormat:
     ]
     if not fitting:
         raise ConfigError(
-            f"{shown(path)}: no format of splats has this ending. Choose one of "
+            f"{brief(path)}: no format of splats has this ending. Choose one of "
             f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
         )
     found = max(fitting, key=lambda pair: pair[0])[1]
     if found.write is None:
         raise ConfigError(
-            f"{shown(path)}: {found.name} is read, but not written. Choose one of "
+            f"{brief(path)}: {found.name} is read, but not written. Choose one of "
             f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
         )
     return found
@@ -275,12 +275,12 @@ def _sample(path: Path) -> FileSample:
     try:
         return sample_file(path)
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
 
 
 def _refuse(path: Path) -> NoReturn:
     raise FormatError(
-        foreign(path)
+        describe_unsupported(path)
         or f"{path} holds no splats in a format that is known: {', '.join(SPLAT_ENDINGS)}. Choose "
         f"the point_cloud.ply that a 3D Gaussian Splatting trainer wrote, or export it again."
     )

@@ -19,10 +19,10 @@ from ..io.file_sample import FileSample
 from ..io.files import read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable
 from ..json_text import parse_json
-from ..shown import quoted
+from ..quoting import quoted
 from ..smallest_three import with_largest
 from ..splats import SH_REST_BY_DEGREE
-from ..words import count_words, number
+from ..text_format import count_words, number
 from . import textures
 from .codebook import CODEBOOK_SIZE
 from .parts import check_part, parts_of

@@ -15,10 +15,10 @@ from .._version import __version__
 from ..errors import ConfigError
 from ..io.files import atomic_write
 from ..io.splat_rows import opacity_bytes
-from ..nearby import morton_order
+from ..morton import morton_order
 from ..smallest_three import smallest_three
 from ..splats import Splats
-from ..words import count_words
+from ..text_format import count_words
 from . import textures
 from .codebook import codebook, nearest_entries, palette
 from .far_splats import cut_extremes, without_far

@@ -13,7 +13,7 @@ from ..io.file_sample import FileSample
 from ..scene import checked_origin, lie_about, offset_between, origin_words
 from ..sh import sh0_to_rgb
 from ..splats import Splats
-from ..words import count_words
+from ..text_format import count_words
 
 _log = logging.getLogger(__name__)
 

@@ -17,8 +17,8 @@ from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..smallest_three import smallest_three, with_largest
 from ..splats import SH_REST_BY_DEGREE, Splats
+from ..text_format import count_words, number
 from ..transforms import transform_splats
-from ..words import count_words, number
 from .axes import X, harmonic_signs
 from .far_splats import without_far
 from .packed_bytes import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import FormatError, GsError
 from ..extras import need
-from ..io.pictures.pillow import BROKEN, pillow
+from ..io.images.pillow_images import BROKEN, pillow
 
 _MOST_SIDE = 16383
 """Pixels of a side of a WebP."""

@@ -15,12 +15,12 @@ from ..errors import BackendError, FormatError, GsError, ShapeError
 from ..extras import need
 from ..io.ply.splats import write_splats
 from ..io.splat_rows import drawable, log_scales, logits
-from ..logged import collected_warnings
 from ..scene import checked_origin
 from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
+from ..text_format import number
 from ..transforms import transform_splats
-from ..words import number
+from ..warning_log import collected_warnings
 from .axes import X, half_turn
 from .joined import joined_files
 from .splat_file import ORIGIN, Decoded

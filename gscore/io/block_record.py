@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import FormatError
 from ..events import strict_json
 from ..json_text import parse_json
+from ..quoting import brief
 from ..scene import checked_origin, offset_between
-from ..shown import shown
 from .files import atomic_write, is_file, read_bytes
 
 BLOCK_RECORD = "block.json"
@@ -112,7 +112,7 @@ def block_records(folder: Path) -> dict[int, BlockRecord]:
         other = next(iter(found.values()), record)
         if other.split != record.split:
             raise FormatError(
-                f"{shown(path.parent)} was not cut together with {block_name(other.index)} beside "
+                f"{brief(path.parent)} was not cut together with {block_name(other.index)} beside "
                 "it. Keep the blocks of each split in a folder of their own."
             )
         found[record.index] = record
@@ -134,7 +134,7 @@ def read_block(folder: Path, name: str = BLOCK_RECORD) -> BlockRecord | None:
         return _understood(content)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise FormatError(
-            f"{shown(path)} is no record of a block. Split the capture anew with gscore split."
+            f"{brief(path)} is no record of a block. Split the capture anew with gscore split."
         ) from error
 
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..errors import FormatError
 from ..json_text import parse_json
+from ..quoting import brief
 from ..scene import FARTHEST, Cameras, checked_origin, is_focal
-from ..shown import shown
 from ..transforms import invert_rigid
 from .files import atomic_write, read_bytes
 from .world_file import checked_up
@@ -76,7 +76,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
             origin = checked_origin(entry["origin"]) if "origin" in entry else origin
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FormatError(
-                f"{path}: camera {i} lacks or misstates {shown(error)}; expected img_name, width, "
+                f"{path}: camera {i} lacks or misstates {brief(error)}; expected img_name, width, "
                 f"height, position [3], rotation [3][3], fx, fy. Export it again."
             ) from error
     return Cameras(

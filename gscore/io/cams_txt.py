@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError, FormatError
-from ..shown import quoted, shown
+from ..quoting import brief, quoted
 from .files import read_bytes
 
 _NAME = re.compile(r"(\d+)_cam\.txt", re.IGNORECASE)
@@ -70,7 +70,7 @@ def _matrix(
         values = np.array([float(word) for word in words[at : at + size * size]])
     except ValueError as error:
         raise FormatError(
-            f"{path}: {shown(error)} in the {name} matrix; expected {wanted}. Copy the camera "
+            f"{path}: {brief(error)} in the {name} matrix; expected {wanted}. Copy the camera "
             f"file again."
         ) from error
     if len(values) != size * size:

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import DatasetError, GsError
-from ..shown import shown
+from ..quoting import brief
 
 _of_thread = threading.local()
 
 
 @contextlib.contextmanager
-def given_up_by(check: Callable[[], None]) -> Iterator[None]:
+def file_errors(check: Callable[[], None]) -> Iterator[None]:
     """Within the block, on this thread, no file is put in its place once `check` raises: whoever
     waits for a long file may have given it up. What `check` raises is passed on."""
     _of_thread.check = check
@@ -68,7 +68,7 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
     except (OSError, ValueError) as error:
         if isinstance(error, ValueError) and temporary is not None:
             raise  # of whoever writes the content
-        raise GsError(f"Cannot write {shown(path)}: {reason(error)}") from error
+        raise GsError(f"Cannot write {brief(path)}: {reason(error)}") from error
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
@@ -146,7 +146,7 @@ def check_regular(path: str | Path) -> None:
         return
     kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
     raise DatasetError(
-        f"{shown(path)} is {kind}, a file was expected. Put a copy of the file there."
+        f"{brief(path)} is {kind}, a file was expected. Put a copy of the file there."
     )
 
 
@@ -171,7 +171,7 @@ def check_readable(path: str | Path) -> None:
         with open_regular(path):
             return
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
 
 
 def read_bytes(path: str | Path) -> bytes:
@@ -184,7 +184,7 @@ def read_bytes(path: str | Path) -> bytes:
         with open_regular(path) as file:
             return file.read()
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
 
 
 def is_file(path: str | Path) -> bool:

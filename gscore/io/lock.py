@@ -10,7 +10,7 @@ from typing import IO
 
 from ..errors import ConfigError, DatasetError, GsError
 from ..json_text import parse_json
-from ..shown import shown
+from ..quoting import brief
 from .files import check_regular, reason
 
 _FAR = 1 << 20
@@ -63,7 +63,7 @@ class FolderLock:
         except OSError as error:
             self._file = file
             self.release()
-            raise GsError(f"Cannot write into {shown(self._folder)}: {reason(error)}") from error
+            raise GsError(f"Cannot write into {brief(self._folder)}: {reason(error)}") from error
         self._file = file
 
     def release(self) -> None:
@@ -93,12 +93,12 @@ class FolderLock:
                 ) from None
             except DatasetError as error:
                 raise ConfigError(
-                    f"{shown(self._path)}, by which a {self._work} holds its folder, is no regular "
+                    f"{brief(self._path)}, by which a {self._work} holds its folder, is no regular "
                     "file. Remove it, or choose another output folder."
                 ) from error
             except (OSError, ValueError) as error:
                 raise GsError(
-                    f"Cannot write into {shown(self._folder)}: {reason(error)}"
+                    f"Cannot write into {brief(self._folder)}: {reason(error)}"
                 ) from error
             if not _try_lock(file):
                 with file:

@@ -15,7 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import DatasetError, FormatError
-from ..shown import shown
+from ..quoting import brief
 from ..splats import PARAMETERS, SH_REST_BY_DEGREE, Splats
 from .files import open_regular, reason
 from .lod_index import KIND, LodIndex, parse_index, row_floats
@@ -111,10 +111,10 @@ class LodFile:
             self._file.seek(HEADER_BYTES + begin)
             read = self._file.readinto(content)  # type: ignore[attr-defined]
         except (OSError, ValueError) as error:
-            raise DatasetError(f"Cannot read {shown(self.path)}: {reason(error)}") from error
+            raise DatasetError(f"Cannot read {brief(self.path)}: {reason(error)}") from error
         if read != len(content) or zlib.crc32(content) != self.index.levels[level].checks[chunk]:
             raise FormatError(
-                f"{shown(self.path)}: chunk {chunk} of level {level} is damaged. {_AGAIN}"
+                f"{brief(self.path)}: chunk {chunk} of level {level} is damaged. {_AGAIN}"
             )
         return chunk_parts(content, self.index.sh_degree)
 
@@ -144,7 +144,7 @@ def open_lod_file(path: str | Path) -> LodFile:
     try:
         file = open_regular(path)
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
     try:
         return LodFile(path, _read_index(path, file), file)
     except BaseException:
@@ -158,20 +158,20 @@ def _read_index(path: Path, file: BinaryIO) -> LodIndex:
         header = file.read(HEADER_BYTES)
         if not header.startswith(f"{KIND}\n".encode()):
             raise FormatError(
-                f"{shown(path)} is no file of levels of detail. Make one with gscore lod."
+                f"{brief(path)} is no file of levels of detail. Make one with gscore lod."
             )
         found = _HEADER.fullmatch(header)
         begin, length = map(int, found.groups()) if found else (0, 0)
         if not found or not 0 < length <= _MOST_INDEX or begin + length != size:
-            raise FormatError(f"{shown(path)} is truncated or damaged. {_AGAIN}")
+            raise FormatError(f"{brief(path)} is truncated or damaged. {_AGAIN}")
         file.seek(begin)
         text = file.read(length)
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
     try:
         index = parse_index(text)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, IndexError) as error:
-        raise FormatError(f"{shown(path)}: its index is damaged. {_AGAIN}") from error
+        raise FormatError(f"{brief(path)}: its index is damaged. {_AGAIN}") from error
     if begin != HEADER_BYTES + index.data_bytes:
-        raise FormatError(f"{shown(path)} does not hold what its index lists. {_AGAIN}")
+        raise FormatError(f"{brief(path)} does not hold what its index lists. {_AGAIN}")
     return index

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import DatasetError
 from ..json_text import parse_json
-from ..shown import typed
+from ..quoting import as_typed
 from .files import read_bytes
 
 _LARGEST = 1 << 53
@@ -32,7 +32,7 @@ def metrics_problem(path: Path) -> str:
 
 def _read(path: Path) -> tuple[dict[str, Any], str]:
     file = path / "metrics.json"
-    again = f"`{typed('eval', path)}` measures again."
+    again = f"`{as_typed('eval', path)}` measures again."
     try:
         content = parse_json(read_bytes(file))
     except (DatasetError, ValueError):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..json_text import parse_json
-from ..shown import shown
+from ..quoting import brief
 from .files import atomic_write, read_bytes
 
 _WANTED = (
@@ -28,7 +28,7 @@ def read_region(path: str | Path) -> np.ndarray:
         content: Any = parse_json(read_bytes(path))
         matrix = _matrix(content)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise FormatError(f"{shown(path)} is no region ({error}); expected {_WANTED}.") from error
+        raise FormatError(f"{brief(path)} is no region ({error}); expected {_WANTED}.") from error
     return matrix
 
 

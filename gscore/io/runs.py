@@ -10,7 +10,7 @@ from typing import Any
 from ..config import DataConfig, TrainConfig
 from ..config_file import load_config
 from ..errors import ConfigError, DatasetError
-from ..events import CONVERGED, FINISHED, TARGET, judged_psnr
+from ..events import CONVERGED, FINISHED, TARGET, headline_psnr
 from ..json_text import parse_json
 from .block_record import RUN_BLOCK
 from .exposure_json import EXPOSURE_FILE
@@ -121,7 +121,7 @@ def read_run(path: str | Path) -> RunInfo | None:
         iterations=_length(train, steps, metrics),
         checkpoint=checkpoint,
         splats=splats if splats.is_file() else None,
-        psnr=judged_psnr(metrics),
+        psnr=headline_psnr(metrics),
         data=data,
         train=train,
         problem=problem,

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import DatasetError, FormatError
 from ..json_text import parse_json
-from ..shown import shown
+from ..quoting import brief
 from .colmap.folder import is_safe_name
 from .files import atomic_write, read_bytes
 from .metrics_file import is_number
@@ -59,7 +59,7 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
         reason = "a frame without number, count of splats or folder below the sequence's, or what "
         reason += "should be a number is none"
     except (DatasetError, ValueError, KeyError, TypeError) as error:
-        reason = f"{type(error).__name__}: {shown(error)}"
+        reason = f"{type(error).__name__}: {brief(error)}"
     raise FormatError(
         f"{path} is not the list of a sequence's frames ({reason}); remove it, or choose another "
         f"folder."

@@ -92,7 +92,7 @@ def drawable(
         means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0[:, None], shN=shN
     )
     kept = drawable_rows(splats)
-    warn_of_left_out(path, len(splats) - len(kept), len(splats))
+    warn_dropped_rows(path, len(splats) - len(kept), len(splats))
     return kept
 
 
@@ -114,7 +114,7 @@ def drawable_rows(splats: Splats) -> Splats:
     return splats if good.all() else splats.subset(np.flatnonzero(good))
 
 
-def warn_of_left_out(path: Path, left_out: int, count: int) -> None:
+def warn_dropped_rows(path: Path, left_out: int, count: int) -> None:
     """Log how many of a file's splats cannot be drawn, if any."""
     if left_out:
         _log.warning(

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..errors import FormatError
 from ..json_text import parse_json
+from ..quoting import quoted
 from ..scene import checked_origin
-from ..shown import quoted
 from .files import atomic_write, read_bytes
 
 WORLD_FILE = "world.json"

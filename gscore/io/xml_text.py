@@ -5,7 +5,7 @@ from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 
 from ..errors import FormatError
-from ..shown import shown
+from ..quoting import brief
 from .files import read_bytes
 
 Element = ET.Element
@@ -33,4 +33,4 @@ def read_xml(path: Path) -> Element:
             )
         return ET.fromstring(text)
     except (ET.ParseError, ValueError, RecursionError) as error:
-        raise FormatError(f"{path} is not XML: {shown(error)}. Copy or export it again.") from error
+        raise FormatError(f"{path} is not XML: {brief(error)}. Copy or export it again.") from error

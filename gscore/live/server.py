@@ -11,8 +11,8 @@ from typing import Self
 
 from ..errors import ConfigError
 from ..live_options import LiveOptions
-from . import protocol
-from .onlookers import Onlooker, Onlookers
+from . import viewer_protocol
+from .viewer_clients import ViewerClient, ViewerClients
 
 MOST_VIEWERS = 8
 """Viewers at once."""
@@ -46,11 +46,11 @@ class Server:
         """
         self._options = options
         why = f"Viewers can connect to {options.ip}, port {options.port}."
-        self.onlookers = Onlookers(why=why, after_the_end=after_the_end)
+        self.viewers = ViewerClients(why=why, after_the_end=after_the_end)
         """Who watches."""
         self._text = text
         self._socket = self._listening()
-        self._connections: dict[socket.socket, Onlooker] = {}
+        self._connections: dict[socket.socket, ViewerClient] = {}
         self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -58,7 +58,7 @@ class Server:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.onlookers.close()
+        self.viewers.close()
         with self._lock:
             for connection in (self._socket, *self._connections):
                 _end(connection)
@@ -92,12 +92,12 @@ class Server:
 
     def _accept(self) -> None:
         told = False
-        while not self.onlookers.closed:
+        while not self.viewers.closed:
             try:
                 connection, _ = self._socket.accept()
                 self._admit(connection)
             except (OSError, RuntimeError) as error:  # too many files, too many threads
-                if not self.onlookers.closed and not told:
+                if not self.viewers.closed and not told:
                     _log.warning("A viewer cannot connect: %s", error)
                     told = True
                 time.sleep(_REST)
@@ -110,7 +110,7 @@ class Server:
             OSError: the connection is gone already.
             RuntimeError: there can be no thread more.
         """
-        one = self.onlookers.enter(MOST_VIEWERS) or self._in_place_of_a_silent_one()
+        one = self.viewers.enter(MOST_VIEWERS) or self._in_place_of_a_silent_one()
         if one is None:
             connection.close()
             return
@@ -125,34 +125,34 @@ class Server:
             self._let_go(connection, one)
             raise
 
-    def _in_place_of_a_silent_one(self) -> Onlooker | None:
-        silent = self.onlookers.longest_silent(PATIENCE)
+    def _in_place_of_a_silent_one(self) -> ViewerClient | None:
+        silent = self.viewers.longest_silent(PATIENCE)
         if silent is None:
             return None
         with self._lock:
             theirs = [c for c, one in self._connections.items() if one is silent]
         for connection in theirs:
             _shut(connection)  # its thread ends, and closes it
-        self.onlookers.leave(silent)
-        return self.onlookers.enter(MOST_VIEWERS)
+        self.viewers.leave(silent)
+        return self.viewers.enter(MOST_VIEWERS)
 
-    def _let_go(self, connection: socket.socket, one: Onlooker) -> None:
-        self.onlookers.leave(one)
+    def _let_go(self, connection: socket.socket, one: ViewerClient) -> None:
+        self.viewers.leave(one)
         with self._lock:
             self._connections.pop(connection, None)
         connection.close()
 
-    def _serve(self, connection: socket.socket, one: Onlooker) -> None:
+    def _serve(self, connection: socket.socket, one: ViewerClient) -> None:
         """Answer until the viewer goes, says what no viewer says, or does not take its answers."""
         try:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             while True:
-                request = protocol.parse(_request(connection))
+                request = viewer_protocol.parse(_request(connection))
                 picture = one.ask(request)
                 if picture is None:
                     return
                 connection.settimeout(PATIENCE)  # for all of an answer, not for each piece
-                connection.sendall(protocol.answer(picture, self._text))
+                connection.sendall(viewer_protocol.answer(picture, self._text))
         except TimeoutError:
             _drop_what_waits(connection)
         except (OSError, ValueError):
@@ -166,8 +166,8 @@ def _request(connection: socket.socket) -> bytes:
     connection.settimeout(None)
     head = connection.recv(1)
     end = time.monotonic() + PATIENCE  # for all of it, not for each piece
-    head += _exactly(connection, protocol.LENGTH - len(head), end)
-    return _exactly(connection, protocol.length_of(head), end)
+    head += _exactly(connection, viewer_protocol.LENGTH - len(head), end)
+    return _exactly(connection, viewer_protocol.length_of(head), end)
 
 
 def _exactly(connection: socket.socket, count: int, end: float) -> bytes:

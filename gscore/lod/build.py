@@ -24,14 +24,14 @@ from ..io.lod_file import (
     lod_header,
 )
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel, row_floats
+from ..quoting import brief
 from ..raster.backend import default_threads
 from ..scene import Cameras
 from ..sh import sh0_to_rgb
-from ..shown import shown
 from ..splats import PARAMETERS, Splats
+from .chunk_layout import chunks_of, levels_above
 from .groups import groups_of
-from .moments import MergedSplats, covered_by, median_sizes, merged_by
-from .order import chunks_of, levels_above
+from .merge_moments import MergedSplats, median_sizes, merged_by, projected_area
 
 _PART = 1 << 17
 """Splats of the model that are in memory at once while it is read."""
@@ -76,7 +76,7 @@ def build_lod(
     """
     means, degree = _places(model, told)
     if not len(means):
-        raise ConfigError(f"{shown(model)} holds no splats that can be drawn. Give another model.")
+        raise ConfigError(f"{brief(model)} holds no splats that can be drawn. Give another model.")
     told("Sorting splats by place", 0.0)
     levels = levels_above(len(means))
     chunks = chunks_of(means, levels)
@@ -238,7 +238,7 @@ def _coarser(splats: Splats, errors: np.ndarray) -> MergedSplats:
     wanted = -(-len(splats) // CHILDREN)
     group = groups_of(
         splats.means.astype(np.float64),
-        covered_by(splats),
+        projected_area(splats),
         median_sizes(splats),
         sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)),
         wanted,
@@ -286,7 +286,7 @@ def _mean_error(splats: Splats, errors: np.ndarray) -> float:
     """The root of the mean square, weighted by what the splats cover; a tenth of them counts for
     about half at most: a few giants that cover all the world would hide the errors of all others.
     """
-    weights = covered_by(splats)
+    weights = projected_area(splats)
     usual = np.sort(weights)[: -(-9 * len(weights) // 10)]
     weights = np.minimum(weights, 10 * usual.mean())
     return float(np.sqrt((weights * errors**2).sum() / weights.sum()))
@@ -311,4 +311,4 @@ def _from_rows(rows: np.ndarray, degree: int) -> Splats:
 
 
 def _changed(model: Path) -> DatasetError:
-    return DatasetError(f"{shown(model)} changed while it was read. Try again.")
+    return DatasetError(f"{brief(model)} changed while it was read. Try again.")

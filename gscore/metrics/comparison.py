@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import ConfigError
-from ..events import judged_psnr
+from ..events import headline_psnr
 from ..io.metrics_file import is_number
-from ..shown import shown, typed
-from ..words import psnr_name, stopped_words
+from ..quoting import as_typed, brief
+from ..text_format import psnr_name, stopped_words
 
 HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False}
 """Of the numbers that views are compared by, in the order of tables."""
@@ -88,7 +88,7 @@ def compare_runs(first: ComparedRun, second: ComparedRun) -> RunComparison:
     names = [name for name in scored[0] if name in scored[1]]
     if not names:
         raise ConfigError(
-            f"{shown(first.label)} and {shown(second.label)} were scored on no view in common; "
+            f"{brief(first.label)} and {brief(second.label)} were scored on no view in common; "
             "measure one of them on views of the other with gscore eval --hold-out."
         )
     for name in names:
@@ -115,8 +115,8 @@ def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
     found = {view["name"]: view for view in views if isinstance(view.get("name"), str)}
     if not found:
         raise ConfigError(
-            f"{shown(run.folder)} holds no numbers of views; measure it first: "
-            f"{typed('eval', run.folder)}"
+            f"{brief(run.folder)} holds no numbers of views; measure it first: "
+            f"{as_typed('eval', run.folder)}"
         )
     return found
 
@@ -131,8 +131,8 @@ def _check_masks(runs: Sequence[ComparedRun]) -> None:
                 "measurement makes them alike: train one with the other's --mask-mode."
             )
         raise ConfigError(
-            f"{shown(runs[0].label)} was scored with --mask-mode {modes[0]}, "
-            f"{shown(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
+            f"{brief(runs[0].label)} was scored with --mask-mode {modes[0]}, "
+            f"{brief(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
             f"{advice}"
         )
 
@@ -144,8 +144,8 @@ def _check_sizes(
     if sizes[0] != sizes[1]:
         width = views[0].get("width")
         raise ConfigError(
-            f"{shown(runs[0].label)} was scored at {sizes[0]}, {shown(runs[1].label)} at "
-            f"{sizes[1]} (view {shown(name)}): their numbers cannot be compared. "
+            f"{brief(runs[0].label)} was scored at {sizes[0]}, {brief(runs[1].label)} at "
+            f"{sizes[1]} (view {brief(name)}): their numbers cannot be compared. "
             + _measure_again(runs, ("-r", str(width)), f"{width}px")
         )
 
@@ -155,8 +155,8 @@ def _measure_again(runs: Sequence[ComparedRun], options: Sequence[str], mark: st
     first, second = (run.folder.rstrip("/") for run in runs)
     apart = f"{second}-{mark}"
     return (
-        f"Measure the second as the first: {typed('eval', second, *options, '-o', apart)}, and "
-        f"compare that: {typed('compare', first, apart)}"
+        f"Measure the second as the first: {as_typed('eval', second, *options, '-o', apart)}, and "
+        f"compare that: {as_typed('compare', first, apart)}"
     )
 
 
@@ -177,7 +177,7 @@ def _pair(
 
 
 def _number(view: Mapping[str, Any], key: str) -> float | None:
-    value = judged_psnr(view) if key == "psnr" else view.get(key)
+    value = headline_psnr(view) if key == "psnr" else view.get(key)
     return float(value) if value is not None and is_number(value) else None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..config import checked_threads
 from ..errors import BackendError, ConfigError, GsError
 from ..extras import how_to_install, need
-from ..shown import shown
+from ..quoting import brief
 from .lpips_input import checked_pair
 
 NETS = {
@@ -61,7 +61,7 @@ class LpipsNet:
             self._metric = package.LPIPS(net=net, version="0.1", verbose=False).eval()
         except Exception as error:  # of urllib, of torch, of the package
             raise GsError(
-                f"LPIPS with {net} cannot be loaded from {path}: {shown(error)}. Remove the file "
+                f"LPIPS with {net} cannot be loaded from {path}: {brief(error)}. Remove the file "
                 "to have it fetched again, or look at the connection."
             ) from error
         self.path = path
@@ -100,6 +100,6 @@ def _package() -> Any:
         if isinstance(error, BackendError):
             raise
         raise BackendError(
-            f"torchvision does not load: {shown(error)}. It was made for another build of torch; "
+            f"torchvision does not load: {brief(error)}. It was made for another build of torch; "
             f"install both together: {how_to_install('lpips')}"
         ) from error

@@ -6,8 +6,8 @@ blending weights: the weights with which the gradient of a loss of the picture r
 
 import numpy as np
 
+from ..raster.blend_weights import GEOMETRY, blending_weights
 from ..raster.request import Frustum, Settings
-from ..raster.weights import GEOMETRY, blending_weights
 from ..splats import Splats
 
 _LEAST = 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..nearby import distances_from_middle, morton_order
+from ..morton import distances_from_middle, morton_order
 
 BLOCK = 256
 """Splats of a block at most."""

@@ -18,12 +18,12 @@ import numpy as np
 
 from ..errors import BackendError, Cancelled, ConfigError, ShapeError
 from ..io.files import reason
-from ..shown import shown
-from ..words import number
+from ..quoting import brief
+from ..text_format import number
 from . import arguments, header
 from .buffers import INT32, INT64, Array, address, optional
+from .library_size import bytes_missing
 from .request import Frustum, Settings
-from .whole_library import bytes_missing
 
 _pointer = ct.c_void_p
 _REINSTALL = "Reinstall gscore so that both come from one version."
@@ -47,19 +47,19 @@ def _load() -> ct.CDLL:
         version = lib.gs_abi_version()
     except AttributeError:
         raise BackendError(
-            f"{shown(path)}{_who_says()} is a library, but not gscore's: it has no gs_abi_version. "
+            f"{brief(path)}{_who_says()} is a library, but not gscore's: it has no gs_abi_version. "
             f"{_what_to_do()}"
         ) from None
     if version != header.ABI_VERSION:
         raise BackendError(
-            f"The native library {shown(path)}{_who_says()} has interface version {version}, this "
+            f"The native library {brief(path)}{_who_says()} has interface version {version}, this "
             f"gscore needs {header.ABI_VERSION}. {_REINSTALL}"
         )
     try:
         _declare(lib)
     except AttributeError as error:  # a build from before a function was added
         raise BackendError(
-            f"The native library {shown(path)}{_who_says()} is another build than this gscore: "
+            f"The native library {brief(path)}{_who_says()} is another build than this gscore: "
             f"{error}. {_REINSTALL}"
         ) from None
     _check_environment(lib)
@@ -68,7 +68,7 @@ def _load() -> ct.CDLL:
 
 def _opened(path: Path) -> ct.CDLL:
     """The library at `path`; BackendError where there is none that this system can load."""
-    name = f"{shown(path)}{_who_says()}"
+    name = f"{brief(path)}{_who_says()}"
     try:
         is_file = stat.S_ISREG(path.stat().st_mode)
     except (OSError, ValueError) as error:
@@ -113,7 +113,7 @@ def _what_to_do() -> str:
         )
     checkout = Path(__file__).parents[2]
     if (checkout / "csrc" / "CMakeLists.txt").is_file():
-        return f"Build it with `make install` in {shown(checkout)}."
+        return f"Build it with `make install` in {brief(checkout)}."
     return "Install gscore as a wheel for this platform."
 
 

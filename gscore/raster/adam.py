@@ -110,7 +110,7 @@ def _struct(slot: Slot, count: int) -> header.AdamTensorStruct:
     struct.photos = slot.photos
     skips = slot.skips
     if skips is not None:
-        arguments.let_rows_wait(
+        arguments.allow_lazy_rows(
             struct,
             count=count,
             seen=skips.seen,

@@ -216,7 +216,7 @@ def adam_tensor(
     )
 
 
-def let_rows_wait(
+def allow_lazy_rows(
     tensor: header.AdamTensorStruct,
     *,
     count: int,

@@ -10,7 +10,7 @@ from ..splats import PARAMETERS
 from . import _native, arguments, header
 from .buffers import address
 from .memory import empty, zeros
-from .once import once
+from .no_double_backward import no_double_backward
 from .request import CancelFlag, Frustum, Settings
 
 
@@ -90,7 +90,12 @@ class _Rasterize(torch.autograd.Function):
             aux.stats = raster.stats().as_dict()
         found = [*grads.values(), extra.get("viewmat")]
         came_in = [v for v in v_outputs if v is not None]
-        return *once("rasterize", found, [*splats, viewmat, *came_in]), None, None, None
+        return (
+            *no_double_backward("rasterize", found, [*splats, viewmat, *came_in]),
+            None,
+            None,
+            None,
+        )
 
 
 class _Lease:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from . import _native, arguments, header
-from .once import once
+from .no_double_backward import no_double_backward
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class _Loss(torch.autograd.Function):
         v = ctx.v_image
         # The usual gradient of a loss that is minimised as it is; saves a pass over the image.
         v = v if v_loss.item() == 1.0 else v * v_loss
-        return *once("image_loss", [v], [*ctx.saved_tensors, v_loss]), None, None
+        return *no_double_backward("image_loss", [v], [*ctx.saved_tensors, v_loss]), None, None
 
 
 def image_loss(

@@ -15,8 +15,8 @@ from ..io.files import read_bytes
 from ..io.runs import MADE_OF, SEARCH_RECORD
 from ..json_text import parse_json
 from ..scene import Scene
+from ..text_format import count_words
 from ..upright import up_of
-from ..words import count_words
 
 _SIDE = 420
 """Sides of a picture in its own units; the page scales it."""

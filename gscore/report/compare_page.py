@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..metrics.comparison import HIGHER_IS_BETTER, RunComparison, ViewPair
-from ..words import count_words, number, number_words, size_words, time_words
+from ..text_format import count_words, number, number_words, size_words, time_words
 from .curves import Series, clean_points, legend, line_chart
 from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 

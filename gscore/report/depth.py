@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..words import count_words
+from ..text_format import count_words
 from .colormap import colorize
 from .pictures import data_uri, shrink, size_within
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..splats import Splats
-from ..words import count_words
+from ..text_format import count_words
 from .curves import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, axes, chart_svg, log_ticks, nice_ticks
 from .curves import short_number as short
 

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from ..events import judged_psnr
+from ..events import headline_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
-from ..words import count_words, learnt_exposure, number_words, psnr_name, size_words
+from ..text_format import count_words, has_exposure_correction, number_words, psnr_name, size_words
 from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
-from .head import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 from .histograms import Histogram, histograms_html
 from .html_parts import AXES, switch, warnings_html, whole_page, write_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
+from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ def report_html(report: Report) -> str:
 
 def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
     """What each scored view is judged by, dB."""
-    return {view["name"]: judged_psnr(view) for view in metrics["views"]}
+    return {view["name"]: headline_psnr(view) for view in metrics["views"]}
 
 
 def _decided(metrics: dict[str, Any]) -> str:
@@ -140,7 +140,7 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
         if photo_marks(history, "step")
         else ""
     )
-    if learnt_exposure(metrics):
+    if has_exposure_correction(metrics):
         told += f'<p class="hint">{EXPOSED}</p>'
     return (
         '<section id="curves" data-axis="step"><div class="bar"><h2>Training</h2>'
@@ -207,7 +207,7 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
             ("error", "error", view.error),
         )
     )
-    worth = judged_psnr(view.numbers)
+    worth = headline_psnr(view.numbers)
     return (
         f'<article data-number="{number}" data-psnr="{"" if worth is None else f"{worth:.6f}"}" '
         f'data-name="{name}"><h3>{name}</h3><p>{_numbers_words(view.numbers)}</p>'
@@ -217,7 +217,7 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
 
 def _numbers_words(numbers: dict[str, Any]) -> str:
     parts = [
-        f"{psnr_name(numbers)} <b>{number_words(judged_psnr(numbers), 2)}</b>",
+        f"{psnr_name(numbers)} <b>{number_words(headline_psnr(numbers), 2)}</b>",
         f"SSIM <b>{number_words(numbers.get('ssim'), 4)}</b>",
     ]
     if numbers.get("lpips") is not None:

@@ -1,6 +1,6 @@
 """Cameras and points found from photos alone; pycolmap does the work."""
 
-from .find import Found, find_cameras
-from .request import Request
+from .camera_search import SearchResult, find_cameras
+from .search_request import SearchRequest
 
-__all__ = ["Found", "Request", "find_cameras"]
+__all__ = ["SearchRequest", "SearchResult", "find_cameras"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .watch import colmap
+from .pycolmap_thread import colmap
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import FormatError
 from ..extras import how_to_install, need
-from ..io.pictures.pillow import BROKEN, check_pixels
+from ..io.images.pillow_images import BROKEN, check_pixels
 
 HEIC_ENDINGS = (".heic", ".heif")
 """Of such photos, lower case."""

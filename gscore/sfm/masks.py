@@ -6,8 +6,8 @@ from pathlib import Path
 from ..datasets.folder import Folder
 from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
-from ..io.pictures.images import is_scaled, read_mask, resize_mask, write_png
-from ..words import count_words
+from ..io.images.read_image import is_scaled, read_mask, resize_mask, write_png
+from ..text_format import count_words
 from .photos import Photo
 
 

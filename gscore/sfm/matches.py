@@ -13,7 +13,7 @@ import numpy as np
 from ..datasets.dataset import map_threads
 from ..raster.match import match_descriptors
 from .pairs import Pair
-from .watch import colmap
+from .pycolmap_thread import colmap
 
 FARTHEST_MATCH, LARGEST_RATIO = 0.7 * 512, 0.8
 """Of features that match; COLMAP's own, whose descriptors have a length of 512."""

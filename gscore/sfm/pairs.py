@@ -7,8 +7,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from .alike import most_alike
 from .photos import Photo
+from .retrieval import most_similar
 
 Pair = tuple[str, str]
 """Aliases of two photos, the earlier one first."""
@@ -72,7 +72,7 @@ def further_parts(
         places: Where photos were taken, [3] metres, by alias; those without are left out.
     """
     found, names = set(known), list(descriptors)
-    alike = most_alike(list(descriptors.values()), min(_ALIKE, len(names) - 1))
+    alike = most_similar(list(descriptors.values()), min(_ALIKE, len(names) - 1))
     added = _new_pairs(found, names, alike, _ADDED)
     if len(places) > _NEAR:
         from scipy.spatial import KDTree  # Blender, which imports this room, has no scipy

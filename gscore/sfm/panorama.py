@@ -9,8 +9,8 @@ import numpy as np
 from ..datasets.capture import listing
 from ..errors import ConfigError
 from ..io.colmap.camera_models import NO_PINHOLE
-from ..words import count_words
-from .request import USUAL_LENS, Request
+from ..text_format import count_words
+from .search_request import USUAL_LENS, SearchRequest
 
 STATED, SEEN = "stated", "seen"
 """How a photo is known to be a panorama."""
@@ -66,7 +66,7 @@ def check_lens(model: str) -> None:
         )
 
 
-def refused_panoramas(photos: Mapping[str, str], request: Request) -> str:
+def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     """The sentence on photos that are panoramas; empty where none is, or the lens was given.
 
     Args:

@@ -11,13 +11,13 @@ from ..datasets.capture import listing
 from ..datasets.dataset import map_threads
 from ..datasets.shots import Shot, repeats, shot_of
 from ..errors import Cancelled, DatasetError, FormatError
-from ..io.pictures.images import IMAGE_ENDINGS
-from ..io.pictures.pillow import check_whole, opened_picture
-from ..io.pictures.raw import RAW_ENDINGS
-from ..words import count_words, number
+from ..io.images.pillow_images import check_whole, opened_picture
+from ..io.images.raw import RAW_ENDINGS
+from ..io.images.read_image import IMAGE_ENDINGS
+from ..text_format import count_words, number
 from .heic import what_to_do
-from .looks import Look, look_of
 from .panorama import SEEN, STATED, looks_panoramic, states_panorama
+from .photo_quality import PhotoQuality, measure_quality
 
 LEAST = 3
 """Photos that a model needs; with two, nothing tells a wrong match from a right one."""
@@ -41,7 +41,7 @@ class Photo:
     height: int
     camera: tuple[str, ...]
     """Make, model, lens and focal lengths of EXIF; equal with equal sizes: one camera."""
-    look: Look | None = None
+    look: PhotoQuality | None = None
     """How sharp and bright it is; None where its header alone was read."""
     shot: Shot | None = None
     """By which photos of one exposure are known; None as before."""
@@ -138,7 +138,7 @@ def read_photos(
                     )
                 if whole:
                     check_whole(root / names[i], image)
-                    look, shot = look_of(image), shot_of(names[i], image)
+                    look, shot = measure_quality(image), shot_of(names[i], image)
                     panorama = panorama or (SEEN if looks_panoramic(image) else "")
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
                 size = image.width, image.height

@@ -8,9 +8,9 @@ from pathlib import Path
 from ..control import Control
 from ..errors import ConfigError
 from ..events import Event
-from ..shown import shown
-from ..video import FrameRequest, extract_frames, is_video
-from .request import Request
+from ..quoting import brief
+from ..video import ExtractRequest, extract_frames, is_video
+from .search_request import SearchRequest
 from .workspace import check_without_cameras
 
 IMAGES = "images"
@@ -18,12 +18,12 @@ IMAGES = "images"
 
 
 def with_frames(
-    request: Request,
+    request: SearchRequest,
     *,
     frames: int = 0,
     on_event: Callable[[Event], None] = lambda event: None,
     control: Control | None = None,
-) -> Request:
+) -> SearchRequest:
     """The search for the photos that a request means: as given, or the frames of its video.
 
     Frames go into `images` of the capture, in which the cameras are then found in place; frames
@@ -56,12 +56,12 @@ def with_frames(
     return of_frames(request)
 
 
-def frames_request(request: Request, frames: int = 0) -> FrameRequest:
+def frames_request(request: SearchRequest, frames: int = 0) -> ExtractRequest:
     """Which frames of the request's video are taken, and where to."""
-    return FrameRequest(video=request.photos, output=request.output / IMAGES, frames=frames)
+    return ExtractRequest(video=request.photos, output=request.output / IMAGES, frames=frames)
 
 
-def of_frames(request: Request) -> Request:
+def of_frames(request: SearchRequest) -> SearchRequest:
     """The request for cameras of the frames, once they are there."""
     return replace(request, photos=request.output, video=request.photos)
 
@@ -71,4 +71,4 @@ def check_room(capture: Path) -> None:
     if (capture / IMAGES).exists() or not capture.exists():
         return  # of that folder the rules of what is put into it hold
     if not capture.is_dir() or any(not file.name.startswith(".") for file in capture.iterdir()):
-        raise ConfigError(f"{shown(capture)} is not empty. Choose a new folder with -o.")
+        raise ConfigError(f"{brief(capture)} is not empty. Choose a new folder with -o.")

@@ -12,14 +12,14 @@ import numpy as np
 from ..datasets.capture import listing
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.files import atomic_write, read_bytes, reason
-from ..io.links import link_or_copy
+from ..io.link_or_copy import link_or_copy
 from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
 from ..io.world_file import write_up
 from ..json_text import parse_json
-from ..words import count_words
+from ..text_format import count_words
+from .photo_folders import stamp
 from .photos import Photo
-from .plain import stamp
 
 _LOCK = "lock"
 _STATE = "state.json"

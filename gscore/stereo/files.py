@@ -10,8 +10,8 @@ from ..depth.fit import Fit
 from ..depth.maps import CONFIDENCE, PNG_UNIT, MapFolder, stem
 from ..depth.origin import STEREO_RECORD, read_record, write_record
 from ..errors import ConfigError
-from ..io.pictures.images import write_png
-from ..words import count_words
+from ..io.images.read_image import write_png
+from ..text_format import count_words
 from .maps import StereoMap, StereoMaps
 
 _WHITE = 65535

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..datasets import Dataset
 from ..datasets.resolution import scale_intrinsics
-from ..io.pictures.images import resize
+from ..io.images.read_image import resize
 from ..raster.stereo import StereoView
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)

@@ -25,7 +25,7 @@ def _dots(low: float, high: float, logits: tuple[float, float]) -> tuple[SplatSc
     )
     back = draw_scene(2503, count=40, width=32, height=28, sh_degree=0, posed=False)
     scene = scene.joined(_seen_by(scene, back))
-    return scene, truth.ask(scene, antialias=True)
+    return scene, truth.reference_truth(scene, antialias=True)
 
 
 @case("S25", "anti-aliased dots")

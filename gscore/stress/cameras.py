@@ -55,7 +55,9 @@ def near_plane(full: bool) -> Iterator[Measure]:
     if not enclosing.radii[-1] > 0:
         raise EmptyTestError("the splat around the camera is culled")
     yield Measure("around the camera, not finite", float(not enclosing.finite()), 0)
-    yield from picture_measures(enclosing, truth.ask(around, near=_NEAR, gradients=False))
+    yield from picture_measures(
+        enclosing, truth.reference_truth(around, near=_NEAR, gradients=False)
+    )
 
 
 @case("S08", "splats far away")
@@ -69,7 +71,7 @@ def far_away(full: bool) -> Iterator[Measure]:
         scales=scene.scales + np.log(factor)[:, None],
     )
     scene = scene.with_row(0, means=[0, 0, 1.1e10], scales=[22.0] * 3)
-    true = truth.ask(scene)
+    true = truth.reference_truth(scene)
     drawn = native.draw(scene, true.weights)
     yield from picture_measures(drawn, true)
     z = drawn.projected["depths"]
@@ -92,7 +94,7 @@ def parallel(full: bool) -> Iterator[Measure]:
     scene = draw_scene(3600, count=400, width=64, height=48, overscan=0.2, elongation=1.0)
     K = np.array([[9.0, 0, 30.25], [0, 11.5, 26.75], [0, 0, 1]], np.float32)
     scene = replace(scene, K=K)
-    true = truth.ask(scene, orthographic=True, gradients=False)
+    true = truth.reference_truth(scene, orthographic=True, gradients=False)
     yield from picture_measures(native.draw(scene, orthographic=True), true)
     t_K = torch.from_numpy(K.astype(np.float64))
     points = scene.means[:3].astype(np.float64)

@@ -49,7 +49,7 @@ def _known(
 ) -> tuple[SplatScene, truth.Truth, dict[str, np.ndarray]]:
     """A smooth scene, the reference's answer, and differences of it by name."""
     scene = smooth_scene(seed, sh_degree=sh_degree, **_SCENE)
-    true = truth.ask(scene, antialias=antialias)
+    true = truth.reference_truth(scene, antialias=antialias)
     require_covered(true.pictures["alpha"])
     weights = native.random_weights(scene, 5)
 

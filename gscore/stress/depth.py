@@ -16,7 +16,7 @@ def rendered_depths(full: bool) -> Iterator[Measure]:
     """Oracle: the reference and its autograd, where alpha is at least a half."""
     for seed in range(2600, 2606 if full else 2602):
         scene = draw_scene(seed, count=400, width=48, height=40, sh_degree=0)
-        true = truth.ask(scene)
+        true = truth.reference_truth(scene)
         require_covered(true.pictures["alpha"])
         solid = (true.pictures["alpha"] > 0.5) & ~true.band
         drawn = native.draw(scene)
@@ -38,7 +38,7 @@ def rendered_depths(full: bool) -> Iterator[Measure]:
             "median depth, share of pixels that choose another splat", float(1 - same.mean()), 2e-3
         )
         for name in ("inverse_depth", "depth"):
-            alone = truth.ask(scene, weigh=(name,))
+            alone = truth.reference_truth(scene, weigh=(name,))
             gradients = native.draw(scene, alone.weights).gradients
             for field in ("means", "opacities", "scales"):
                 errors = row_errors(gradients[field], alone.gradients[field])
@@ -56,7 +56,7 @@ def faint_pixels(full: bool) -> Iterator[Measure]:
         scene = draw_scene(
             seed, count=6, width=48, height=40, sh_degree=0, sigma_px=(8.0, 20.0), logits=(-5.2, -4)
         )
-        true = truth.ask(scene, gradients=False)
+        true = truth.reference_truth(scene, gradients=False)
         alpha = true.pictures["alpha"]
         faint = (alpha > 0) & ~true.band
         if faint.sum() < 200 or alpha.max() > 0.1:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..raster import _native
-from ..words import count_words
+from ..text_format import count_words
 from .case import EmptyTestError, Measure, case
 
 _LOWEST = -40.0

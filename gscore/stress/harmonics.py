@@ -34,7 +34,7 @@ def harmonics(full: bool) -> Iterator[Measure]:
     for seed in range(2400, 2406):
         scene = _around(seed)
         for degree in range(5):
-            true = truth.ask(scene, sh_degree=degree, weigh=("rgb",))
+            true = truth.reference_truth(scene, sh_degree=degree, weigh=("rgb",))
             drawn = native.draw(scene, true.weights, sh_degree=degree)
             seen = (drawn.radii > 0) & (true.projected["depths"] > 0)
             colors = true.projected["colors"][seen]

@@ -48,7 +48,7 @@ class _Dense:
 def _model(values: dict[str, np.ndarray]) -> Any:
     import torch
 
-    from ..trainer.rows.model import Model
+    from ..trainer.model.model import Model
 
     return Model({name: torch.from_numpy(v.copy()) for name, v in values.items()})
 
@@ -69,7 +69,7 @@ def adam(full: bool) -> Iterator[Measure]:
     """Oracle: dense Adam, float32 and float64, through pruning, copying, reordering and resets."""
     import torch
 
-    from ..trainer.strategy import ops
+    from ..trainer.strategy import row_ops
 
     steps = 1000 if full else 300
     rng = np.random.default_rng(2300)
@@ -98,17 +98,17 @@ def adam(full: bool) -> Iterator[Measure]:
         twin.step(gradients, rates)
         true.step(gradients, rates)
         if step % 97 == 50:
-            model.settle()
+            model.sync()
             rest = unseen + rng.permutation(len(model) - unseen)
             keep = np.concatenate([np.arange(unseen), rest[: _ROWS - 30 - unseen]])
             copied = rest[:20]
-            copies = ops.duplicate(model, torch.from_numpy(copied))
-            ops.edit(model, keep=torch.from_numpy(keep), append=copies)
+            copies = row_ops.duplicate(model, torch.from_numpy(copied))
+            row_ops.edit(model, keep=torch.from_numpy(keep), append=copies)
             twin.edit(keep, copied)
             true.edit(keep, copied)
         if step % 131 == 100:
-            model.settle()
-            ops.reset_opacities(model, 0.01)
+            model.sync()
+            row_ops.reset_opacities(model, 0.01)
             ceiling = np.log(0.01 / 0.99)
             twin.reset_opacities(ceiling)
             true.reset_opacities(ceiling)

@@ -37,7 +37,7 @@ def ties(full: bool) -> Iterator[Measure]:
         pictures = []
         for one in (scene, scene.rows(np.random.default_rng(1).permutation(count))):
             # Splats that tie put a pixel into the band; without rounding in z it need not.
-            true = truth.ask(one, gradients=False)
+            true = truth.reference_truth(one, gradients=False)
             drawn = native.draw(one)
             require_covered(true.pictures["alpha"])
             errors = picture_errors(drawn, true)

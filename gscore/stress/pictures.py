@@ -26,7 +26,7 @@ def _random(seed: int, full: bool) -> tuple[SplatScene, Truth]:
         overscan=0.05,
         sh_degree=1 if full else 3,
     )
-    return scene, truth.ask(scene)
+    return scene, truth.reference_truth(scene)
 
 
 def _seeds(full: bool) -> range:
@@ -67,7 +67,7 @@ def _off_screen(seed: int) -> tuple[SplatScene, Truth]:
         logits=(-3.0, 1.0),
         sh_degree=1,
     )
-    return scene, truth.ask(scene)
+    return scene, truth.reference_truth(scene)
 
 
 @case("S05", "splats far off screen, principal point off centre")
@@ -94,7 +94,7 @@ def _needles(ratio: float) -> tuple[SplatScene, Truth]:
     scales = scene.scales.copy()
     scales[:, 1:] = scales[:, :1] - np.float32(np.log(ratio))
     scene = scene.with_row(slice(None), scales=scales)
-    return scene, truth.ask(scene)
+    return scene, truth.reference_truth(scene)
 
 
 @case("S06", "needles")

@@ -54,7 +54,7 @@ def opacities(full: bool) -> Iterator[Measure]:
     scene = draw_scene(1100, count=200, width=48, height=40, sigma_px=(4.0, 10.0), sh_degree=1)
     values = np.array([-1000.0, -20.0, 20.0, 1000.0, 0.0], np.float32)
     scene = scene.with_row(slice(None), opacities=np.resize(values, 200))
-    true = truth.ask(scene)
+    true = truth.reference_truth(scene)
     drawn = native.draw(scene, true.weights)
     # Splats of opacity 1 are wide where alpha is capped, and half the splats are opaque here.
     yield from picture_measures(drawn, true)

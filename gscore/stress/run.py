@@ -121,9 +121,9 @@ def _quiet_torch() -> AbstractContextManager[None]:
     for each other take minutes for seconds of work on a machine that does other things."""
     if importlib.util.find_spec("torch") is None:
         return nullcontext()
-    from ..trainer.host.state import ordinary_state
+    from ..trainer.host.isolated_state import isolated_torch_state
 
-    return ordinary_state()
+    return isolated_torch_state()
 
 
 def _load() -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..raster import header
-from ..words import count_words, number
+from ..text_format import count_words, number
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import INTERIOR, gradient_measures, picture_measures, require_covered
@@ -40,7 +40,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     size = drawn.stats["workspace_bytes"] / (tiles * count)
     yield Measure("workspace bytes an entry", size, _ENTRY_BYTES)
     few = scene.rows(slice(0, count if full else 150))
-    true = truth.ask(few, gradients=False)
+    true = truth.reference_truth(few, gradients=False)
     # So faint and so wide that the cut at 1/255 runs through large parts of the picture. A thousand
     # layers at a pixel are a thousand roundings of transmittance and colour.
     mean = 1e-6 if full else None
@@ -69,7 +69,7 @@ def crowded_tile(full: bool) -> Iterator[Measure]:
             logits=(-5.2, -4.8) if count > 10_000 else (-4.4, -3.5),
             sh_degree=0,
         )
-        true = truth.ask(scene)
+        true = truth.reference_truth(scene)
         drawn = native.draw(scene, true.weights)
         if drawn.stats["entries"] < 0.7 * count:
             raise EmptyTestError(
@@ -105,7 +105,7 @@ def picture_sizes(full: bool) -> Iterator[Measure]:
             sh_degree=1,
             sigma_px=(2.0, 5.0) if max(width, height) < 100 else (5.0, 40.0),
         )
-        true = truth.ask(scene)
+        true = truth.reference_truth(scene)
         drawn = native.draw(scene, true.weights)
         tolerance = INTERIOR * max(1.0, max(width, height) / 1024)
         yield from picture_measures(drawn, true, tolerance=tolerance, most_band=0.5)

@@ -56,7 +56,7 @@ def instruction_sets(full: bool) -> Iterator[Measure]:
         raise NotHereError(f"this machine has one instruction set, {isas[0]}")
     for seed in range(1900, 1905 if full else 1902):
         scene = draw_scene(seed, count=500, width=64, height=48, overscan=0.1)
-        true = truth.ask(scene)
+        true = truth.reference_truth(scene)
         require_covered(true.pictures["alpha"])
         drawn: dict[str, Drawn] = {}
         for isa in isas:

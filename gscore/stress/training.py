@@ -9,7 +9,7 @@ import numpy as np
 
 from ..config import Strategy, TrainConfig
 from ..errors import GsError
-from ..words import count_words
+from ..text_format import count_words
 from .capture import ToyPhotos, moved, toy_photos, toy_splats
 from .case import EmptyTestError, Measure, case
 
@@ -40,7 +40,7 @@ def mean_psnr(trainer: "Trainer", photos: ToyPhotos) -> float:
     """Mean PSNR of the training views, dB."""
     values = []
     for index in photos.train:
-        rgb = np.clip(trainer.sight.picture(index, background=_BLACK).numpy(), 0, 1)
+        rgb = np.clip(trainer.renderer.picture(index, background=_BLACK).numpy(), 0, 1)
         mse = float(np.mean((rgb - photos.image(index) / 255.0) ** 2))
         values.append(-10 * math.log10(max(mse, 1e-12)))
     return float(np.mean(values))
@@ -56,7 +56,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     config = TrainConfig(iterations=15, max_splats=200, sh_degree=1, refine_start=10_000)
     photos = toy_photos()
     first = trainer_of(config, photos)
-    start, picture = mean_psnr(first, photos), first.sight.picture(0, background=_BLACK).numpy()
+    start, picture = mean_psnr(first, photos), first.renderer.picture(0, background=_BLACK).numpy()
     plain = mean_psnr(trained(config, photos), photos)
     if not plain > start + 1:
         raise EmptyTestError(f"nothing was learnt: {start:.2f} dB, then {plain:.2f} dB")
@@ -64,7 +64,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     places += [(f"scale {scale:.0e}", scale, 0.0) for scale in (1e-4, 1e-2, 1e2, 1e4)]
     for name, scale, offset in places:
         away = moved(photos, scale=scale, shift=offset * np.array([1.0, -0.7, 0.3]))
-        begun = trainer_of(config, away).sight.picture(0, background=_BLACK).numpy()
+        begun = trainer_of(config, away).renderer.picture(0, background=_BLACK).numpy()
         error = abs(mean_psnr(trained(config, away), away) - plain)
         yield Measure(f"{name}, first picture", float(np.abs(begun - picture).max()), 1e-4)
         yield Measure(f"{name}, dB after 15 steps", error, 0.01)
@@ -78,7 +78,7 @@ def long_training(full: bool) -> Iterator[Measure]:
     they cannot say; with enough of them it is how far the last steps jump, by 1 dB about 52.
     """
     from ..splats import PARAMETERS
-    from ..trainer.rows import bounds
+    from ..trainer.model import sanitize
 
     photos = toy_photos(held_out=(3,))
     for strategy in Strategy:
@@ -109,7 +109,7 @@ def long_training(full: bool) -> Iterator[Measure]:
         bad = float((~np.isfinite(numbers)).sum())
         yield Measure(f"{strategy}: numbers not finite", bad, 0, note)
         # Exponentials of float32 scales on both sides of the bound.
-        limit = bounds.MAX_RATIO * (1 + 1e-5)
+        limit = sanitize.MAX_RATIO * (1 + 1e-5)
         yield Measure(f"{strategy}: longest axis over shortest", float(ratios.max()), limit)
         yield Measure(f"{strategy}: PSNR lost, dB", float(fall), 0.2)
         if not best > 15:

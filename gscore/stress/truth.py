@@ -56,7 +56,7 @@ def request_of(inputs: dict[str, Any], **options: Any) -> tuple[Any, Frustum, Se
     return splats, view, Settings(**given)
 
 
-def ask(
+def reference_truth(
     scene: SplatScene,
     *,
     seed: int = 5,

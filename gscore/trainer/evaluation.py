@@ -37,7 +37,7 @@ class Evaluator:
     def picture(self, index: int) -> np.ndarray:
         """The view `index` as it is now, [H, W, 3] float32, over the background of metrics."""
         trainer = self._trainer
-        return trainer.sight.picture(index, background=trainer.sight.background).numpy()
+        return trainer.renderer.picture(index, background=trainer.renderer.background).numpy()
 
     def measure(
         self, collector: PictureCollector | None, *, interrupted: Callable[[], bool]
@@ -62,8 +62,8 @@ class Evaluator:
             if interrupted():
                 raise Cancelled("The evaluation was interrupted.")
             if self._aligns:
-                shown = self._trainer.sight.aligned_picture(
-                    self.indices[place], background=self._trainer.sight.background
+                shown = self._trainer.renderer.aligned_picture(
+                    self.indices[place], background=self._trainer.renderer.background
                 )
                 worth = psnr(shown.numpy(), target, mask=weights)
                 values["psnr_aligned"] = worth if math.isfinite(worth) else None
@@ -77,7 +77,7 @@ class Evaluator:
                 self.indices,
                 lpips=self._lpips,
                 lpips_reason=self._lpips_reason,
-                background=self._trainer.sight.background,
+                background=self._trainer.renderer.background,
                 on_view=on_view,
             )
         except Cancelled:
@@ -90,4 +90,4 @@ class Evaluator:
     @property
     def _aligns(self) -> bool:
         """Whether held-out cameras may stand elsewhere too: training cameras did."""
-        return self.split == "test" and self._trainer.learnt.poses is not None
+        return self.split == "test" and self._trainer.photo_parameters.poses is not None

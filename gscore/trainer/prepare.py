@@ -20,18 +20,18 @@ from ..formats import Decoded
 from ..io.block_record import read_block
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
+from .distributed.consistency import crc_of
+from .distributed.process_group import ProcessGroup
 from .guide.setup import GuideSetup, prepare_guide
-from .photos.loading import Loaded, load_photos, progress_of
-from .ranks.agree import crc_of
-from .ranks.team import Team
-from .region.box import Box
-from .region.photos import RegionPhotos
-from .rows.frame import Frame
-from .schedule.enough import limit_by_photos, points_to_expect
+from .model.training_frame import TrainingFrame
+from .photos.photo_loading import LoadedPhotos, load_photos, progress_of
+from .region.region_box import RegionBox
+from .region.region_photos import RegionPhotos
+from .schedule.caps import cap_by_photos, expected_points
 from .trainer import Trainer
 from .views.exposure import Exposure
-from .views.judged import judge_photos
-from .views.placing import Placing
+from .views.photo_analysis import analyze_photos
+from .views.pose_check import PoseCheck
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Prepared:
 
     trainer: Trainer
     photos: Dataset
-    loaded: Loaded
+    loaded: LoadedPhotos
     enough: str
     """A sentence on steps that are left out."""
     asked: dict[str, int]
@@ -52,7 +52,7 @@ class Prepared:
     guide: GuideSetup
     stereo: StereoStart
     exposure: Exposure
-    placing: Placing
+    placing: PoseCheck
 
     def facts(self) -> dict[str, Any]:
         """What all who train together must have found alike, as JSON values by name."""
@@ -76,12 +76,12 @@ def prepare(
     *,
     taken: int,
     stereo: bool,
-    frame: Callable[[Dataset], Frame | None],
+    frame: Callable[[Dataset], TrainingFrame | None],
     start: Decoded | None,
     origin: np.ndarray | None,
     emit: Callable[[Event], None],
     control: Control,
-    team: Team | None = None,
+    team: ProcessGroup | None = None,
 ) -> Prepared:
     """Read the photos and make the trainer.
 
@@ -102,7 +102,7 @@ def prepare(
         GsError: the capture or the maps cannot be used, or memory is too small.
         Cancelled: `control` said so.
     """
-    region = None if config.region is None else Box.read(config.region)
+    region = None if config.region is None else RegionBox.read(config.region)
     if region is not None and team is not None:
         raise ConfigError(
             "A region is trained by one process: start gscore train without torchrun."
@@ -116,7 +116,7 @@ def prepare(
         photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
     asked, given = config, photos.scene.points.given
     limited = partial(
-        limit_by_photos,
+        cap_by_photos,
         asked,
         photos=len(photos.train),
         points=given,
@@ -130,7 +130,7 @@ def prepare(
     loaded = load_photos(
         photos,
         config,
-        points=points_to_expect(config, given) if given_splats is None else len(given_splats),
+        points=expected_points(config, given) if given_splats is None else len(given_splats),
         depths=bool(data.depths),
         announce=world is None,
         emit=emit,
@@ -150,7 +150,7 @@ def prepare(
             telling = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=telling)
             config, enough = limited(known=added.known, compared=True)
-        exposure, placing = judge_photos(config, photos)
+        exposure, placing = analyze_photos(config, photos)
         trainer = Trainer(
             config,
             photos,

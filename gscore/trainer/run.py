@@ -10,18 +10,18 @@ from ..control import Control
 from ..errors import GsError
 from ..events import ENDED, Event
 from ..io.runs import AGENT
-from ..live.onlookers import Onlookers
+from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
-from .beginning import Beginning
-from .files.ended import TrainResult
-from .files.folder import RunFolder, open_folder
-from .host.heap import large_pieces_apart
-from .host.state import ordinary_state
-from .premises import look_over
+from .distributed import rank_commands
+from .distributed.consistency import check_equal, check_ready
+from .distributed.process_group import ProcessGroup, RankLostError
+from .files.run_folder import RunFolder, open_folder
+from .files.run_result import TrainResult
+from .host.isolated_state import isolated_torch_state
+from .host.malloc import mmap_large_blocks
+from .preflight import check_training
 from .prepare import Prepared, memory_in_words, prepare
-from .ranks import orders
-from .ranks.agree import check_equal, check_ready
-from .ranks.team import RankLostError, Team
+from .run_start import RunStart
 from .session import Session
 
 
@@ -35,8 +35,8 @@ def train(
     resume: bool = False,
     overwrite: bool = False,
     start_checkpoint: Path | None = None,
-    onlookers: Onlookers | None = None,
-    team: Team | None = None,
+    viewers: ViewerClients | None = None,
+    team: ProcessGroup | None = None,
     agent: str = "",
 ) -> TrainResult:
     """Train splats from a capture and write them, their metrics and a report into a folder.
@@ -66,19 +66,17 @@ def train(
         Cancelled: stopped by `control` while the photos were read; nothing was written.
     """
     emit, control = on_event or (lambda event: None), control or Control()
-    large_pieces_apart()
+    mmap_large_blocks()
     opened = open_folder(output, resume=resume, overwrite=overwrite, data=data)
-    with opened as folder, ordinary_state():
-        beginning = Beginning(
-            folder, config, data, resume=resume, start_checkpoint=start_checkpoint
-        )
+    with opened as folder, isolated_torch_state():
+        beginning = RunStart(folder, config, data, resume=resume, start_checkpoint=start_checkpoint)
         if beginning.ended is not None:
             emit(beginning.ended.event())
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         if team:
-            order = orders.begin(beginning.facts(), to_dict(beginning.config), to_dict(data))
-            team.say(order)
+            order = rank_commands.begin(beginning.facts(), to_dict(beginning.config), to_dict(data))
+            team.broadcast(order)
         found = _prepared(beginning, data, emit, control, team)
         with memory_in_words():
             session = Session(
@@ -93,14 +91,14 @@ def train(
                 stereo=found.stereo,
                 exposure=found.exposure,
                 placing=found.placing,
-                onlookers=onlookers,
+                viewers=viewers,
                 enough=found.enough,
                 asked=found.asked,
                 region=found.region,
                 guide=found.guide.why,
             )
-            beginning.go_on(found.trainer, session)
-            notes = (*found.photos.warnings, *found.loaded.warnings, *look_over(found.trainer))
+            beginning.resume(found.trainer, session)
+            notes = (*found.photos.warnings, *found.loaded.warnings, *check_training(found.trainer))
             if overwrite:
                 folder.clear()
             for message in notes:
@@ -122,11 +120,11 @@ def train(
 
 
 def _prepared(
-    beginning: Beginning,
+    beginning: RunStart,
     data: DataConfig,
     emit: Callable[[Event], None],
     control: Control,
-    team: Team | None,
+    team: ProcessGroup | None,
 ) -> Prepared:
     """The trainer, where all ranks of the team have made the same."""
     found, failure = None, None

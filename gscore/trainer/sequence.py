@@ -12,28 +12,28 @@ from ..datasets.frames import choose_frames, find_frames
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..events import ENDED, Event, FrameStarted, SequenceDone, Started, Warn
 from ..io.files import atomic_write
-from ..io.places import check_place
+from ..io.output_paths import check_output_path
 from ..io.runs import check_replaceable, clear_run, results_in
 from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, read_sequence
-from ..live.onlookers import Onlookers
+from ..live.viewer_clients import ViewerClients
 from ..sequence_options import SequenceOptions
-from ..words import count_words
-from .files.ended import TrainResult
-from .files.folder import RunFolder
-from .frames.listed import Listed
+from ..text_format import count_words
+from .distributed.consistency import check_ready
+from .distributed.process_group import ProcessGroup
+from .distributed.work_queue import WorkQueue
+from .files.run_folder import RunFolder
+from .files.run_result import TrainResult
+from .frames.frame_results import SequenceResult, completed, is_measured, result_of
 from .frames.plan import (
     PER_FRAME,
     PlannedFrame,
     check_guides,
     check_shareable,
+    independent_runs,
     plan_frames,
-    run_with,
-    runs_of,
+    run_of_frame,
 )
-from .frames.results import SequenceResult, completed, is_measured, result_of
-from .ranks.agree import check_ready
-from .ranks.team import Team
-from .ranks.turns import Shared
+from .frames.sequence_index import SequenceListing
 from .run import train
 
 _FREE = ("keep_checkpoints",)
@@ -50,9 +50,9 @@ def train_sequence(
     options: SequenceOptions | None = None,
     resume: bool = False,
     overwrite: bool = False,
-    onlookers: Onlookers | None = None,
+    viewers: ViewerClients | None = None,
     frame: int | None = None,
-    team: Team | None = None,
+    team: ProcessGroup | None = None,
     agent: str = "",
 ) -> SequenceResult:
     """Train every frame into a folder of its own below `output`.
@@ -94,11 +94,11 @@ def train_sequence(
     emit, control = on_event or (lambda event: None), control or Control()
 
     def opened(writes: bool = True) -> _Sequence:
-        check_place(output, data)
+        check_output_path(output, data)
         chosen = choose_frames(find_frames(data), options.frames)
         frames = plan_frames(chosen, config, output, options)
         check_guides(_to_train(frames, options, frame, begun=resume, overwrite=overwrite))
-        return _Sequence(config, data, output, options, frames, emit, onlookers, writes=writes)
+        return _Sequence(config, data, output, options, frames, emit, viewers, writes=writes)
 
     if team:
         return _train_together(
@@ -107,7 +107,7 @@ def train_sequence(
     sequence = opened()
     runs = sequence.runs
     if frame is not None:
-        runs = [run_with(sequence.frames, runs, frame)]
+        runs = [run_of_frame(sequence.frames, runs, frame)]
         _open_part(output, [sequence.frames[i] for i in runs[0]], options, overwrite=overwrite)
         resume = True
     else:
@@ -145,28 +145,28 @@ class _Sequence:
         options: SequenceOptions,
         frames: list[PlannedFrame],
         emit: Callable[[Event], None],
-        onlookers: Onlookers | None,
+        viewers: ViewerClients | None,
         *,
         writes: bool,
     ) -> None:
         """`writes`: this process lists what is complete."""
         self.output = output
         self.frames = frames
-        self.runs = runs_of(len(frames), options)
+        self.runs = independent_runs(len(frames), options)
         """Frames that must be trained one after another, by their places."""
         self._writes = writes
         asked = {name: getattr(config, name) for name in PER_FRAME}
         self._about = config_json(data, replace(frames[0].config, **asked)).encode()
         self._options = options
         self._emit = emit
-        self._onlookers = onlookers
-        self._listed = Listed(output, options, frames)
+        self._viewers = viewers
+        self._listed = SequenceListing(output, options, frames)
         self._done = 0
 
     def through(self, runs: Iterable[range], control: Control, *, resume: bool) -> str:
         """Train the frames of these runs that are not complete; why that ended."""
         if resume:
-            self._listed.look()
+            self._listed.refresh()
         for place in (place for run in runs for place in run):
             if self._done and control.stop_reason:
                 return control.stop_reason
@@ -241,7 +241,7 @@ class _Sequence:
         return "finished"
 
     def _train(self, frame: PlannedFrame, control: Control, *, resume: bool) -> TrainResult:
-        goes_on = resume and bool(RunFolder(frame.folder).checkpoints())
+        resumes = resume and bool(RunFolder(frame.folder).checkpoints())
         try:
             return train(
                 frame.config,
@@ -249,9 +249,9 @@ class _Sequence:
                 frame.folder,
                 self._tell,
                 control,
-                resume=goes_on,
-                overwrite=not goes_on,
-                onlookers=self._onlookers,
+                resume=resumes,
+                overwrite=not resumes,
+                viewers=self._viewers,
             )
         except GsError as error:
             raise type(error)(f"{frame.folder.name}: {error}") from error
@@ -282,13 +282,13 @@ def _to_train(
     `begun`: what is there is gone on with.
     """
     if number is not None:
-        run = run_with(frames, runs_of(len(frames), options), number)
+        run = run_of_frame(frames, independent_runs(len(frames), options), number)
         frames, begun = [frames[place] for place in run], not overwrite
     return [frame for frame in frames if not (begun and completed(frame))]
 
 
 def _train_together(
-    team: Team,
+    team: ProcessGroup,
     output: Path,
     opened: Callable[[bool], _Sequence],
     control: Control,
@@ -299,12 +299,12 @@ def _train_together(
 ) -> SequenceResult:
     """Take runs of frames in turn until none is left, then hear how the others ended."""
     sequence, idle, failure = None, "", None
-    shared = Shared(team=team, output=output, agent=agent)
+    shared = WorkQueue(team=team, output=output, agent=agent)
     try:
-        sequence = opened(team.leads)
+        sequence = opened(team.is_rank0)
         idle = check_shareable(sequence.runs, team.size)
-        if team.leads:
-            begun = shared.begun
+        if team.is_rank0:
+            begun = shared.has_started
             resume, overwrite = resume or begun, overwrite and not begun
             _open(output, resume=resume, overwrite=overwrite, ours=begun)
     except Exception as error:

@@ -13,32 +13,32 @@ from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
-from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, judged_psnr
-from ..live.onlookers import Onlookers
-from ..live.protocol import Wish
+from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, headline_psnr
+from ..live.viewer_clients import ViewerClients
+from ..live.viewer_protocol import FrameRequest
 from ..metrics import Evaluation, Lpips, LpipsNet
+from ..quoting import quoted
 from ..raster import backend
 from ..report import PictureCollector
-from ..shown import quoted
-from ..words import count_words
+from ..text_format import count_words
 from .depth.report import DepthReport, measure_depth
 from .depth.setup import DepthSetup
 from .depth.stereo import StereoStart
+from .distributed.straggler_monitor import StragglerMonitor
 from .estimate.forecast import pace_now
 from .evaluation import Evaluator
 from .files import checkpoint
-from .files.ended import TrainResult
-from .files.folder import RunFolder
-from .files.results import Results
-from .length.meter import Meter
-from .length.steering import Steering
-from .length.watchdog import Watchdog
-from .ranks.waits import Waits
-from .rows.stored import named_texts, records, texts
-from .step.result import StepResult
+from .files.run_folder import RunFolder
+from .files.run_outputs import RunOutputs
+from .files.run_result import TrainResult
+from .model.checkpoint_schema import as_records, as_str_dict, as_str_list
+from .step.step_result import StepResult
+from .stopping.controller import StoppingController
+from .stopping.progress_meter import ProgressMeter
+from .stopping.watchdog import Watchdog
 from .trainer import Trainer
 from .views.exposure import Exposure
-from .views.placing import Placing
+from .views.pose_check import PoseCheck
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
@@ -75,8 +75,8 @@ class Session:
         depth: DepthSetup | None = None,
         stereo: StereoStart | None = None,
         exposure: Exposure | None = None,
-        placing: Placing | None = None,
-        onlookers: Onlookers | None = None,
+        placing: PoseCheck | None = None,
+        viewers: ViewerClients | None = None,
         enough: str = "",
         asked: Mapping[str, int] | None = None,
         region: str = "",
@@ -92,12 +92,12 @@ class Session:
         self._emit = emit
         self._control = control
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
-        self._results = Results(trainer, folder, data)
+        self._results = RunOutputs(trainer, folder, data)
         self._depth = depth or DepthSetup()
         self._stereo = stereo or StereoStart()
         self._exposure = exposure or Exposure()
-        self._placing = placing or Placing()
-        self._onlookers = onlookers or Onlookers()
+        self._placing = placing or PoseCheck()
+        self._viewers = viewers or ViewerClients()
         self._enough = enough
         self._asked = dict(asked or {})
         self._decided_before: dict[str, str] = {}
@@ -105,14 +105,16 @@ class Session:
         self._guide = guide
         pace = pace_now(self._config.threads)
         budget = self._config.time_budget or math.inf
-        self._meter = Meter(trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget)
-        self._steering = Steering(trainer, self._meter, self._evaluator)
+        self._meter = ProgressMeter(
+            trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget
+        )
+        self._steering = StoppingController(trainer, self._meter, self._evaluator)
         self._watchdog = Watchdog(trainer.plan)
         self._evals: list[dict[str, Any]] = []
         self._warnings: list[str] = []
         self._last_checkpoint = 0.0
         self._last_preview = 0.0
-        self._waits = Waits(trainer.team.hosts) if trainer.team else None
+        self._waits = StragglerMonitor(trainer.team.hosts) if trainer.team else None
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on with the clock and the history of a checkpoint.
@@ -121,12 +123,12 @@ class Session:
             ValueError, KeyError, TypeError: it states something that no session writes.
         """
         self._meter.restore(state["meter"])
-        self._evals = records("evals", state["evals"])
-        self._warnings = texts("warnings", state["warnings"])
+        self._evals = as_records("evals", state["evals"])
+        self._warnings = as_str_list("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
         # What goes on is decided already, so little of it is decided again; but what photos are
         # good for is.
-        self._decided_before = named_texts("decided", state.get("decided", {}))
+        self._decided_before = as_str_dict("decided", state.get("decided", {}))
         self._decided_before.pop("enough", None)
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
         if "watchdog" in state:
@@ -159,10 +161,10 @@ class Session:
         self._watch()
         self._steer()
         while not (self._steering.reason or control.stopping):
-            if control.paused or self._onlookers.hold:
+            if control.paused or self._viewers.hold:
                 self._emit(self._meter.progress(phase="paused"))
                 control.wait_while_paused(
-                    held=lambda: self._onlookers.hold,
+                    held=lambda: self._viewers.hold,
                     meanwhile=lambda: self._show_around(at_leisure=True),
                 )
                 self._answer()
@@ -189,17 +191,17 @@ class Session:
                 self._steer()
                 self._between_steps()
         result = self._finish()
-        while self._onlookers.stay and not control.stopping:
+        while self._viewers.stay and not control.stopping:
             self._show_around(at_leisure=True)
             time.sleep(_PAUSE)
         return result
 
     def _show_around(self, *, at_leisure: bool = False) -> None:
         """Draw what those who watch want to see."""
-        self._onlookers.answer(self._drawn, at_leisure=at_leisure)
+        self._viewers.answer(self._drawn, at_leisure=at_leisure)
 
-    def _drawn(self, request: Wish) -> bytes:
-        picture = self._trainer.sight.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
+    def _drawn(self, request: FrameRequest) -> bytes:
+        picture = self._trainer.renderer.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
         return picture.to(torch.uint8).numpy().tobytes()
 
     @contextmanager
@@ -252,7 +254,7 @@ class Session:
                 ensemble=self._trainer.ensemble_words,
                 exposure=self._exposure.why,
                 poses=self._placing.why,
-                viewer=self._onlookers.why,
+                viewer=self._viewers.why,
                 enough=self._enough,
                 # The masks of a region are made as it goes, and its own sentence says so.
                 mask_mode="none" if self._region else photos.mask_mode,
@@ -275,9 +277,9 @@ class Session:
         team = self._trainer.team
         if team and self._waits and (slow := self._waits.met(team.accounts[:, 1])):
             self.warn(slow, "slow_rank")
-        if self._trainer.removal.around.crowded and _CROWDED not in self._warnings:
+        if self._trainer.pruner.around.crowded and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
-        if self._trainer.removal.guided.crowded and _FILLED not in self._warnings:
+        if self._trainer.pruner.guided.crowded and _FILLED not in self._warnings:
             self.warn(_FILLED, "crowded")
         lost = self._trainer.lost_rows
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
@@ -402,7 +404,7 @@ class Session:
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
-        entry = self._note(judged_psnr(found.mean))
+        entry = self._note(headline_psnr(found.mean))
         split = self._evaluator.split
         self._emit(Eval(step=entry["step"], split=split, metrics=found.mean))
         return found
@@ -413,7 +415,7 @@ class Session:
         return measure_depth(
             trainer.photos,
             self._depth,
-            trainer.sight.inverse_depth,
+            trainer.renderer.inverse_depth,
             interrupted=lambda: self._control.stopping,
         )
 
@@ -422,10 +424,10 @@ class Session:
         if trainer.team:
             trainer.collect()
             if reason:  # the others of a run that was stopped hear with which exit code it ends
-                trainer.team.part()
+                trainer.team.shutdown()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._answer()  # a snapshot asked for just before the stop
-        cleared = trainer.removal.around.count
+        cleared = trainer.pruner.around.count
         if cleared > _MANY_CLEARED * trainer.trained_count:
             self.warn(
                 f"{count_words(cleared, 'splat was', 'splats were')} taken out, standing nearer to "
@@ -435,7 +437,9 @@ class Session:
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
-        learnt = self._results.write_learnt(self._exposure.numbers, self._placing.why)
+        photo_parameters = self._results.write_photo_parameters(
+            self._exposure.numbers, self._placing.why
+        )
         self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
         collector = PictureCollector(count=len(self._evaluator.indices))
@@ -448,7 +452,7 @@ class Session:
             evals=self._evals,
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
-            learnt=learnt,
+            photo_parameters=photo_parameters,
             decided=list(self._decided().values()),
             asked=self._asked,
             reason=reason,

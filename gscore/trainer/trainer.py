@@ -15,46 +15,46 @@ from ..formats.joined import joined
 from ..io.block_record import BlockRecord
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.memory import zeros
-from ..raster.painter import Picture
 from ..raster.request import Frustum, Settings
+from ..raster.training_rasterizer import Picture
 from ..scene import PointCloud
 from ..splats import Splats
-from ..words import count_words, number
+from ..text_format import count_words, number
 from .depth.loss import DepthLoss
 from .depth.regularisers import drop_rate_at, drop_rate_of, drop_splats
 from .depth.targets import DepthTargets
+from .distributed import batch_losses, rank_commands
+from .distributed.consistency import crc_of
+from .distributed.ensemble_member import EnsembleMember, count_members
+from .distributed.process_group import ProcessGroup, RankLostError
 from .guide.loss import GuideLoss
+from .guide.mesh_free_space import MeshFreeSpace
 from .guide.setup import GuideSetup
-from .guide.space import KeptFree
-from .host.laps import Laps
 from .host.random import generator_of
-from .photos.skips import raster_bits
-from .photos.views import Photos, Sampler
-from .ranks import losses, orders
-from .ranks.agree import crc_of
-from .ranks.member import Member, members_in
-from .ranks.team import RankLostError, Team
-from .region.box import Box
-from .region.still import Still, parted
-from .rows import bounds, finest, guard
-from .rows.ensemble import shared_opacities
-from .rows.frame import Frame
-from .rows.model import Model, ShN
-from .rows.params import splats_of_tensors, tensors_from_splats
-from .rows.stored import real, whole
-from .schedule.batches import photos_at_once
-from .schedule.enough import models_of, splats_of_each
+from .host.stage_timer import StageTimer
+from .model import filter3d, finite_check, sanitize
+from .model.checkpoint_schema import as_float, as_int
+from .model.conversion import splats_from_tensors, tensors_from_splats
+from .model.ensemble import divide_opacities
+from .model.model import Model, ShUpdate
+from .model.training_frame import TrainingFrame
+from .photos.raster_skips import disabled_skips
+from .photos.view_sampler import Photos, ViewSampler
+from .region.frozen_splats import FrozenSplats, split_frozen
+from .region.region_box import RegionBox
+from .schedule.batch_size import batch_size
+from .schedule.caps import max_splats_per_model, model_count
 from .schedule.plan import Plan
-from .step.glances import Glance, Glances
-from .step.loss import LossAndGradients, StepLoss
-from .step.result import StepResult, together
-from .strategy import Change, DrawnView, everywhere, make_strategy, ops
-from .strategy.first import first_splats
-from .strategy.removal import Removal
-from .views.gains import PhotoGains, without_background
-from .views.learnt import Learnt, learnt_poses
-from .views.placing import Placing
-from .views.sight import Sight
+from .step.step_loss import LossAndGradients, StepLoss
+from .step.step_result import StepResult, combine_results
+from .step.training_views import TrainingView, ViewBatcher
+from .strategy import Change, DrawnView, all_within, make_strategy, row_ops
+from .strategy.initialization import initial_splats
+from .strategy.pruning import Pruner
+from .views.model_renderer import ModelRenderer
+from .views.photo_gains import PhotoGains, without_background
+from .views.photo_parameters import PhotoParameters, initial_poses
+from .views.pose_check import PoseCheck
 
 _IN_CELL = (
     "Splats are added in the block's cell alone: those around it, which `gscore merge` leaves out, "
@@ -81,16 +81,16 @@ class Trainer:
         config: TrainConfig,
         photos: Photos,
         *,
-        frame: Frame | None = None,
+        frame: TrainingFrame | None = None,
         start: Splats | None = None,
         depth: DepthTargets | None = None,
         points: PointCloud | None = None,
         known: float | None = None,
         gains: PhotoGains | None = None,
-        placing: Placing | None = None,
+        placing: PoseCheck | None = None,
         photo_cache: int | None = None,
-        team: Team | None = None,
-        region: Box | None = None,
+        team: ProcessGroup | None = None,
+        region: RegionBox | None = None,
         guide: GuideSetup | None = None,
         block: BlockRecord | None = None,
     ) -> None:
@@ -121,9 +121,9 @@ class Trainer:
         self._judge(known)
         self.team = team
         """Those with whom each step is taken together; None: this process trains alone."""
-        self.frame = frame or Frame.of(photos.scene, near=config.near)
+        self.frame = frame or TrainingFrame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
-        most = splats_of_each(config, self._models)
+        most = max_splats_per_model(config, self._models)
         count = min(len(cloud), most) if start is None else len(start)
         given = photos.scene.cameras
         self._plan_of = partial(
@@ -149,7 +149,7 @@ class Trainer:
         self._block = block
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
-        self.sampler = Sampler(photos.train)
+        self.sampler = ViewSampler(photos.train)
         self.steps = 0
         """Steps taken."""
         self.bad_rows = 0
@@ -159,40 +159,42 @@ class Trainer:
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
-        self.laps = Laps()
+        self.laps = StageTimer()
         """What the parts of the last step took."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
-        self.learnt = Learnt(config, gains, learnt_poses(placing, photos.train, self.frame))
+        self.photo_parameters = PhotoParameters(
+            config, gains, initial_poses(placing, photos.train, self.frame)
+        )
         """How photos were exposed and where they were taken, as far as that is learnt."""
         self._v_viewmat = zeros(4, 4)
         self.region = None if region is None else region.in_training(self.frame.similarity)
         """The box that matters, training world; of given splats, those in it may not leave it."""
-        self.still: Still | None = None
+        self.still: FrozenSplats | None = None
         """What stands around them and is drawn with them; None: nothing does."""
         if region is not None and start is not None:
-            start, self.still = parted(start, region, config, self.frame)
-        first, free_space = first_splats(
+            start, self.still = split_frozen(start, region, config, self.frame)
+        first, free_space = initial_splats(
             config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
         )
         self.members = self._members_of(first)
         """The models that are trained side by side; of given splats there is one."""
-        self.sight = Sight(
+        self.renderer = ModelRenderer(
             config,
             photos,
             self.frame,
             cameras,
-            self.learnt,
+            self.photo_parameters,
             lambda: [member.model for member in self.members],
             cache=photo_cache,
             still=self.still,
         )
         """The splats as cameras see them."""
-        self._painter = self.sight.painter
-        self._glances = Glances(
+        self._rasterizer = self.renderer.rasterizer
+        self._view_batcher = ViewBatcher(
             config,
             self.sampler,
-            self.sight,
-            self.learnt,
+            self.renderer,
+            self.photo_parameters,
             self.generator,
             mask_mode=photos.mask_mode,
             team=team,
@@ -200,24 +202,24 @@ class Trainer:
         self._loss = StepLoss(
             config, mask_mode=photos.mask_mode, depth=self.depth, guide=self.guide
         )
-        self.removal = Removal(
+        self.pruner = Pruner(
             config,
             free_space,
-            self._painter,
-            self._glances.training_views,
+            self._rasterizer,
+            self._view_batcher.training_views,
             masks_hide=photos.mask_mode == "ignore",
-            guided=KeptFree(guide.free, given, self.frame.similarity)
+            guided=MeshFreeSpace(guide.free, given, self.frame.similarity)
             if guide is not None and guide.free
             else None,
         )
         """What goes besides what the strategy takes out."""
-        self._disable = raster_bits(config.without)
+        self._disable = disabled_skips(config.without)
         self._given_degree = first.sh_degree
         self.cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
         """SH degree of given splats before it was cut to what the config allows."""
         for member in self.members:
             if Skip.SH_BANDS in config.without:
-                ops.widen_sh(member.model, config.sh_degree)
+                row_ops.widen_sh(member.model, config.sh_degree)
             self.strategy.start(member.model)
 
     @property
@@ -269,14 +271,14 @@ class Trainer:
     def _may_grow(self, means: torch.Tensor) -> torch.Tensor:
         """[N] bool: beside which of `means` [N, 3] splats may be added."""
         if self._block is None:
-            return everywhere(means)
+            return all_within(means)
         world = self.frame.similarity.points_from_training(means.numpy())
         return torch.from_numpy(self._block.holds(world, self.frame.origin))
 
     @property
     def photo_factor(self) -> float:
         """What the sides of the photo of the last step were divided by."""
-        return self._glances.factor
+        return self._view_batcher.factor
 
     def step(self) -> StepResult:
         """Render a view, compare it with the photo, improve the splats.
@@ -292,84 +294,105 @@ class Trainer:
         """
         if self.team is None:
             return self._step(1)
-        self.team.say(orders.take_step(self.plan.iterations, self.rate_factor))
+        self.team.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
         with self.team.stepping():
             return self._step(self._photos_at_once(self.team))
 
     def _step(self, count: int) -> StepResult:
         """A step that takes `count` views at once, on this rank one of them."""
-        step, laps = self.steps + count, Laps()
+        step, laps = self.steps + count, StageTimer()
         self.laps = laps
-        self.sight.forget()
-        cleared = self.removal.guided.count
+        self.renderer.forget()
+        cleared = self.pruner.guided.count
         for member in self.members:
             self._widen_to(member, self.plan.sh_degree_at(step))
         try:
-            glances = self._glances.draw(self.plan, step, photos=count, models=len(self.members))
+            view_batcher = self._view_batcher.draw(
+                self.plan, step, photos=count, models=len(self.members)
+            )
         except RankLostError:
             raise
         except GsError:
             self._collect_now()
             raise
-        laps.pixels = sum(glance.view.width * glance.view.height for glance in glances)
+        laps.pixels = sum(
+            training_view.view.width * training_view.view.height for training_view in view_batcher
+        )
         laps.lap("photo")
-        pairs = zip(self.members, glances, strict=True)
-        result = together([self._step_of(member, glance, step) for member, glance in pairs])
+        pairs = zip(self.members, view_batcher, strict=True)
+        result = combine_results(
+            [self._step_of(member, training_view, step) for member, training_view in pairs]
+        )
         self._note_skipped(result.skipped)
-        return result._replace(cleared_rows=self.removal.guided.count - cleared)
+        return result._replace(cleared_rows=self.pruner.guided.count - cleared)
 
-    def _step_of(self, member: Member, glance: Glance, step: int) -> StepResult:
+    def _step_of(
+        self, member: EnsembleMember, training_view: TrainingView, step: int
+    ) -> StepResult:
         """The part of `step` that one of the models takes."""
-        config, model, laps, count = self.config, member.model, self.laps, len(glance.indices)
-        for index in glance.indices:  # also for those of other ranks, whose rows are then the same
-            model.settle_for(self.sight.view(index, self.photo_factor), threads=config.threads)
+        config, model, laps, count = (
+            self.config,
+            member.model,
+            self.laps,
+            len(training_view.indices),
+        )
+        for (
+            index
+        ) in training_view.indices:  # also for those of other ranks, whose rows are then the same
+            model.sync_visible(self.renderer.view(index, self.photo_factor), threads=config.threads)
         laps.lap("settle")
         opacities, leaf = self._step_opacities(model, step)
-        picture = self._draw(model, glance, opacities, step)
+        picture = self._draw(model, training_view, opacities, step)
         laps.lap("draw")
-        loss = self._loss.of(picture, glance, step)
-        values, errors = self._of_all(member, glance, loss)
+        loss = self._loss.of(picture, training_view, step)
+        values, errors = self._of_all(member, training_view, loss)
         value, mse = sum(values) / count, sum(errors) / count
         self.steps = step
         laps.lap("loss")
-        self._assert_finite(model, glance, value)
+        self._assert_finite(model, training_view, value)
         # What breaks a loss is often a splat that ran away; the next views do without it.
         sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
         lost_rows = 0 if sane else self._hold(model)
         if lost_rows or not math.isfinite(value):
             return StepResult(value, mse, Change(), 0, True, lost_rows)
-        v_means2d = self._gradients(member, glance, picture, loss, opacities, leaf)
-        laps.add_raster(self._painter.stats())
-        self._assert_finite(model, glance, value)
-        change, bad_rows = self._learn(member, step, v_means2d, glance.view, count)
+        v_means2d = self._gradients(member, training_view, picture, loss, opacities, leaf)
+        laps.add_raster(self._rasterizer.stats())
+        self._assert_finite(model, training_view, value)
+        change, bad_rows = self._learn(member, step, v_means2d, training_view.view, count)
         self.bad_rows += bad_rows
-        pruned = self.removal.prune(model, self.plan, step, pruned=member.pruned)
+        pruned = self.pruner.prune_least(model, self.plan, step, pruned=member.pruned)
         member.pruned += pruned
         change = replace(change, removed=change.removed + pruned)
         laps.lap("learn")
         lost_rows = self._hold(model) if step % _HOLD_EVERY == 0 else 0
-        if config.finest > 0 and self.plan.clears_at(step):
-            finest.widen(model, map(self.sight.view, self.sampler.indices), config.finest)
+        if config.finest > 0 and self.plan.prunes_free_space_at(step):
+            filter3d.apply_min_scale(
+                model, map(self.renderer.view, self.sampler.indices), config.finest
+            )
         return StepResult(value, mse, change, bad_rows, False, lost_rows)
 
-    def _draw(self, model: Model, glance: Glance, opacities: torch.Tensor, step: int) -> Picture:
-        config, counts = self.config, self._loss.looks_at_depth(glance, step)
-        return self._painter.draw(
+    def _draw(
+        self, model: Model, training_view: TrainingView, opacities: torch.Tensor, step: int
+    ) -> Picture:
+        config, counts = self.config, self._loss.uses_depth(training_view, step)
+        return self._rasterizer.draw(
             tuple((model.params | {"opacities": opacities}).values()),
-            glance.view,
+            training_view.view,
             Settings(
                 sh_degree=self._sh_degree_at(step),
-                background=self.sight.behind(glance.background, glance.gain),
+                background=self.renderer.background_before_gain(
+                    training_view.background, training_view.gain
+                ),
                 antialias=config.antialias,
                 outputs=OUT_INVERSE_DEPTH if counts else 0,
                 threads=config.threads,
                 disable=self._disable,
-                tiles=None if Skip.MASKED_TILE in config.without else glance.sized.tiles,
+                tiles=None if Skip.MASKED_TILE in config.without else training_view.sized.tiles,
             ),
         )
 
     def _of_all(
-        self, member: Member, glance: Glance, loss: LossAndGradients
+        self, member: EnsembleMember, training_view: TrainingView, loss: LossAndGradients
     ) -> tuple[list[float], list[float]]:
         """Losses and mean squared errors of all photos of a batch.
 
@@ -378,30 +401,30 @@ class Trainer:
         """
         if self.team is None or member.batch is None:
             return [loss.value], [loss.mse]
-        count = len(glance.indices)
-        sizes = member.batch.sizes(self._painter.radii, count)
+        count = len(training_view.indices)
+        sizes = member.batch.sizes(self._rasterizer.radii, count)
         try:
-            found = losses.of_all(
+            found = batch_losses.of_all(
                 self.team,
                 loss.value,
                 loss.mse,
-                cost=self._painter.stats()["entries"],
+                cost=self._rasterizer.stats()["entries"],
                 photos=count,
                 mark=self._mark(member.model),
                 sizes=sizes,
             )
         except DatasetError:
-            self._glances.put_back(count)
+            self._view_batcher.put_back(count)
             self._collect_now()
             raise
-        member.batch.hear(found.sizes)
-        self._glances.note_costs(glance.indices, found.costs)
+        member.batch.receive(found.sizes)
+        self._view_batcher.note_costs(training_view.indices, found.costs)
         return found.values, found.errors
 
     def _gradients(
         self,
-        member: Member,
-        glance: Glance,
+        member: EnsembleMember,
+        training_view: TrainingView,
         picture: Picture,
         loss: LossAndGradients,
         opacities: torch.Tensor,
@@ -410,9 +433,9 @@ class Trainer:
         """Fill the model's gradients, and let gains and poses learn of theirs; returns those in
         the splats' places in the picture."""
         model, batch = member.model, member.batch
-        moves = self.learnt.pose_rate(self.steps / self.plan.iterations) > 0
-        v_means2d = self._painter.gradients(
-            batch.into(model, len(glance.indices)) if batch else model.grads,
+        moves = self.photo_parameters.pose_rate(self.steps / self.plan.iterations) > 0
+        v_means2d = self._rasterizer.gradients(
+            batch.into(model, len(training_view.indices)) if batch else model.grads,
             loss.v_rgb,
             loss.v_alpha,
             loss.v_inverse_depth,
@@ -423,11 +446,11 @@ class Trainer:
             grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
         self.laps.lap("gradients")
         v_log_gain = loss.v_log_gain
-        if glance.gain is not None and self.photos.mask_mode == "composite":
+        if training_view.gain is not None and self.photos.mask_mode == "composite":
             v_log_gain = without_background(
-                v_log_gain, glance.background, glance.gain, loss.v_rgb, picture.alpha
+                v_log_gain, training_view.background, training_view.gain, loss.v_rgb, picture.alpha
             )
-        self._learn_of_photos(glance.indices, v_log_gain)
+        self._learn_of_photos(training_view.indices, v_log_gain)
         return v_means2d
 
     def error(self, views: int = 8) -> float:
@@ -435,12 +458,12 @@ class Trainer:
         next step's resolution."""
         indices = self.sampler.indices
         chosen = indices[:: -(-len(indices) // views)]
-        return self.sight.error(chosen, self.plan.factor_at(self.steps + 1))
+        return self.renderer.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:
         """The splats as they are now, in COLMAP world, with the SH degrees in use so far; first
         those that stand still."""
-        shown = self.sight.splats()
+        shown = self.renderer.splats()
         return self._whole(self._in_world({name: p.clone() for name, p in shown.items()}))
 
     def parts(self) -> Iterator[Splats]:
@@ -450,24 +473,24 @@ class Trainer:
         for member in self.members:
             for at in range(0, len(member.model), _ROWS_A_PART):
                 rows = slice(at, at + _ROWS_A_PART)
-                part = member.model.settled_rows(rows, threads=self.config.threads)
-                opacities = shared_opacities(part["opacities"], len(self.members))
+                part = member.model.synced_rows(rows, threads=self.config.threads)
+                opacities = divide_opacities(part["opacities"], len(self.members))
                 yield self._in_world(part | {"opacities": opacities})
 
     def make_room(self) -> None:
         """Give back what the rasterizer keeps from step to step, before something else takes
         memory."""
-        self.sight.forget()
-        self._painter.release()
+        self.renderer.forget()
+        self._rasterizer.release()
 
     def finish(self) -> Splats:
         """What `splats` gives, when no step will follow: of one model without a copy, and the
         memory that only steps need is given back. Views can still be drawn."""
         self.make_room()
         for member in self.members:
-            member.model.settle(threads=self.config.threads)
+            member.model.sync(threads=self.config.threads)
             member.model.drop_moments()
-        return self._whole(self._in_world(self.sight.splats()))
+        return self._whole(self._in_world(self.renderer.splats()))
 
     def release(self) -> None:
         """Give back what `restore` will replace; until then nothing else may be asked for."""
@@ -488,12 +511,12 @@ class Trainer:
         }
         for member in self.members:
             found |= member.state()
-        return found | self._glances.state() | self.removal.state()
+        return found | self._view_batcher.state() | self.pruner.state()
 
     def collect(self) -> None:
         """Bring what other ranks know alone to rank 0, which calls for it."""
         if self.team and not self._collected:
-            self.team.say(orders.collect())
+            self.team.broadcast(rank_commands.collect())
             self._collect_now()
 
     def _collect_now(self) -> None:
@@ -513,7 +536,7 @@ class Trainer:
         out = {"generator": self.generator.get_state()}
         for member in self.members:
             out |= member.tensors()
-        return out | self.learnt.tensors()
+        return out | self.photo_parameters.tensors()
 
     def _judge(self, known: float | None, models: int | None = None) -> None:
         """Decide what photos decide by the share of their pixels whose depth is `known`, but for
@@ -532,7 +555,7 @@ class Trainer:
         if self._given:
             return 1, ""
         photos = self.photos
-        return models_of(
+        return model_count(
             self.config,
             photos=len(photos.train),
             points=photos.scene.points.given,
@@ -540,10 +563,10 @@ class Trainer:
             known=known,
         )
 
-    def _members_of(self, first: Splats) -> list[Member]:
+    def _members_of(self, first: Splats) -> list[EnsembleMember]:
         """As many models as there are to be, all of these splats."""
         return [
-            Member(place, Model(tensors_from_splats(first)), self.team)
+            EnsembleMember(place, Model(tensors_from_splats(first)), self.team)
             for place in range(self._models)
         ]
 
@@ -559,41 +582,41 @@ class Trainer:
         # What was found of the photos then: a run that stereo gave no points does not ask it again.
         known = self._known
         if state.get("known") is not None:
-            known = real("known", state["known"], low=0)
+            known = as_float("known", state["known"], low=0)
         models, like = self._models_for(known)[0], self.model
-        if (there := members_in(tensors)) != models:
+        if (there := count_members(tensors)) != models:
             # Photos decided on them when the run began, by the rule of then.
             by_photos = self.config.ensemble_below and there in {1, self.config.ensemble}
             if self._given or not by_photos:
                 raise ValueError(f"it has {there} models, expected {models}")
             models = there
-        members = [Member(place, like, self.team) for place in range(models)]
+        members = [EnsembleMember(place, like, self.team) for place in range(models)]
         for member in members:
             member.check(tensors, like)
         if len({member.of(tensors)["param/shN"].shape[1] for member in members}) > 1:
             raise ValueError("its models have different SH degrees")
-        if self.team and self.team.leads:
-            self.team.say(orders.restore(state))
+        if self.team and self.team.is_rank0:
+            self.team.broadcast(rank_commands.restore(state))
             self.team.share(tensors)
         length = self.config.iterations
         if self.config.time_budget:
-            length = whole("iterations", state.get("iterations", length), low=1)
+            length = as_int("iterations", state.get("iterations", length), low=1)
         self._judge(known, models)
         self.replan(length)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
-        self._painter.release()
-        self.sight.forget()
+        self._rasterizer.release()
+        self.renderer.forget()
         self.members = members
         for member in members:
             member.restore(state, tensors, rank=rank, size=size)
-        self.learnt.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
+        self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
         self.generator.set_state(tensors["generator"])
-        self._glances.restore(state)
-        self.steps = whole("steps", state["steps"])
-        self.bad_rows = whole("bad_rows", state["bad_rows"])
-        self.lost_rows = whole("lost_rows", state.get("lost_rows", 0))
-        self._skipped = whole("skipped", state["skipped"])
-        self.removal.restore(state)
+        self._view_batcher.restore(state)
+        self.steps = as_int("steps", state["steps"])
+        self.bad_rows = as_int("bad_rows", state["bad_rows"])
+        self.lost_rows = as_int("lost_rows", state.get("lost_rows", 0))
+        self._skipped = as_int("skipped", state["skipped"])
+        self.pruner.restore(state)
 
     def _whole(self, trained: Splats) -> Splats:
         """`trained` splats after those that stand still, COLMAP world."""
@@ -602,12 +625,12 @@ class Trainer:
         return joined([self.still.world, trained])
 
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
-        return self.frame.similarity.splats_from_training(splats_of_tensors(params))
+        return self.frame.similarity.splats_from_training(splats_from_tensors(params))
 
-    def _widen_to(self, member: Member, degree: int) -> None:
+    def _widen_to(self, member: EnsembleMember, degree: int) -> None:
         if member.model.sh_degree < degree:
-            self._painter.release()
-            ops.widen_sh(member.model, degree)
+            self._rasterizer.release()
+            row_ops.widen_sh(member.model, degree)
             if member.batch:
                 member.batch.forget()
 
@@ -616,13 +639,13 @@ class Trainer:
     ) -> None:
         """Let gains and poses take their steps; the derivatives are those of this rank's photo."""
         done = self.steps / self.plan.iterations
-        if self.learnt.gains is None and not self.learnt.pose_rate(done):
+        if self.photo_parameters.gains is None and not self.photo_parameters.pose_rate(done):
             return
         mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
-        slopes = self.team.numbers(mine) if self.team else np.array([mine])
+        slopes = self.team.all_gather(mine) if self.team else np.array([mine])
         # Each model has its own photo: as many more steps, each as much shorter.
         factor = self.rate_factor / len(self.members)
-        self.learnt.learn(indices, slopes, done=done, factor=factor)
+        self.photo_parameters.learn(indices, slopes, done=done, factor=factor)
 
     def _step_opacities(self, model: Model, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
         """The opacities that this step draws, and, where they are not the model's own, the leaf
@@ -638,14 +661,14 @@ class Trainer:
         """The degree in use; that of given splats from the start."""
         return max(self.plan.sh_degree_at(step), self._given_degree)
 
-    def _rest_at(self, step: int, count: int) -> ShN:
+    def _rest_at(self, step: int, count: int) -> ShUpdate:
         if self._sh_degree_at(step) == 0:
-            return ShN.OFF
-        return ShN.STEP if self.plan.rest_moves_at(step, count) else ShN.GATHER
+            return ShUpdate.OFF
+        return ShUpdate.STEP if self.plan.rest_moves_at(step, count) else ShUpdate.ACCUMULATE
 
-    def _photos_at_once(self, team: Team) -> int:
+    def _photos_at_once(self, team: ProcessGroup) -> int:
         plan, config = self.plan, self.config
-        return photos_at_once(
+        return batch_size(
             team.size,
             self.steps,
             every=(
@@ -664,10 +687,10 @@ class Trainer:
         """A number of the splats, where a team compares them: as often as they are held."""
         return float(crc_of(model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
 
-    def _assert_finite(self, model: Model, glance: Glance, value: float) -> None:
+    def _assert_finite(self, model: Model, training_view: TrainingView, value: float) -> None:
         if self.config.detect_anomaly:
-            name = self.photos.scene.cameras.names[glance.index]
-            guard.assert_finite(model, value, step=self.steps, view=name)
+            name = self.photos.scene.cameras.names[training_view.index]
+            finite_check.assert_finite(model, value, step=self.steps, view=name)
 
     def _note_skipped(self, skipped: bool) -> None:
         self._skipped = self._skipped + 1 if skipped else 0
@@ -680,15 +703,15 @@ class Trainer:
             )
 
     def _hold(self, model: Model) -> int:
-        lost = bounds.hold(model, extent=self.frame.extent)
+        lost = sanitize.clamp_runaways(model, extent=self.frame.extent)
         self.lost_rows += lost
         return lost
 
     def _learn(
-        self, member: Member, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
+        self, member: EnsembleMember, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
     ) -> tuple[Change, int]:
         """Step with the model's gradients; what changed, and how many rows were left out."""
-        model, batch, radii = member.model, member.batch, self._painter.radii
+        model, batch, radii = member.model, member.batch, self._rasterizer.radii
         counters = batch.counters(model) if batch else model.rows
         drawn = DrawnView(
             step=step, radii=radii, v_means2d=v_means2d, width=view.width, height=view.height
@@ -709,9 +732,9 @@ class Trainer:
             batch.add_up_rest(model, rest, threads=self.config.threads)
         bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
         if self.plan.refines_at(step):
-            self._painter.release()
-        removed = self.removal.clear(model, self.plan, step)
-        removed += self.removal.unveil(model, self.plan, step)
+            self._rasterizer.release()
+        removed = self.pruner.prune_free_space(model, self.plan, step)
+        removed += self.pruner.prune_masked(model, self.plan, step)
         change = self.strategy.after_step(
             model,
             step=step,

@@ -9,14 +9,14 @@ from typing import Any
 from ..control import Control
 from ..errors import Cancelled, DatasetError, FormatError
 from ..events import FramesDone, FramesProgress, Show, Warn
-from ..shown import shown, typed
-from ..words import count_words, number, time_words
-from .choose import Choice, choose
-from .folder import FrameFolder
-from .picture import upright_rgb
-from .request import FEWEST_FRAMES, FrameRequest
+from ..quoting import as_typed, brief
+from ..text_format import count_words, number, time_words
+from .frame_folder import FrameFolder
+from .frame_image import upright_rgb
+from .frame_selection import Choice, choose
+from .frame_survey import Survey, survey
+from .request import FEWEST_FRAMES, ExtractRequest
 from .source import VideoFacts, damage_words, opened_video
-from .survey import Survey, survey
 
 _STILL = 0.02
 """Of the longer side: a camera that goes less far has seen one view."""
@@ -66,17 +66,17 @@ class Frames:
         """The outcome for people."""
         count = count_words(len(self.names), "frame")
         if self.found:
-            return [f"{shown(self.folder)} holds the {count} of this video already."]
+            return [f"{brief(self.folder)} holds the {count} of this video already."]
         left = f"{number(self.blurred)} blurred and {number(self.repeated)} repeated left out"
         return [
-            f"{count} of {number(self.total)} in {shown(self.folder)}, {self.width} x "
+            f"{count} of {number(self.total)} in {brief(self.folder)}, {self.width} x "
             f"{self.height} px; {left}; {time_words(round(self.took))}.",
-            "Next: " + typed("sfm", self.folder, "-o", "CAPTURE", "--matching", "sequential"),
+            "Next: " + as_typed("sfm", self.folder, "-o", "CAPTURE", "--matching", "sequential"),
         ]
 
 
 def extract_frames(
-    request: FrameRequest,
+    request: ExtractRequest,
     *,
     on_event: Show = lambda event: None,
     control: Control | None = None,
@@ -107,7 +107,7 @@ def extract_frames(
 class _Extraction:
     """One extraction from its beginning to its end."""
 
-    def __init__(self, request: FrameRequest, show: Show, control: Control) -> None:
+    def __init__(self, request: ExtractRequest, show: Show, control: Control) -> None:
         self._request, self._show, self._control = request, show, control
         self._began = time.monotonic()
         self._warnings: list[str] = []
@@ -152,7 +152,7 @@ class _Extraction:
 
     def _check(self, looked: Survey, choice: Choice) -> None:
         """Raise where no cameras could be found, warn where it will be hard."""
-        name = shown(self._request.video)
+        name = brief(self._request.video)
         way = float(looked.travel[-1])
         if way < _STILL:
             raise DatasetError(
@@ -199,7 +199,7 @@ class _Extraction:
                     break
         if len(rows) != len(wanted):
             raise FormatError(
-                f"{shown(self._request.video)} changed while it was read. Try again when nothing "
+                f"{brief(self._request.video)} changed while it was read. Try again when nothing "
                 "writes to it."
             )
         return rows, size

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..io.files import is_file
-from ..shown import quoted
-from ..words import number
+from ..quoting import quoted
+from ..text_format import number
 
 VIDEO_ENDINGS = (
     *(".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg"),
@@ -14,7 +14,7 @@ VIDEO_ENDINGS = (
 )
 """What a file is called that is taken for a video without being opened."""
 FRAME_FORMATS = ("jpg", "png")
-"""Values of `FrameRequest.format`."""
+"""Values of `ExtractRequest.format`."""
 MOST_FRAMES = 100_000
 FEWEST_FRAMES = 3
 """What cameras can be found from at all."""
@@ -26,7 +26,7 @@ def is_video(path: Path) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameRequest:
+class ExtractRequest:
     """Options of a choice of frames.
 
     Raises:

@@ -10,8 +10,8 @@ from typing import Any
 from ..errors import DatasetError, FormatError
 from ..extras import need
 from ..io.files import check_regular, is_file
-from ..shown import shown
-from ..words import count_words, number
+from ..quoting import brief
+from ..text_format import count_words, number
 
 _ENCRYPTED = ("encv", "drmi", "p608")
 """Four letters in the place of the codec's where the stream is encrypted."""
@@ -105,7 +105,7 @@ class Video:
     def _joined(self, size: tuple[int, int], before: int) -> DatasetError:
         facts = self.facts
         return DatasetError(
-            f"{shown(self._path)} joins videos of two sizes: {count_words(before, 'frame')} of "
+            f"{brief(self._path)} joins videos of two sizes: {count_words(before, 'frame')} of "
             f"{facts.width} x {facts.height} px, others of {size[0]} x {size[1]} px. Cut it apart "
             "into files of one size, take the frames of each, and give gscore sfm their folders."
         )
@@ -120,17 +120,17 @@ class Video:
             raise _encrypted(self._path)
         if not first:
             raise FormatError(
-                f"No frame of {shown(self._path)} can be decoded: it is damaged or cut short. "
+                f"No frame of {brief(self._path)} can be decoded: it is damaged or cut short. "
                 f"{_HOW}, or copy it from the camera again."
             )
         if len(first) == 1 and self._stream.frames > 1:
             raise FormatError(
-                f"{shown(self._path)} states {number(self._stream.frames)} frames, but by its "
+                f"{brief(self._path)} states {number(self._stream.frames)} frames, but by its "
                 f"times one of them is shown: its time base or edit list is damaged. {_HOW}."
             )
         if len(first) == 1:
             raise DatasetError(
-                f"{shown(self._path)} holds one picture only, a video was expected. Photos go into "
+                f"{brief(self._path)} holds one picture only, a video was expected. Photos go into "
                 "a folder of their own."
             )
         return first
@@ -218,13 +218,13 @@ def opened_video(path: Path) -> Iterator[Video]:
     """
     av = need("av", "Reading a video")
     if not path.exists():
-        raise DatasetError(f"There is no video {shown(path)}.")
+        raise DatasetError(f"There is no video {brief(path)}.")
     check_regular(path)
     try:
         options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
         container = av.open(f"file:{path}", options=options, metadata_errors="replace")
     except PermissionError as error:
-        raise DatasetError(f"Cannot read {shown(path)}: permission denied.") from error
+        raise DatasetError(f"Cannot read {brief(path)}: permission denied.") from error
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise FormatError(_why_not_opened(path)) from error
     with container:
@@ -233,9 +233,9 @@ def opened_video(path: Path) -> Iterator[Video]:
 
 def _why_not_opened(path: Path) -> str:
     if is_file(path) and path.stat().st_size == 0:
-        return f"{shown(path)} is empty. Copy it from the camera again."
+        return f"{brief(path)} is empty. Copy it from the camera again."
     return (
-        f"{shown(path)} cannot be opened as a video: it is none, it is damaged, or the recording "
+        f"{brief(path)} cannot be opened as a video: it is none, it is damaged, or the recording "
         f"was cut off before its end was written. {_HOW}, or repair it with the camera's program."
     )
 
@@ -252,7 +252,7 @@ def _stream(path: Path, container: Any) -> Any:
         kinds = sorted({stream.type for stream in container.streams})
         has = f", only {' and '.join(kinds)}" if kinds else ""
         raise DatasetError(
-            f"{shown(path)} has no moving pictures{has}. Give the file of the video itself."
+            f"{brief(path)} has no moving pictures{has}. Give the file of the video itself."
         )
     context = best.codec_context
     tag = getattr(context, "codec_tag", "")
@@ -260,7 +260,7 @@ def _stream(path: Path, container: Any) -> Any:
         raise _encrypted(path)
     if context is None or not context.is_decoder:
         raise FormatError(
-            f"Nothing here decodes the video in {shown(path)} (codec {tag or 'unknown'}). {_HOW}."
+            f"Nothing here decodes the video in {brief(path)} (codec {tag or 'unknown'}). {_HOW}."
         )
     if context.name in _STRICT:
         context.options = {"err_detect": "explode"}
@@ -270,7 +270,7 @@ def _stream(path: Path, container: Any) -> Any:
 
 def _encrypted(path: Path) -> FormatError:
     return FormatError(
-        f"{shown(path)} is encrypted (DRM), so its pictures cannot be read. Take a recording of "
+        f"{brief(path)} is encrypted (DRM), so its pictures cannot be read. Take a recording of "
         "your own."
     )
 

@@ -4,16 +4,16 @@ import bpy
 import numpy as np
 
 from addon import attributes
-from addon.splats import carried
+from addon.splats import point_attributes
 
 
 def keep(mesh: bpy.types.Mesh, mask: np.ndarray) -> None:
     """Delete the points that are not in `mask` [N] bool; attributes follow."""
-    kinds, rows = carried.kinds(mesh), np.flatnonzero(mask)
-    tells, kept = attributes.tells_selection(mesh), {}
+    kinds, rows = point_attributes.kinds(mesh), np.flatnonzero(mask)
+    tells, kept = attributes.has_selection(mesh), {}
     for name, kind in kinds.items():
-        values = carried.empty_values(kind, len(mesh.vertices))
-        carried.copy_values(mesh, name, values)
+        values = point_attributes.empty_values(kind, len(mesh.vertices))
+        point_attributes.copy_values(mesh, name, values)
         kept[name] = values[rows]
     mesh.clear_geometry()
     attributes.add_points(mesh, len(rows))

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from addon.core import Splats
-from addon.process import beat
+from addon.process import poll_timer
 
 
 def splats(count: int, seed: int = 0) -> Splats:
@@ -36,5 +36,5 @@ def until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, "waited in vain"
-        beat.tick()
+        poll_timer.poll()
         time.sleep(0.01)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gscore.blocks.cells import make_cells
+from gscore.blocks.block_cells import make_cells
 
 LEVEL = np.eye(4)[None].repeat(5, axis=0)
 """Cameras whose down is +y."""

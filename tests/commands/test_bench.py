@@ -2,7 +2,7 @@
 
 import pytest
 
-from gscore.bench.child import run_child
+from gscore.bench.child_process import run_child
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.scaling import fit_line
 from gscore.bench.training import Point, Trained

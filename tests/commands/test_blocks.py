@@ -8,7 +8,7 @@ import pytest
 
 from gscore.io.block_record import read_block
 from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply
-from tests.trainer.ranks.started import start
+from tests.trainer.distributed.started import start
 
 SHORT = ("--preset", "draft", "--iterations", 3, "--quiet")
 

@@ -13,7 +13,7 @@ from gscore.datasets.read import read_capture
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.colmap.folder import read_model, write_model
-from gscore.io.pictures.images import read_image
+from gscore.io.images.read_image import read_image
 from gscore.io.ply.splats import write_splats
 
 from .conftest import STEPS

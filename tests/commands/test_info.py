@@ -11,12 +11,12 @@ import pytest
 
 from gscore.config_file import config_json, load_config
 from gscore.io.colmap.folder import read_model, write_model
+from gscore.io.images.read_image import write_png
 from gscore.io.lock import FolderLock
-from gscore.io.pictures.images import write_png
 from gscore.io.ply.splats import write_splats
 from gscore.io.runs import RUN_LOCK, checkpoint_path
 from gscore.io.sequences import SequenceIndex, write_sequence
-from gscore.words import time_words
+from gscore.text_format import time_words
 from tests.commands.conftest import STEPS
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from gscore.commands import dashed, main, train
+from gscore.commands.args import option_names_3dgs
 from gscore.commands.bench.changes import changed
-from gscore.commands.given import names_3dgs
 from gscore.config import LIFTED_BY, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
 from gscore.presets import PRESETS
@@ -120,7 +120,7 @@ def test_an_option_is_taken_in_both_ways(name: str) -> None:
     assert replace(found, **{name: getattr(plain, name)}) == plain
 
 
-@pytest.mark.parametrize(("name", "flag"), names_3dgs.ALIASES.items())
+@pytest.mark.parametrize(("name", "flag"), option_names_3dgs.ALIASES.items())
 def test_names_of_3dgs(name: str, flag: str) -> None:
     """Oracle: the option's own flag."""
     kind = options_of(TrainConfig)[name].kind

@@ -5,8 +5,8 @@ import statistics
 import numpy as np
 import pytest
 
+from gscore.bench.default_rule import CaptureChange, Verdict, decide_default
 from gscore.bench.paired import Difference, paired_difference, trimmed_mean
-from gscore.bench.verdict import CaptureChange, Verdict, judge
 
 
 def slow_twin(captures: list[list[list[float]]], seed: int) -> tuple[float, float, float]:
@@ -81,7 +81,7 @@ def _verdict(
         )
         for name, db, of_ssim in (("horse", 0.2, 0.1), ("plush", worst, ssim))
     }
-    return judge(_difference(median, low), seconds, captures)
+    return decide_default(_difference(median, low), seconds, captures)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gscore.bench import quality as study
-from gscore.bench.quality import JudgedView, Training, compare, summarize
+from gscore.bench.quality import ScoredView, Training, compare, summarize
 from gscore.bench.training import load_for_bench, train_measured
 from gscore.commands import main
 from gscore.commands.bench.quality_tables import tables
@@ -17,7 +17,7 @@ from gscore.config import TrainConfig
 from gscore.datasets import Dataset
 from gscore.metrics import psnr
 from gscore.presets import PRESETS
-from gscore.trainer.schedule import enough
+from gscore.trainer.schedule import caps
 from tests.commands.small_bench import EXAMPLE, bench_json
 
 TINY = ["-r", "100", "--mask-mode", "none", "--iterations", "6", "--preset", "preview"]
@@ -32,7 +32,7 @@ def _training(
     seconds: float = 10.0,
 ) -> Training:
     views = [
-        JudgedView(name=f"{i}.jpg", psnr=db and db - 1, psnr_cc=db, ssim=0.9, lpips=None)
+        ScoredView(name=f"{i}.jpg", psnr=db and db - 1, psnr_cc=db, ssim=0.9, lpips=None)
         for i, db in enumerate(psnr_cc)
     ]
     return Training(
@@ -111,7 +111,7 @@ def test_a_study_is_trained_once_and_goes_on(
     """Oracle: the trainings asked for, in turns; after a stop only those that are missing, and the
     same figures as without one."""
     out, done = tmp_path / "out", []
-    real = study.train_judged
+    real = study.train_scored
 
     def counted(config: TrainConfig, *args: Dataset, **names: object) -> Training:
         if len(done) == stop_at:
@@ -149,10 +149,10 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
 ) -> None:
     """Oracle: 3 steps for each of the photos that are not held out, where that is more than the
     least; all of them without the limit."""
-    monkeypatch.setattr(enough, "_FEWEST_STEPS", 10)
-    monkeypatch.setattr(enough, "_FEWEST_SPLATS", 10)
+    monkeypatch.setattr(caps, "_FEWEST_STEPS", 10)
+    monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
     taken, splats = {}, {}
-    real = study.train_judged
+    real = study.train_scored
 
     def noted(config: TrainConfig, photos: Dataset, *args: Dataset, **names: object) -> Training:
         taken[names["variant"]] = config.iterations
@@ -181,7 +181,7 @@ def test_a_training_is_measured_like_an_evaluation() -> None:
     config = replace(config, iterations=3, seed=4)
     small, large = load_for_bench(data), load_for_bench(replace(data, resolution=120))
     named = {"capture": "studio", "variant": "v", "offset": 2}
-    own, wide = (study.train_judged(config, small, judged, **named) for judged in (small, large))
+    own, wide = (study.train_scored(config, small, judged, **named) for judged in (small, large))
     assert own.key == ("studio", "v", 4, 2) and own.splats == wide.splats
     assert [view.name for view in own.views] == [small.names[i] for i in small.test]
     assert all(view.lpips is None and view.ssim for view in own.views)

@@ -252,7 +252,7 @@ def test_broken_video_leaves_nothing(gscore, run_folder, tmp_path, monkeypatch):
     def broken(*args, **options):
         raise ShapeError("no more")
 
-    monkeypatch.setattr("gscore.commands.given.model.GivenModel.draw", broken)
+    monkeypatch.setattr("gscore.commands.args.model_argument.ModelArgument.draw", broken)
     code, _, err = gscore("render", folder, "-o", tmp_path / "new" / "v.mp4", "--path", "orbit")
     assert code == 2 and "no more" in err and list((tmp_path / "new").iterdir()) == []
 

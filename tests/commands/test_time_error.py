@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import gscore
-from gscore.bench.pareto import Size, SizeOutcome, measure_sizes, unbeaten
+from gscore.bench.pareto_front import Size, SizeOutcome, measure_sizes, unbeaten
 from gscore.bench.peers import read_peers
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.synthetic import SyntheticPhotos
@@ -221,7 +221,7 @@ def test_curves_and_sizes_are_medians(monkeypatch: pytest.MonkeyPatch) -> None:
             splats=splats,
         )
 
-    monkeypatch.setattr("gscore.bench.pareto.train_measured", trained)
+    monkeypatch.setattr("gscore.bench.pareto_front.train_measured", trained)
     size = Size(preset="p", max_splats=1, width=1, iterations=1)
     photos: object = SyntheticPhotos(1, 16, 16)
     (found,) = measure_sizes([(size, TrainConfig(), photos)], photos, [0, 1, 2])  # pyright: ignore

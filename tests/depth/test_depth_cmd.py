@@ -17,7 +17,7 @@ from gscore.config import DataConfig, Switch
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
 from gscore.events import DepthDone, DepthProgress, Failed, from_line
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from gscore.trainer.depth.rule import coverage, decide
 
 MAKERS = {

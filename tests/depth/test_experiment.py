@@ -18,7 +18,7 @@ from experiments.depth.plans import ARMS, TABLES, Setting
 from experiments.depth.tables import tables
 from gscore.commands.train import add_arguments, configs
 from gscore.depth.origin import read_record
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from gscore.presets import PRESETS
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.formats.codebook import codebook, nearest_entries, palette
-from gscore.nearby import morton_order
+from gscore.morton import morton_order
 
 
 def test_a_codebook_is_as_good_as_lloyds() -> None:

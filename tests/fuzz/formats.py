@@ -25,9 +25,9 @@ from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from gscore.io.images.read_image import read_image, read_info, read_mask, write_png
 from gscore.io.mesh.files import read_mesh
 from gscore.io.mesh.ply import write_mesh
-from gscore.io.pictures.images import read_image, read_info, read_mask, write_png
 from gscore.io.ply.points import read_point_cloud
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import read_run
@@ -37,8 +37,8 @@ from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.stress.capture import toy_photos
 from gscore.trainer.files import checkpoint
-from gscore.trainer.files.folder import RunFolder
-from gscore.trainer.rows.frame import Frame
+from gscore.trainer.files.run_folder import RunFolder
+from gscore.trainer.model.training_frame import TrainingFrame
 from gscore.trainer.session import Session
 from gscore.trainer.trainer import Trainer
 from tests import program_files
@@ -391,12 +391,12 @@ def _read_checkpoint(root: Path) -> None:
     """As `train` goes on with one, for one step."""
     found = checkpoint.load(root / "a.safetensors")
     checkpoint.check_compatible(found, _TRAIN, _PHOTOS)
-    with checkpoint.understood(found.path):
-        frame = Frame.from_dict(found.trainer["frame"])
+    with checkpoint.checkpoint_errors(found.path):
+        frame = TrainingFrame.from_dict(found.trainer["frame"])
     trainer = Trainer(_TRAIN, _PHOTOS, frame=frame)
     checkpoint.check_same_depth(found, trainer)
     session = _session(trainer, root)
-    with checkpoint.understood(found.path):
+    with checkpoint.checkpoint_errors(found.path):
         trainer.restore(found.trainer, found.tensors)
         session.restore(found.session)
     trainer.step()

@@ -12,10 +12,10 @@ import pytest
 from addon.capture import inspection as panel
 from gscore import DataConfig, GsError, load_dataset
 from gscore.commands import main
-from gscore.datasets.placement import told_of_axes, told_of_places
+from gscore.datasets.pose_warnings import axis_warnings, position_warnings
 from gscore.frontend import ColmapModel, read_colmap, write_colmap
 from gscore.inspection import CaptureFacts, inspect
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from tests.addon.captures import write_capture, write_photo
 
 PINHOLE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}
@@ -162,7 +162,7 @@ def test_all_say_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         return
     assert facts.can_train and shown.can_train, facts.problems
     scene, notes = dataset.scene, _said(facts, errors=False)
-    told = (*dataset.warnings, *told_of_places(scene), *told_of_axes(scene))
+    told = (*dataset.warnings, *position_warnings(scene), *axis_warnings(scene))
     assert set(told) <= set(notes)
     assert facts.photos == len(dataset)
     assert facts.sizes == Counter(file.photo_size for file in dataset.files)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gscore.errors import BackendError, ConfigError
-from gscore.live import onlookers, protocol, server
+from gscore.live import server, viewer_clients, viewer_protocol
 from gscore.live_options import LiveOptions
 from tests.live.client import Client, free_port, wish
 
@@ -24,7 +24,7 @@ class Training:
     def __init__(self, *, pause: float = 0.002) -> None:
         self.port = free_port()
         self.server = server.Server(LiveOptions(port=self.port), text="/über/capture")
-        self.seen: list[protocol.Wish] = []
+        self.seen: list[viewer_protocol.FrameRequest] = []
         self.over = threading.Event()
         self._pause = pause
 
@@ -41,7 +41,7 @@ class Training:
 
     def _run(self):
         while not self.over.is_set():
-            self.server.onlookers.answer(self._draw)
+            self.server.viewers.answer(self._draw)
             time.sleep(self._pause)
 
     def _draw(self, request):
@@ -83,7 +83,7 @@ def test_points_land_where_the_viewer_expects_them():
     sent["view_projection_matrix"] = (clip @ opengl).astype(np.float32).T.ravel().tolist()
     sent |= {"train": 1, "keep_alive": 1, "shs_python": 0, "rot_scale_python": 0}
     sent |= {"scaling_modifier": 0.001, "z_near": near, "z_far": far}
-    found = protocol.parse(json.dumps(sent).encode())
+    found = viewer_protocol.parse(json.dumps(sent).encode())
     in_camera = np.array([[0.3, -0.2, 2, 1], [-1, 0.5, 4, 1], [0, 0, 1, 1]])
     points = in_camera @ np.linalg.inv(POSE).T
 
@@ -172,9 +172,9 @@ SKEWED = [2 * value for value in GOOD["view_matrix"]]
 )
 def test_what_no_camera_shows_is_refused(changes):
     """Oracle: ValueError, and nothing else; the request without the change is good."""
-    assert protocol.parse(json.dumps(GOOD).encode()).width == 40
+    assert viewer_protocol.parse(json.dumps(GOOD).encode()).width == 40
     with pytest.raises(ValueError, match=r"\S"):
-        protocol.parse(json.dumps(GOOD | changes).encode())
+        viewer_protocol.parse(json.dumps(GOOD | changes).encode())
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_random_bytes_end_no_thread(training):
         for _ in range(chance.randrange(1, 8)):
             raw[chance.randrange(len(raw))] = chance.randrange(256)
         try:
-            protocol.parse(bytes(raw if chance.random() < 0.5 else chance.randbytes(50)))
+            viewer_protocol.parse(bytes(raw if chance.random() < 0.5 else chance.randbytes(50)))
         except ValueError:
             continue
     with Client(training.port) as client:
@@ -279,11 +279,11 @@ def test_viewers_are_asked_whether_they_are_there(training):
 
 def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
     """Oracle: the time for which a request counts, for a viewer that wanted to look on."""
-    monkeypatch.setattr(onlookers, "HOLD", 0.2)
-    crowd = onlookers.Onlookers(after_the_end=True)
+    monkeypatch.setattr(viewer_clients, "HOLD", 0.2)
+    crowd = viewer_clients.ViewerClients(after_the_end=True)
     one = crowd.enter(1)
     assert one is not None
-    request = protocol.parse(json.dumps(wish(POSE, K, 4, 4, keep_alive=1)).encode())
+    request = viewer_protocol.parse(json.dumps(wish(POSE, K, 4, 4, keep_alive=1)).encode())
     thread = threading.Thread(target=one.ask, args=(request,))
     thread.start()
     time.sleep(0.3)
@@ -326,9 +326,9 @@ def test_a_lasting_fault_is_waited_out(training, monkeypatch, caplog, broken):
     with Client(training.port) as client:
         assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
     end = time.monotonic() + 5
-    while training.server.onlookers._all and time.monotonic() < end:
+    while training.server.viewers._all and time.monotonic() < end:
         time.sleep(0.05)
-    assert not training.server.onlookers._all and not training.server._connections
+    assert not training.server.viewers._all and not training.server._connections
 
 
 def test_viewers_that_vanish_leave_no_threads(training):
@@ -342,29 +342,29 @@ def test_viewers_that_vanish_leave_no_threads(training):
     while threading.active_count() > before and time.monotonic() < end:
         time.sleep(0.05)
     assert threading.active_count() == before
-    assert not training.server.onlookers.hold
+    assert not training.server.viewers.hold
 
 
 def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
     """Oracle: the time for which a request holds; one that trains holds nothing."""
-    monkeypatch.setattr(onlookers, "HOLD", 0.5)
+    monkeypatch.setattr(viewer_clients, "HOLD", 0.5)
     with Client(training.port) as client:
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
-        assert training.server.onlookers.hold
+        assert training.server.viewers.hold
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 1})
-        assert not training.server.onlookers.hold
+        assert not training.server.viewers.hold
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
         time.sleep(0.6)
-        assert not training.server.onlookers.hold
+        assert not training.server.viewers.hold
 
 
 def test_who_asks_when_it_is_over_does_not_wait():
     """Oracle: None, at once."""
-    crowd = onlookers.Onlookers()
+    crowd = viewer_clients.ViewerClients()
     one = crowd.enter(1)
     assert one is not None and crowd.enter(1) is None
     crowd.close()
-    assert one.ask(protocol.parse(json.dumps(GOOD).encode())) is None
+    assert one.ask(viewer_protocol.parse(json.dumps(GOOD).encode())) is None
     assert crowd.enter(5) is None
 
 
@@ -385,7 +385,7 @@ def test_drawing_takes_half_of_the_time_at_most():
         thread.start()
         drawing, steps, began = 0.0, 0, time.monotonic()
 
-        def draw(request: protocol.Wish) -> bytes:
+        def draw(request: viewer_protocol.FrameRequest) -> bytes:
             nonlocal drawing
             start = time.monotonic()
             time.sleep(0.05)
@@ -393,12 +393,12 @@ def test_drawing_takes_half_of_the_time_at_most():
             return bytes(48)
 
         while time.monotonic() - began < 1.5:
-            one.onlookers.answer(draw)
+            one.viewers.answer(draw)
             time.sleep(0.002)
             steps += 1
         passed = time.monotonic() - began
         over.set()
-        one.onlookers.close()
+        one.viewers.close()
         client.socket.close()
         thread.join()
     assert 0.1 < drawing < 0.55 * passed and steps > 50

@@ -67,7 +67,7 @@ def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
 
     port = free_port()
     with Server(LiveOptions(port=port), text="x") as server, looking(port, request) as seen:
-        train(config, data, tmp_path / "watched", onlookers=server.onlookers)
+        train(config, data, tmp_path / "watched", viewers=server.viewers)
     assert len(seen) >= 5 and all(text == "x" for _, text in seen)
     assert any(np.ptp(picture) > 50 for picture, _ in seen)
     for name in ("point_cloud.ply", "cameras.json"):
@@ -106,7 +106,7 @@ def test_a_viewer_can_hold_and_look_on(capture, tmp_path):  # noqa: F811
             events.append(event)
             up.set()
 
-        result = train(CONFIG, data, out, note, Control(), onlookers=server.onlookers)
+        result = train(CONFIG, data, out, note, Control(), viewers=server.viewers)
     thread.join(30)
     assert result.reason == "finished" and result.steps == CONFIG.iterations
     assert any(isinstance(e, Progress) and e.phase == "paused" for e in events)
@@ -127,11 +127,11 @@ def test_a_held_training_can_be_stopped(capture, tmp_path):  # noqa: F811
     port, control = free_port(), Control()
     with Server(LiveOptions(port=port)) as server, Client(port) as client:
         client.send({"resolution_x": 0, "resolution_y": 0, "train": 0})
-        while not server.onlookers.hold:
+        while not server.viewers.hold:
             time.sleep(0.01)
         threading.Timer(0.5, control.stop).start()
         data = DataConfig(source=capture)
-        result = train(CONFIG, data, tmp_path / "out", None, control, onlookers=server.onlookers)
+        result = train(CONFIG, data, tmp_path / "out", None, control, viewers=server.viewers)
     assert result.reason == "stopped" and result.steps == 0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.lod.groups import groups_of
-from gscore.lod.moments import covered_by, merged_by
+from gscore.lod.merge_moments import merged_by, projected_area
 from gscore.splats import Splats, sigmoid
 from gscore.transforms import quat_to_rotmat
 
@@ -35,7 +35,7 @@ def test_a_pair_keeps_its_moments() -> None:
     """Oracle: weighted mean, covariance and SH of two splats, written out one by one."""
     pair = some(2, seed=3)
     one = merged_by(pair, np.zeros(2), np.zeros(2, np.int64), 1).splats
-    a, b = covered_by(pair) / covered_by(pair).sum()
+    a, b = projected_area(pair) / projected_area(pair).sum()
     mean = a * pair.means[0].astype(float) + b * pair.means[1].astype(float)
     np.testing.assert_allclose(one.means[0], mean, rtol=1e-6)
     apart = pair.means[0].astype(float) - pair.means[1].astype(float)
@@ -62,7 +62,7 @@ def test_coverage_is_the_mean_shadow() -> None:
     rng = np.random.default_rng(0)
     d = rng.normal(size=(40_000, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    for row, found in enumerate(covered_by(splats)):
+    for row, found in enumerate(projected_area(splats)):
         C = covariance(splats, row)
         shadow = np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(C), d) * np.linalg.det(C))
         assert found == pytest.approx(shadow.mean(), rel=0.02)
@@ -73,7 +73,7 @@ def test_opacity_keeps_the_coverage() -> None:
     opacity is that of all behind each other."""
     far = some(2, means=np.array([[0, 0, 0], [9.0, 0, 0]]), opacities=np.array([0.3, -1]))
     one = merged_by(far, np.zeros(2), np.zeros(2, np.int64), 1).splats
-    assert covered_by(one)[0] == pytest.approx(covered_by(far).sum(), rel=1e-5)
+    assert projected_area(one)[0] == pytest.approx(projected_area(far).sum(), rel=1e-5)
     row = some(1, seed=2)
     stack = row.subset(np.zeros(3, np.int64))
     one = merged_by(stack, np.zeros(3), np.zeros(3, np.int64), 1).splats
@@ -135,6 +135,8 @@ def test_a_wall_keeps_its_coverage() -> None:
     splats = wall(2000)
     colors = splats.sh0[:, 0].astype(float)
     sizes = np.exp(splats.scales[:, 0].astype(float))
-    group = groups_of(splats.means.astype(float), covered_by(splats), sizes, colors, 500)
+    group = groups_of(splats.means.astype(float), projected_area(splats), sizes, colors, 500)
     made = merged_by(splats, np.zeros(2000), group, 500)
-    assert covered_by(made.splats).sum() == pytest.approx(covered_by(splats).sum(), rel=0.15)
+    assert projected_area(made.splats).sum() == pytest.approx(
+        projected_area(splats).sum(), rel=0.15
+    )

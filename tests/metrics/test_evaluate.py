@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gscore.errors import ShapeError
-from gscore.events import judged_psnr
+from gscore.events import headline_psnr
 from gscore.metrics import evaluate, headline, psnr, write_metrics
 from gscore.metrics.evaluate import target_picture
-from gscore.words import quality_words
+from gscore.text_format import quality_words
 
 
 class FakeLpips:
@@ -80,7 +80,7 @@ def test_ignored_pixels_do_not_count(fake_dataset):
     assert first["psnr"] > first["psnr_masked"]
     assert psnr(renders[0], pictures[0], mask=mask) == pytest.approx(first["psnr_masked"])
     assert math.isnan(psnr(renders[0], pictures[0], mask=np.zeros_like(mask)))
-    assert judged_psnr(result.mean) == result.mean["psnr_masked"]
+    assert headline_psnr(result.mean) == result.mean["psnr_masked"]
     words = f"PSNR inside the masks {result.mean['psnr_masked']:.2f} dB ("
     assert words in quality_words(result.mean)
     assert second["psnr_masked"] == pytest.approx(second["psnr"])
@@ -88,7 +88,7 @@ def test_ignored_pixels_do_not_count(fake_dataset):
     assert first["lpips"] == pytest.approx(kept / (40 * 50 * 3))
     ignoring_nothing = evaluate(lambda i: renders[i], fake_dataset(pictures, [mask, None]), [0])
     assert ignoring_nothing.mean["psnr"] < first["psnr_masked"]
-    assert judged_psnr(ignoring_nothing.mean) == ignoring_nothing.mean["psnr"]
+    assert headline_psnr(ignoring_nothing.mean) == ignoring_nothing.mean["psnr"]
     assert "masks" not in quality_words(ignoring_nothing.mean)
     dataset.judged_by = "region"
     of_region = evaluate(lambda i: renders[i], dataset, [0, 1])

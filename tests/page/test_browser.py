@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gscore import Splats, render
-from gscore.commands.given.model import open_model
+from gscore.commands.args.model_argument import open_model
 from gscore.commands.pictures.page_views import _without_cameras
 from gscore.config import Background
 from gscore.io.ply.splats import MIP_COMMENT, write_splats

@@ -10,8 +10,8 @@ from gscore.errors import GsError, ShapeError
 from gscore.raster.autograd import RasterAux, rasterize
 from gscore.raster.header import OUT_INVERSE_DEPTH
 from gscore.raster.loss import image_loss, image_loss_gradient
-from gscore.raster.painter import Painter
 from gscore.raster.request import Frustum, Settings
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.splats import PARAMETERS
 
 Make = Callable[..., Any]
@@ -20,7 +20,7 @@ Make = Callable[..., Any]
 @pytest.mark.parametrize(("antialias", "inverse"), [(False, False), (True, True)])
 def test_bits_are_those_of_autograd(random_scene: Make, antialias: bool, inverse: bool) -> None:
     """Oracle: picture, radii and all gradients; views of several sizes share one painter."""
-    painter = Painter()
+    painter = TrainingRasterizer()
     for seed in (1, 2, 3):
         inputs = random_scene(seed).inputs(torch.float32)
         leaves = [inputs[name] for name in PARAMETERS]
@@ -60,7 +60,7 @@ def test_gradients_of_higher_coefficients_are_added(random_scene: Make) -> None:
     """Oracle: twice the gradient after two calls, in bands above the evaluated degree nothing."""
     inputs = random_scene(4).inputs(torch.float32)
     splats = [inputs[name].detach() for name in PARAMETERS]
-    painter = Painter()
+    painter = TrainingRasterizer()
     view = Frustum(inputs["viewmat"].detach(), inputs["K"], 40, 30)
     picture = painter.draw(splats, view, Settings(sh_degree=2))
     v_rgb = torch.rand(picture.rgb.shape)
@@ -78,7 +78,7 @@ def test_errors_name_what_is_wrong(random_scene: Make) -> None:
     """Oracle: the messages."""
     inputs = random_scene(4).inputs(torch.float32)
     splats = [inputs[name].detach() for name in PARAMETERS]
-    painter = Painter()
+    painter = TrainingRasterizer()
     view = Frustum(inputs["viewmat"].detach(), inputs["K"], 40, 30)
     grads = {name: torch.zeros_like(p) for name, p in zip(PARAMETERS, splats, strict=True)}
     with pytest.raises(GsError, match="call draw first"):

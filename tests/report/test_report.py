@@ -29,7 +29,7 @@ from gscore.report.page_link import PAGE, link_page
 from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene
 from gscore.splats import Splats
-from gscore.words import size_words, time_words
+from gscore.text_format import size_words, time_words
 from tests.browser import page_after
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}

@@ -18,8 +18,8 @@ from gscore.errors import FormatError
 from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.colmap.folder import read_model
 from gscore.io.world_file import WORLD_FILE, read_up
-from gscore.sfm.gps import Gps, read_gps, to_metres
-from gscore.sfm.verdict import said_of_gps
+from gscore.sfm.gps_scale import Gps, read_gps, to_metres
+from gscore.sfm.search_result import gps_text
 
 from .conftest import cloud
 
@@ -164,12 +164,12 @@ def test_the_messages_name_strays_and_contradictions() -> None:
     height = places[3][2]
     places[3], places[9] = STRAYS["no height"](places[3], 0.0), np.zeros(3)
     found = read_gps(_model(AROUND / METRES), places)
-    [sentence] = said_of_gps(found, {f"{i}.jpg": f"walk/{i}.jpg" for i in places})
+    [sentence] = gps_text(found, {f"{i}.jpg": f"walk/{i}.jpg" for i in places})
     far = math.dist(*pycolmap.GPSTransform().ellipsoid_to_ecef(np.array([LUND, (0, 0, 0)])))
     assert f": walk/9.jpg ({far / 1000:,.0f} km), walk/3.jpg ({height:.0f} m)." in sentence
     noisy = read_gps(_model(LINE), _places(LINE, 40.0))
     assert noisy.contradicts is not None
-    [sentence] = said_of_gps(noisy, {})
+    [sentence] = gps_text(noisy, {})
     assert "gives the capture no size and no up" in sentence
 
 

@@ -10,13 +10,13 @@ from PIL import Image, ImageFilter
 
 from gscore.errors import DatasetError
 from gscore.sfm.database import Overlap
-from gscore.sfm.diagnose import why_none
+from gscore.sfm.failure_reason import failure_reason
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
-from gscore.sfm.looks import Look, blurred, exposure_jumps, look_of
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
+from gscore.sfm.photo_folders import stamp
+from gscore.sfm.photo_quality import PhotoQuality, blurred, exposure_jumps, measure_quality
 from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
-from gscore.sfm.plain import stamp
-from gscore.sfm.verdict import Found, said_of_lens
+from gscore.sfm.search_result import SearchResult, lens_text
 
 from .conftest import STUDIO
 
@@ -131,14 +131,14 @@ def test_reasons_name_the_first_that_holds() -> None:
         "2.jpg": Overlap(many, 2, 0, ("000002.jpg",)),
     }
     for words, overlap in cases.items():
-        assert words in why_none(overlap, names)
+        assert words in failure_reason(overlap, names)
     none = Overlap(np.zeros(4, np.int64), 0, 0, ())
-    assert "Half of the 4 photos have no feature at all, 100" in why_none(none, names)
+    assert "Half of the 4 photos have no feature at all, 100" in failure_reason(none, names)
 
 
 def test_the_verdict_names_what_to_do() -> None:
     """Oracle: the photos left out, by name, and the next command."""
-    found = Found(
+    found = SearchResult(
         output=Path("cap"),
         photos=9,
         registered=5,
@@ -148,7 +148,7 @@ def test_the_verdict_names_what_to_do() -> None:
         reprojection_px=2.0,
         track_length=2.1,
         cameras=(),
-        lens=said_of_lens(1.3, 0.47),
+        lens=lens_text(1.3, 0.47),
         attempts=3,
         seconds=1.0,
         resumed=False,
@@ -161,11 +161,11 @@ def test_the_verdict_names_what_to_do() -> None:
     assert found.facts()["models"] == 2 and found.facts()["others"] == (("x", "y", "z"),)
 
 
-def _looks(paths: list[Path]) -> list[Look]:
+def _looks(paths: list[Path]) -> list[PhotoQuality]:
     looks = []
     for path in paths:
         with Image.open(path) as photo:
-            looks.append(look_of(photo))
+            looks.append(measure_quality(photo))
     return looks
 
 

@@ -20,10 +20,10 @@ from gscore.datasets import load_dataset
 from gscore.errors import Cancelled, DatasetError, GsError
 from gscore.events import Event, SfmDone, SfmEstimated, SfmProgress
 from gscore.io.colmap.folder import read_model
-from gscore.sfm import Request, database, find_cameras, pairs
-from gscore.sfm.plain import photos_of, same_photos
-from gscore.sfm.verdict import Found
-from gscore.sfm.watch import watched
+from gscore.sfm import SearchRequest, database, find_cameras, pairs
+from gscore.sfm.photo_folders import photos_of, same_photos
+from gscore.sfm.pycolmap_thread import run_in_thread
+from gscore.sfm.search_result import SearchResult
 
 from .conftest import NEAR, STUDIO, render_cloud
 
@@ -53,7 +53,7 @@ def found(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     """A capture made of the photos, what was found and what was told."""
     capture = tmp_path_factory.mktemp("made") / "capture"
     told: list[Event] = []
-    result = find_cameras(Request(photos=photos, output=capture), on_event=told.append)
+    result = find_cameras(SearchRequest(photos=photos, output=capture), on_event=told.append)
     return capture, result.facts(), told
 
 
@@ -109,7 +109,7 @@ def test_the_same_photos_give_the_same_cameras(
 ) -> None:
     """Oracle: the first model; threads add in another order, so up to rounding."""
     again = tmp_path / "again"
-    result = find_cameras(Request(photos=photos, output=again))
+    result = find_cameras(SearchRequest(photos=photos, output=again))
     assert result.points == found[1]["points"]
     first, second = _centers(found[0]), _centers(again)
     assert first.keys() == second.keys()
@@ -125,7 +125,7 @@ def test_many_photos_are_joined_by_what_they_show(
     for name, value in (("EXHAUSTIVE", 4), ("_OVERLAP", 1), ("_KEY_PHOTOS", 2)):
         monkeypatch.setattr(pairs, name, value)
     told: list[Event] = []
-    result = find_cameras(Request(photos=photos, output=tmp_path / "c"), on_event=told.append)
+    result = find_cameras(SearchRequest(photos=photos, output=tmp_path / "c"), on_event=told.append)
     assert result.registered == len(NEAR) and result.attempts == 1
     phases = [event.phase for event in told if isinstance(event, SfmProgress)]
     names = list(dict.fromkeys(phases))
@@ -140,7 +140,7 @@ def test_a_stopped_search_goes_on(photos: Path, tmp_path: Path) -> None:
         if isinstance(event, SfmProgress) and event.phase == "comparing photos":
             control.stop()
 
-    request = Request(photos=photos, output=capture)
+    request = SearchRequest(photos=photos, output=capture)
     with pytest.raises(Cancelled):
         find_cameras(request, on_event=stop, control=control)
     assert [path.name for path in tmp_path.iterdir()] == [".capture.sfm"]
@@ -171,7 +171,7 @@ def test_a_killed_search_goes_on(photos: Path, tmp_path: Path) -> None:
         for line in search.stdout:
             if line.startswith("comparing photos"):
                 break
-        request = Request(photos=photos, output=capture)
+        request = SearchRequest(photos=photos, output=capture)
         try:
             with pytest.raises(GsError, match=rf"another search for cameras .*{search.pid}"):
                 find_cameras(request)
@@ -189,7 +189,7 @@ def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
     """Oracle: nothing is gone on from where a photo was written again since the stop."""
     mine, control = tmp_path / "photos", Control()
     shutil.copytree(photos, mine)
-    request = Request(photos=mine, output=tmp_path / "capture")
+    request = SearchRequest(photos=mine, output=tmp_path / "capture")
 
     def stop(event: Event) -> None:
         if isinstance(event, SfmProgress) and event.phase == "finding features":
@@ -213,7 +213,7 @@ def _written_to(photo: Path) -> None:
         picture.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(photo, "JPEG")
 
 
-def _search_while(change: Callable[[Path], object], mine: Path, capture: Path) -> Found:
+def _search_while(change: Callable[[Path], object], mine: Path, capture: Path) -> SearchResult:
     """A search during which a photo is changed as soon as features are found."""
     changed: list[object] = []
 
@@ -221,7 +221,7 @@ def _search_while(change: Callable[[Path], object], mine: Path, capture: Path) -
         if isinstance(event, SfmProgress) and event.phase == "comparing photos" and not changed:
             changed.append(change(mine / "front/view 001.jpg"))
 
-    return find_cameras(Request(photos=mine, output=capture), on_event=at_once)
+    return find_cameras(SearchRequest(photos=mine, output=capture), on_event=at_once)
 
 
 @pytest.mark.parametrize("change", [_replaced, Path.unlink])
@@ -233,7 +233,7 @@ def test_photos_replaced_during_a_search(change: Any, photos: Path, tmp_path: Pa
         assert (capture / "images" / photo.relative_to(photos)).read_bytes() == photo.read_bytes()
     (said,) = [sentence for sentence in found.warnings if "changed" in sentence]
     assert "1 photo changed" in said and "front/view 001.jpg" in said
-    assert not same_photos(capture, photos_of(Request(photos=mine, output=capture)))
+    assert not same_photos(capture, photos_of(SearchRequest(photos=mine, output=capture)))
 
 
 def test_photos_replaced_in_a_capture(photos: Path, tmp_path: Path) -> None:
@@ -243,7 +243,7 @@ def test_photos_replaced_in_a_capture(photos: Path, tmp_path: Path) -> None:
         _search_while(_replaced, mine, tmp_path / "capture")
     assert not (tmp_path / "capture/sparse").exists()
     shutil.copy2(photos / "front/view 001.jpg", mine / "front")
-    assert find_cameras(Request(photos=mine, output=tmp_path / "capture")).resumed
+    assert find_cameras(SearchRequest(photos=mine, output=tmp_path / "capture")).resumed
 
 
 def test_a_photo_written_to_during_a_search(photos: Path, tmp_path: Path) -> None:
@@ -268,7 +268,7 @@ def test_an_error_of_colmap_is_a_sentence(
     usage = shutil.disk_usage(tmp_path)._replace(free=free)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(GsError, match=says):
-        watched(work, tmp_path, tick=lambda: None, cancelled=lambda: False)
+        run_in_thread(work, tmp_path, tick=lambda: None, cancelled=lambda: False)
 
 
 def test_a_disk_that_fills_up_is_told_before_colmap_dies_of_it(
@@ -416,7 +416,7 @@ def test_two_scenes_are_told_apart(tmp_path: Path) -> None:
     render_cloud(tmp_path / "photos", 1, 8)
     render_cloud(tmp_path / "photos", 2, 5)
     capture = tmp_path / "capture"
-    result = find_cameras(Request(photos=tmp_path / "photos", output=capture))
+    result = find_cameras(SearchRequest(photos=tmp_path / "photos", output=capture))
     assert {name[:2] for name in _centers(capture)} == {"s1"}
     assert {name[:2] for part in result.models[1:] for name in part} <= {"s2"}
     others = {*result.alone, *(name for part in result.models[1:] for name in part)}

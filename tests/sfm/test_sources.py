@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.inspection.plain import bare_facts
+from gscore.inspection.photo_folder import bare_facts
 from gscore.io.colmap.folder import read_model
-from gscore.sfm import gather, heic
-from gscore.sfm.beside import Beside, capture_beside
-from gscore.sfm.request import Request
+from gscore.sfm import heic, staging
+from gscore.sfm.output_path import CaptureOutput, default_capture_output
+from gscore.sfm.search_request import SearchRequest
 from tests.video import films
 
 from .conftest import render_cloud
@@ -68,10 +68,10 @@ def test_two_folders_and_a_video_are_one_capture(views: Path, tmp_path: Path, ca
 def test_what_was_gathered_is_used_again(views: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: the time of the folder; a source that changed is refused."""
     sources = [_copy(views, tmp_path / "a", range(3)), _copy(views, tmp_path / "b", range(2, 5))]
-    request = Request(photos=sources[0], output=tmp_path / "capture")
-    gather.gather(request, sources)
+    request = SearchRequest(photos=sources[0], output=tmp_path / "capture")
+    staging.stage_photos(request, sources)
     before = (tmp_path / "capture/images").stat().st_mtime_ns
-    gather.gather(request, sources)
+    staging.stage_photos(request, sources)
     assert (tmp_path / "capture/images").stat().st_mtime_ns == before
     (sources[1] / "2.png").touch()
     assert main(["sfm", *map(str, sources), "-o", str(tmp_path / "capture")]) == 2
@@ -83,7 +83,7 @@ def test_masks_of_each_source_go_along(views: Path, tmp_path: Path) -> None:
     sources = [_copy(views, tmp_path / "a", range(2)), _copy(views, tmp_path / "b", range(2))]
     (sources[1] / "masks").mkdir()
     Image.new("L", (256, 256), 255).save(sources[1] / "masks/1.png")
-    gather.gather(Request(photos=sources[0], output=tmp_path / "c"), sources)
+    staging.stage_photos(SearchRequest(photos=sources[0], output=tmp_path / "c"), sources)
     found = {p.relative_to(tmp_path / "c").as_posix() for p in (tmp_path / "c").rglob("*.png")}
     photos = {f"images/{name}/{i}.png" for name in "ab" for i in range(2)}
     assert found == photos | {"masks/b/1.png.png"}
@@ -151,7 +151,9 @@ def test_heic_photos_become_jpeg(views: Path, tmp_path: Path, capsys: Out) -> No
     assert (facts["photos"], facts["sizes"], facts["unread"]) == (6, {"256 x 256": 6}, [])
     assert bare_facts(tmp_path / "photos").photos == 6
     capture = tmp_path / "capture"
-    assert capture_beside(tmp_path / "photos") == Beside(tmp_path / "photos-capture", False)
+    assert default_capture_output(tmp_path / "photos") == CaptureOutput(
+        tmp_path / "photos-capture", False
+    )
     assert main(["sfm", str(tmp_path / "photos"), "-o", str(capture), "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["registered"] >= 5
     with Image.open(capture / "images/IMG 2.HEIC.jpg") as made, Image.open(_view(views, 2)) as own:
@@ -164,7 +166,9 @@ def test_heic_photos_become_jpeg(views: Path, tmp_path: Path, capsys: Out) -> No
         assert main(["train", str(tmp_path / "photos"), "-o", str(out), *short, *more]) == 0
         assert ("Finding the cameras" in capsys.readouterr().err) is found
     (capture).rename(tmp_path / "photos-capture")
-    assert capture_beside(tmp_path / "photos") == Beside(tmp_path / "photos-capture", True)
+    assert default_capture_output(tmp_path / "photos") == CaptureOutput(
+        tmp_path / "photos-capture", True
+    )
 
 
 def test_a_turned_heic_photo_stands_upright(views: Path, tmp_path: Path) -> None:

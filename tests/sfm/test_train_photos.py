@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.inspection.plain import bare_facts
+from gscore.inspection.photo_folder import bare_facts
 from gscore.io.colmap.folder import read_model
 
 from .conftest import NEAR

@@ -9,7 +9,7 @@ from PIL import Image
 
 from gscore.commands import main
 from gscore.io.colmap.folder import read_model
-from gscore.sfm.beside import Beside, capture_beside, has_no_cameras
+from gscore.sfm.output_path import CaptureOutput, default_capture_output, has_no_cameras
 from tests.video import films
 
 from .conftest import render_cloud
@@ -106,19 +106,27 @@ def test_where_a_capture_goes_by_itself(walk: Path, photos: Path, tmp_path: Path
     for photo in photos.rglob("*.jpg"):
         (mine / "images" / photo.name).write_bytes(photo.read_bytes())
     assert has_no_cameras(mine) and has_no_cameras(walk) and not has_no_cameras(tmp_path / "no")
-    assert capture_beside(mine) == capture_beside(mine / "images") == Beside(mine, False)
+    assert (
+        default_capture_output(mine)
+        == default_capture_output(mine / "images")
+        == CaptureOutput(mine, False)
+    )
 
     (mine / "images").rename(tmp_path / "day one")
-    assert capture_beside(tmp_path / "day one") == Beside(tmp_path / "day one-capture", False)
+    assert default_capture_output(tmp_path / "day one") == CaptureOutput(
+        tmp_path / "day one-capture", False
+    )
     (tmp_path / "day one-capture").mkdir()
-    assert not capture_beside(tmp_path / "day one").capture.name.endswith("-2")
+    assert not default_capture_output(tmp_path / "day one").capture.name.endswith("-2")
     (tmp_path / "day one-capture/letter.txt").write_text("mine")
-    assert capture_beside(tmp_path / "day one") == Beside(tmp_path / "day one-capture-2", False)
+    assert default_capture_output(tmp_path / "day one") == CaptureOutput(
+        tmp_path / "day one-capture-2", False
+    )
 
     film = tmp_path / "walk.mp4"
     film.write_bytes(walk.read_bytes())
-    assert capture_beside(film) == Beside(tmp_path / "walk-capture", False)
+    assert default_capture_output(film) == CaptureOutput(tmp_path / "walk-capture", False)
     assert main(["sfm", str(film), "-o", str(tmp_path / "walk-capture"), "--quiet"]) == 0
-    assert capture_beside(film) == Beside(tmp_path / "walk-capture", True)
+    assert default_capture_output(film) == CaptureOutput(tmp_path / "walk-capture", True)
     film.write_bytes(walk.read_bytes() + b"\0" * 8)
-    assert capture_beside(film) == Beside(tmp_path / "walk-capture-2", False)
+    assert default_capture_output(film) == CaptureOutput(tmp_path / "walk-capture-2", False)

@@ -16,11 +16,11 @@ from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
-from gscore.trainer.rows.model import Model
+from gscore.trainer.model.model import Model
 from gscore.transforms import rotmat_to_quat
 from tests.isas import isa  # noqa: F401
 from tests.run_verb import refused  # noqa: F401

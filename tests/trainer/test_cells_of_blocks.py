@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from gscore.blocks.cells import Cells
+from gscore.blocks.block_cells import Cells
 from gscore.config import TrainConfig
 from gscore.io.block_record import BlockRecord
-from gscore.trainer.rows.frame import Frame
+from gscore.trainer.model.training_frame import TrainingFrame
 from gscore.trainer.trainer import Trainer
 from gscore.transforms import Similarity
 
@@ -32,7 +32,7 @@ def test_a_cell_holds_what_lies_between_its_ends() -> None:
 def test_a_cell_moves_with_the_training_world(photos: Any) -> None:
     """Oracle: the same splats, moved and scaled as they are."""
     similarity = Similarity(scale=0.125, shift=np.array([30.0, -4.0, 7.0]))
-    frame = Frame(similarity=similarity, extent=1.0, near=0.01)
+    frame = TrainingFrame(similarity=similarity, extent=1.0, near=0.01)
     trainer = Trainer(TrainConfig(iterations=1), photos, frame=frame, block=RECORD)
     means = np.random.default_rng(1).normal(size=(500, 3))
     moved = torch.from_numpy(similarity.points_to_training(means))

@@ -20,9 +20,9 @@ from gscore.commands import train as train_command
 from gscore.config import Background, Strategy
 from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
-from gscore.io.pictures.images import read_image, write_png
-from gscore.trainer.files.folder import RunFolder
-from gscore.trainer.schedule import enough
+from gscore.io.images.read_image import read_image, write_png
+from gscore.trainer.files.run_folder import RunFolder
+from gscore.trainer.schedule import caps
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 
@@ -139,7 +139,7 @@ def test_what_photos_decide_is_kept_and_nobody_types_it(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: what was typed; a run that goes on, and an evaluation, know it still."""
-    monkeypatch.setattr(enough, "_FEWEST_STEPS", 5)
+    monkeypatch.setattr(caps, "_FEWEST_STEPS", 5)
     typed = ["--preset", "draft", "--steps-a-photo", "2"]
     assert main(["train", str(capture), "-o", str(tmp_path), *typed, "--quiet"]) == 0
     told = "16 of 4,000 steps are taken"
@@ -165,7 +165,7 @@ def test_each_model_may_have_what_photos_allow_one(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: 2 and 1 times 20 splats for each of 8 photos, of the 600 that were asked for."""
-    monkeypatch.setattr(enough, "_FEWEST_SPLATS", 10)
+    monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
     for models in (2, 1):
         out = tmp_path / str(models)
         words = ["train", str(capture), "-o", str(out), *SHORT, "--quiet", "--max-splats", "600"]
@@ -180,8 +180,8 @@ def test_a_run_that_photos_limit_goes_on_by_the_line_that_began_it(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the splats of the whole run; what was typed, without what was lifted since."""
-    monkeypatch.setattr(enough, "_FEWEST_SPLATS", 10)
-    monkeypatch.setattr(enough, "_FEWEST_STEPS", 5)
+    monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
+    monkeypatch.setattr(caps, "_FEWEST_STEPS", 5)
     line = ["train", str(capture), "-o", str(tmp_path), "--quiet", "--sh-degree", "0"]
     line += ["--max-splats", "600", "--splats-a-photo", "20", "--steps-a-photo", "2"]
     assert main([*line, "--checkpoint-iterations", "8"]) == 0

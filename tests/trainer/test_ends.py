@@ -16,7 +16,7 @@ import pytest
 from gscore.events import Failed, from_line
 from gscore.io.ply.splats import read_ply
 from gscore.trainer.files import checkpoint
-from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.files.run_folder import RunFolder
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and shells of POSIX")
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]

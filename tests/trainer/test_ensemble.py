@@ -16,12 +16,12 @@ from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import trainer as trainer_module
+from gscore.trainer.distributed.ensemble_member import count_members
 from gscore.trainer.estimate.cost import Cost
-from gscore.trainer.photos.views import Sampler
-from gscore.trainer.ranks.member import members_in
-from gscore.trainer.rows.ensemble import shared_opacities
-from gscore.trainer.schedule.enough import models_of, models_to_expect
-from gscore.trainer.step import loss as step_loss
+from gscore.trainer.model.ensemble import divide_opacities
+from gscore.trainer.photos.view_sampler import ViewSampler
+from gscore.trainer.schedule.caps import expected_model_count, model_count
+from gscore.trainer.step import step_loss as step_loss
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
@@ -48,9 +48,13 @@ def test_each_model_is_as_if_it_were_trained_alone(
     """Oracle: runs of one model with half the splats, the second with half an epoch's other views;
     to the bit."""
     both = trained(TWO, photos)
-    beside = Sampler.beside
+    batch_neighbours = ViewSampler.batch_neighbours
     for place, member in enumerate(both.members):
-        monkeypatch.setattr(Sampler, "beside", lambda self, parts, k=place: [beside(self, 2)[k]])
+        monkeypatch.setattr(
+            ViewSampler,
+            "batch_neighbours",
+            lambda self, parts, k=place: [batch_neighbours(self, 2)[k]],
+        )
         alone = trained(ONE, photos)
         mine = {key.removeprefix(f"{place}/"): t for key, t in member.tensors().items()}
         assert bits(mine) == bits(alone.members[0].tensors())
@@ -61,12 +65,12 @@ def test_each_model_is_as_if_it_were_trained_alone(
 
 def test_each_model_sees_each_view_once_an_epoch() -> None:
     """Oracle: the set of views; no two see the same at one step; what comes next is foretold."""
-    sampler, generator = Sampler(range(7)), torch.Generator(device="cpu").manual_seed(1)
+    sampler, generator = ViewSampler(range(7)), torch.Generator(device="cpu").manual_seed(1)
     seen: list[list[int]] = []
     for place in range(7):
         ahead = sampler.upcoming(1, 3)
         sampler.next(generator)
-        seen.append(sampler.beside(3))
+        seen.append(sampler.batch_neighbours(3))
         assert ahead == ([seen[-1]] if place else []), "an epoch is not drawn before it begins"
         assert seen[-1][0] == sampler.order[sampler.position - 1]
         assert len(set(seen[-1])) == 3
@@ -87,15 +91,15 @@ def test_as_many_splats_in_one_place_take_as_much_light_as_one_did(models: int) 
     """Oracle: optical depths of rings; what is not drawn stays, what is drawn is still drawn."""
     for opacity in (0.0045, 0.01, 0.1, 0.5, 0.9, 0.99):
         logit = torch.logit(torch.tensor([opacity]))
-        shared = float(torch.sigmoid(shared_opacities(logit, models).double()))
+        shared = float(torch.sigmoid(divide_opacities(logit, models).double()))
         assert 1 / 255 < shared < opacity
         assert models * light_taken(shared) == pytest.approx(light_taken(opacity), rel=2e-3)
     extremes = torch.tensor([-200.0, -6.0, 30.0, 200.0])
-    shared = shared_opacities(extremes, models)
+    shared = divide_opacities(extremes, models)
     assert torch.isfinite(shared).all()
-    assert torch.isnan(shared_opacities(torch.tensor([torch.nan]), models)).all()
+    assert torch.isnan(divide_opacities(torch.tensor([torch.nan]), models)).all()
     assert torch.equal(shared[:2], extremes[:2])
-    assert shared_opacities(extremes, 1) is extremes
+    assert divide_opacities(extremes, 1) is extremes
 
 
 def test_what_is_shown_is_what_is_written(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,14 +112,14 @@ def test_what_is_shown_is_what_is_written(photos: Any, monkeypatch: pytest.Monke
         assert np.array_equal(joined, getattr(whole, name)), name
     assert len(whole) == trainer.splat_count == sum(len(m.model) for m in trainer.members)
     cameras = photos.scene.cameras
-    picture = trainer.sight.picture(0, background=(0.0, 0.0, 0.0)).numpy()
+    picture = trainer.renderer.picture(0, background=(0.0, 0.0, 0.0)).numpy()
     size = int(cameras.widths[0]), int(cameras.heights[0])
     drawn = render(whole, cameras.Ks[0], cameras.viewmats[0], *size).rgb
     np.testing.assert_allclose(picture, drawn, atol=2e-5)
     ended = trainer.finish()
     for name in PARAMETERS:
         assert np.array_equal(getattr(ended, name), getattr(whole, name)), name
-    assert np.array_equal(trainer.sight.picture(0, background=(0.0, 0.0, 0.0)).numpy(), picture)
+    assert np.array_equal(trainer.renderer.picture(0, background=(0.0, 0.0, 0.0)).numpy(), picture)
 
 
 def test_it_shows_the_mean_of_its_models(make_photos: Callable[..., Any]) -> None:
@@ -128,7 +132,7 @@ def test_it_shows_the_mean_of_its_models(make_photos: Callable[..., Any]) -> Non
         size = int(cameras.widths[1]), int(cameras.heights[1])
         return render(splats, cameras.Ks[1], cameras.viewmats[1], *size).rgb
 
-    alone = [trainer._in_world(dict(member.model.settled())) for member in trainer.members]
+    alone = [trainer._in_world(dict(member.model.synced())) for member in trainer.members]
     pictures = [drawn(splats) for splats in alone]
     mean, shown = (pictures[0] + pictures[1]) / 2, drawn(trainer.splats())
     error = float(np.abs(shown - mean).mean())
@@ -148,7 +152,7 @@ def test_same_bits_for_any_number_of_threads_and_after_going_on(
         after.step()
     assert bits(once.tensors()) == bits(threads.tensors()) == bits(after.tensors())
     assert once.state() == after.state()
-    assert members_in(once.tensors()) == 2
+    assert count_members(once.tensors()) == 2
 
 
 @pytest.mark.parametrize("models", [1, 2])
@@ -237,18 +241,18 @@ def test_how_many_models_there_are(
     condition; what is expected before photos are compared is no less, but of a subject. Of one of
     which no splats are left out there is one model."""
     config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO, drop_rate=0.1)
-    found, words = models_of(config, photos=50, mask_mode=mask_mode, known=known, points=points)
+    found, words = model_count(config, photos=50, mask_mode=mask_mode, known=known, points=points)
     subject = mask_mode == "composite"
-    expected = models_to_expect(config, photos=50, points=points, subject=subject)
+    expected = expected_model_count(config, photos=50, points=points, subject=subject)
     assert expected == 1 if subject and below else expected >= models
     whole = replace(config, drop_rate=0.0)
-    alone, _ = models_of(whole, photos=50, mask_mode=mask_mode, known=known, points=points)
+    alone, _ = model_count(whole, photos=50, mask_mode=mask_mode, known=known, points=points)
     assert alone == (1 if subject and below else models)
     off = replace(config, stereo=Stereo.OFF, start_splats=None)
-    unasked = models_to_expect(off, photos=50, points=points, subject=False)
+    unasked = expected_model_count(off, photos=50, points=points, subject=False)
     assert unasked == (1 if below else ensemble)
     given = replace(config, start_splats=Path("x.ply"))
-    assert models_to_expect(given, photos=50, points=points, subject=False) == 1
+    assert expected_model_count(given, photos=50, points=points, subject=False) == 1
     assert found == models
     assert bool(words) == (models > 1 and below > 0)
     if words:
@@ -296,8 +300,8 @@ def test_pictures_between_steps_are_of_the_splats_there_are(photos: Any) -> None
     """Oracle: a trainer that did not look before."""
     looked, fresh = Trainer(RANDOM, photos), Trainer(RANDOM, photos)
     for _ in range(3):
-        looked.sight.picture(0, background=(0.0, 0.0, 0.0))
+        looked.renderer.picture(0, background=(0.0, 0.0, 0.0))
         looked.step()
         fresh.step()
-    ours, theirs = (t.sight.picture(0, background=(0.0, 0.0, 0.0)) for t in (looked, fresh))
+    ours, theirs = (t.renderer.picture(0, background=(0.0, 0.0, 0.0)) for t in (looked, fresh))
     assert torch.equal(ours, theirs)

@@ -31,16 +31,16 @@ from gscore.events import (
     to_line,
 )
 from gscore.io.cameras_json import read_cameras_json
+from gscore.io.images.read_image import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
-from gscore.io.pictures.images import read_image
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import checkpoints_in, read_course
 from gscore.report import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
-from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
-from gscore.trainer.schedule import enough
+from gscore.trainer.schedule import caps
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(
@@ -73,7 +73,7 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
 ) -> None:
     """Oracle: the product of photos and steps a photo; the files say what was taken, so that a
     resume finds nothing left to do, more steps can be asked for, and none are taken back."""
-    monkeypatch.setattr(enough, "_FEWEST_STEPS", 10)
+    monkeypatch.setattr(caps, "_FEWEST_STEPS", 10)
     config, data, out = replace(CONFIG, steps_a_photo=2), data_of(capture), tmp_path / "run"
     events: list[Event] = []
     result = train(config, data, out, events.append)
@@ -360,7 +360,7 @@ def test_a_capture_far_from_its_origin_is_trained_and_warned_about(
     cameras.viewmats[:, :3, 3] -= np.einsum("cij,j->ci", cameras.viewmats[:, :3, :3], offset)
     np.add(cloud.points, offset, out=cloud.points)
     pictures = [
-        Trainer(CONFIG, p).sight.picture(0, background=(0, 0, 0)).numpy() for p in (near, far)
+        Trainer(CONFIG, p).renderer.picture(0, background=(0, 0, 0)).numpy() for p in (near, far)
     ]
     assert pictures[0].mean() > 0.1
     np.testing.assert_allclose(*pictures, atol=1e-4)

@@ -13,16 +13,16 @@ from gscore.config import Background, Strategy, TrainConfig
 from gscore.errors import DatasetError, GsError
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
-from gscore.raster.painter import Painter
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.splats import PARAMETERS
 from gscore.trainer.schedule import plan as schedules
-from gscore.trainer.step import loss as step_loss
+from gscore.trainer.step import step_loss as step_loss
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
 
 def psnr(trainer: Trainer, index: int) -> float:
-    shown = trainer.sight.picture(index, background=(0.0, 0.0, 0.0)).numpy()
+    shown = trainer.renderer.picture(index, background=(0.0, 0.0, 0.0)).numpy()
     error = np.clip(shown, 0, 1) - trainer.photos.image(index) / 255
     return float(-10 * np.log10((error**2).mean()))
 
@@ -126,11 +126,11 @@ def test_a_model_is_told_in_parts_and_as_a_whole_alike(
                 joined = np.concatenate([getattr(part, name) for part in parts])
                 assert np.array_equal(joined, getattr(whole, name)), name
             ours.make_room()
-    last, picture = theirs.splats(), theirs.sight.picture(0, background=(0, 0, 0))
+    last, picture = theirs.splats(), theirs.renderer.picture(0, background=(0, 0, 0))
     ended = ours.finish()
     for name in PARAMETERS:
         assert np.array_equal(getattr(ended, name), getattr(last, name)), name
-    assert torch.equal(ours.sight.picture(0, background=(0, 0, 0)), picture)
+    assert torch.equal(ours.renderer.picture(0, background=(0, 0, 0)), picture)
     assert not ours.model.grads
 
 
@@ -144,7 +144,7 @@ def test_the_background_is_behind_the_splats(
     """Oracle: a model of one tiny transparent splat shows the background and nothing else."""
     trainer = Trainer(replace(SHORT, background=background), photos)
     trainer.model.params["opacities"].data.fill_(-20)
-    shown = trainer.sight.picture(0, background=trainer.sight.background)
+    shown = trainer.renderer.picture(0, background=trainer.renderer.background)
     assert torch.unique(shown).tolist() == [expected]
 
 
@@ -160,7 +160,9 @@ def test_masks_of_opacity_are_learnt_over_changing_backgrounds(
     trainer = Trainer(TrainConfig(iterations=400, max_splats=400, sh_degree=0), photos)
     for _ in range(400):
         trainer.step()
-    black, white = (trainer.sight.picture(0, background=(c, c, c)).mean(dim=2) for c in (0.0, 1.0))
+    black, white = (
+        trainer.renderer.picture(0, background=(c, c, c)).mean(dim=2) for c in (0.0, 1.0)
+    )
     outside = photos.masks[0] == 0
     cover = 1 - (white - black).numpy()
     assert cover[outside].mean() < 0.1
@@ -178,7 +180,7 @@ def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[...,
         trainer.step()
     assert trainer.model.rows["shN_lag"].any()
     late = {name: p.clone() for name, p in trainer.model.params.items()}
-    shown = [trainer.sight.picture(i, background=(0, 0, 0)).numpy() for i in range(8)]
+    shown = [trainer.renderer.picture(i, background=(0, 0, 0)).numpy() for i in range(8)]
     splats = trainer.splats()
     stale = replace(splats, shN=late["shN"].numpy())
     difference = 0.0
@@ -228,14 +230,14 @@ def test_bad_gradients_are_left_out_and_counted(
 ) -> None:
     """Oracle: row 4 keeps its values although its gradient is NaN; the others move."""
     trainer = Trainer(SHORT, photos)
-    real = Painter.gradients
+    real = TrainingRasterizer.gradients
 
-    def poisoned(painter: Any, into: dict[str, torch.Tensor], *args: Any, **options: Any) -> Any:
-        means2d = real(painter, into, *args, **options)
+    def poisoned(rasterizer: Any, into: dict[str, torch.Tensor], *args: Any, **options: Any) -> Any:
+        means2d = real(rasterizer, into, *args, **options)
         into["scales"][4, 1] = math.nan
         return means2d
 
-    monkeypatch.setattr(Painter, "gradients", poisoned)
+    monkeypatch.setattr(TrainingRasterizer, "gradients", poisoned)
     before = {name: p.clone() for name, p in trainer.model.params.items()}
     result = trainer.step()
     assert (result.bad_rows, trainer.bad_rows, result.skipped) == (1, 1, False)

@@ -16,7 +16,7 @@ from gscore.config_file import load_config
 from gscore.io.ply.splats import read_ply
 from gscore.presets import PRESETS
 from gscore.trainer.files import checkpoint
-from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.files.run_folder import RunFolder
 
 BEFORE = Path(__file__).parent / "written_before"
 DATA, TRAIN = PRESETS["normal"](Path("/captures/toy"))

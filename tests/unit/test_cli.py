@@ -15,7 +15,7 @@ import pytest
 from gscore import commands
 from gscore._version import __version__
 from gscore.commands import train
-from gscore.commands.terminal.attend import attend
+from gscore.commands.terminal.run_job import run_job
 from gscore.config import TrainConfig
 from gscore.datasets.dataset import map_threads
 from gscore.errors import Cancelled, ConfigError, DatasetError
@@ -135,7 +135,7 @@ def test_stopped_before_there_was_anything(
     def work(show: Any, control: Any) -> None:
         raise Cancelled("while reading")
 
-    result, code = attend(argparse.Namespace(quiet=quiet, events=events), work)
+    result, code = run_job(argparse.Namespace(quiet=quiet, events=events), work)
     told = capsys.readouterr()
     assert (result, code, told.err) == (None, 3, err)
     assert ("Stopped before the first step; nothing was written." in told.out) == bool(events)

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from gscore.choices import Stereo
-from gscore.commands.given.data_options import add_data_options, with_data_options
+from gscore.commands.args.data_options import add_data_options, with_data_options
 from gscore.config import Background, DataConfig, Strategy, TrainConfig, checked_threads
 from gscore.config_file import config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
 from gscore.presets import PRESETS
-from gscore.video import FrameRequest
+from gscore.video import ExtractRequest
 
 ODD = TrainConfig(
     iterations=7,
@@ -175,7 +175,7 @@ def test_minus_one_is_as_is_under_every_preset() -> None:
 def test_numbers_of_400_digits_are_not_repeated_whole() -> None:
     """Oracle: the length of the sentence, and the ends of the number in it."""
     many = int("12" + 396 * "0" + "34")
-    for ask in (lambda: checked_threads(many), lambda: FrameRequest(**_PLACES, frames=many)):
+    for ask in (lambda: checked_threads(many), lambda: ExtractRequest(**_PLACES, frames=many)):
         with pytest.raises(ConfigError, match=r"12000.*00034") as told:
             ask()
         assert len(str(told.value)) < 400

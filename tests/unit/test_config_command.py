@@ -9,7 +9,7 @@ import pytest
 
 from gscore.commands import depth
 from gscore.commands import train as verb
-from gscore.commands.given.data_options import with_data_options
+from gscore.commands.args.data_options import with_data_options
 from gscore.commands.parser import Parser
 from gscore.config import Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from gscore.config_command import depth_command, preset_words, train_command

@@ -15,7 +15,7 @@ from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.resolution import target_size
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, FormatError, GsError
 from gscore.io.colmap.folder import ColmapPoints, read_model, write_model
-from gscore.io.pictures.images import read_image, write_png
+from gscore.io.images.read_image import read_image, write_png
 
 
 def _load(root: Path, **options: Any) -> Dataset:

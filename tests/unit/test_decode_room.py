@@ -11,7 +11,7 @@ from PIL import Image
 
 from gscore.datasets.dataset import Dataset
 from gscore.datasets.decode import DECODED_AT_ONCE, ViewFile, _Room, decode_view
-from gscore.io.pictures.images import read_image
+from gscore.io.images.read_image import read_image
 from tests.fuzz.test_readers import peak_bytes
 
 
@@ -85,7 +85,7 @@ def test_strips_are_the_whole(mode: str, tmp_path: Path, monkeypatch: pytest.Mon
             picture.putalpha(Image.fromarray(values[..., 0]))
         picture.save(path)
         expected = np.array(picture.convert("RGBA" if mode == "RGBA" else "RGB"))
-    monkeypatch.setattr("gscore.io.pictures.pixels._PIXELS_A_STRIP", 100)
+    monkeypatch.setattr("gscore.io.images.pixels._PIXELS_A_STRIP", 100)
     np.testing.assert_array_equal(read_image(path), expected)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from gscore.errors import DatasetError, GsError
 from gscore.io import files
-from gscore.io.files import atomic_write, given_up_by, is_file, read_bytes
+from gscore.io.files import atomic_write, file_errors, is_file, read_bytes
 
 
 def _listing(folder: Path) -> list[str]:
@@ -53,11 +53,11 @@ def test_a_file_that_was_given_up(tmp_path: Path) -> None:
         reached.append(_listing(tmp_path))
         raise KeyError("stop")
 
-    with pytest.raises(KeyError), given_up_by(check):
+    with pytest.raises(KeyError), file_errors(check):
         atomic_write(path, b"new")
     assert path.read_bytes() == b"old" and _listing(tmp_path) == ["file.bin"]
     assert len(reached) == 1 and len(reached[0]) == 2  # all was written by then
-    with given_up_by(lambda: None):
+    with file_errors(lambda: None):
         atomic_write(path, b"newer")
     assert path.read_bytes() == b"newer"
 

@@ -13,12 +13,12 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import GsError
-from gscore.inspection.plain import bare_facts
+from gscore.inspection.photo_folder import bare_facts
 from gscore.io.block_record import BLOCK_RECORD
-from gscore.io.foreign import foreign
 from gscore.io.foreign_cameras import unread_cameras
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from gscore.io.ply.splats import read_ply
+from gscore.io.unsupported_formats import describe_unsupported
 
 
 def _zip(*names: str) -> bytes:
@@ -76,10 +76,14 @@ def given(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str, st
 def test_by_content(given: tuple[Path, str, str]) -> None:
     """Oracle: the signatures that the formats' definitions state, under another ending too."""
     path, name, advice = given
-    assert name in foreign(path) and advice in foreign(path) and str(path) in foreign(path)
+    assert (
+        name in describe_unsupported(path)
+        and advice in describe_unsupported(path)
+        and str(path) in describe_unsupported(path)
+    )
     if path.suffix[1:] not in BY_NAME:
         renamed = path.rename(path.with_suffix(".ply"))
-        assert name in foreign(renamed)
+        assert name in describe_unsupported(renamed)
 
 
 def test_where_a_ply_or_a_capture_is_expected(given: tuple[Path, str, str]) -> None:
@@ -126,16 +130,18 @@ def test_photos_without_cameras(
 
 def test_a_folder_of_other_things(tmp_path: Path) -> None:
     """Oracle: the sentence on what lies in it; SOG unpacked; nothing where nothing is known."""
-    assert foreign(tmp_path) == "" and foreign(tmp_path / "nowhere") == ""
+    assert describe_unsupported(tmp_path) == "" and describe_unsupported(tmp_path / "nowhere") == ""
     (tmp_path / "notes.txt").write_text("none of them")
-    assert foreign(tmp_path) == "" and foreign(tmp_path / "notes.txt") == ""
+    assert (
+        describe_unsupported(tmp_path) == "" and describe_unsupported(tmp_path / "notes.txt") == ""
+    )
     (tmp_path / "walk.mov").write_bytes(FILES["mov"][0])
-    assert "walk.mov is a video" in foreign(tmp_path)
+    assert "walk.mov is a video" in describe_unsupported(tmp_path)
     bundle = tmp_path / "sog"
     bundle.mkdir()
     (bundle / "meta.json").write_text("{}")
     (bundle / "means_l.webp").write_bytes(b"RIFF")
-    assert "SOG" in foreign(bundle)
+    assert "SOG" in describe_unsupported(bundle)
 
 
 def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -148,11 +154,15 @@ def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[
         folder.mkdir(parents=True)
         for name in ("config.json", "point_cloud.ply"):
             (folder / name).touch()
-    assert "2 blocks" in foreign(blocks) and f"gscore train {blocks}" in foreign(blocks)
-    assert "2 trainings" in foreign(runs) and f"gscore merge {runs}" in foreign(runs)
-    assert "folder of a training. Give the capture" in foreign(run)
+    assert "2 blocks" in describe_unsupported(
+        blocks
+    ) and f"gscore train {blocks}" in describe_unsupported(blocks)
+    assert "2 trainings" in describe_unsupported(
+        runs
+    ) and f"gscore merge {runs}" in describe_unsupported(runs)
+    assert "folder of a training. Give the capture" in describe_unsupported(run)
     (run / "capture").mkdir()
-    assert f"Its capture is {run / 'capture'}" in foreign(run)
+    assert f"Its capture is {run / 'capture'}" in describe_unsupported(run)
     (tmp_path / "empty").mkdir()
     for line, said in (
         (f"render {runs} -o {tmp_path}/out", "gscore merge"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
 
-from gscore.io.pictures.image_header import ImageInfo, read_header
+from gscore.io.images.image_header import ImageInfo, read_header
 
 
 def by_pillow(path: Path) -> ImageInfo:

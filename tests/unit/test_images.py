@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from gscore.errors import DatasetError, FormatError, GsError, ShapeError
-from gscore.io.pictures.images import read_image, read_info, read_mask, reduce, resize, write_png
-from gscore.io.pictures.pillow import pillow
+from gscore.io.images.pillow_images import pillow
+from gscore.io.images.read_image import read_image, read_info, read_mask, reduce, resize, write_png
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (6, 1, 4), (1, 1, 3), (40, 300, 3)])

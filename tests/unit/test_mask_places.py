@@ -11,7 +11,7 @@ from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.folder import Folder
 from gscore.errors import DatasetError
-from gscore.io.pictures.images import resize_mask, write_png
+from gscore.io.images.read_image import resize_mask, write_png
 from gscore.sfm.masks import mask_folder
 from gscore.transforms import viewmat_from_opengl
 

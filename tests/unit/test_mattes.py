@@ -8,8 +8,8 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.datasets.mattes import are_mattes
-from gscore.io.pictures.images import read_mask, write_png
+from gscore.datasets.mask_meaning import are_mattes
+from gscore.io.images.read_image import read_mask, write_png
 
 H, W = 60, 80
 

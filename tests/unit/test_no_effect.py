@@ -5,8 +5,8 @@ import argparse
 import pytest
 
 from gscore.commands import train
-from gscore.commands.given import names_3dgs
-from gscore.commands.given.no_effect import RULES, idle_options
+from gscore.commands.args import option_names_3dgs
+from gscore.commands.args.unused_options import RULES, unused_options
 
 ALWAYS = """
 help source source_option output preset config resume overwrite start_checkpoint images
@@ -19,7 +19,7 @@ prune_opacity finest prune_share free_space quiet events exposure refine_poses n
 disable_viewer set region guide_surface guide_free
 """
 """Options that do something in every run, or whose effect the capture decides."""
-REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in names_3dgs.REFUSED)
+REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in option_names_3dgs.REFUSED)
 
 
 def told(line: str) -> str:
@@ -28,7 +28,7 @@ def told(line: str) -> str:
     train.add_arguments(parser)
     args = parser.parse_args(f"in -o out {line}".split())
     given = argparse.Namespace(**vars(args))
-    return idle_options(given, *train.configs(args))
+    return unused_options(given, *train.configs(args))
 
 
 def test_no_option_is_forgotten() -> None:

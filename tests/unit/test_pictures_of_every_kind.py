@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from gscore.errors import FormatError
-from gscore.io.pictures.images import assumed_of_mask, read_image, read_info, read_mask, write_png
-from gscore.io.pictures.jpeg_scan import missing_blocks
-from gscore.io.pictures.pillow import MOST_PIXELS
+from gscore.io.images.jpeg_scan import missing_blocks
+from gscore.io.images.pillow_images import MOST_PIXELS
+from gscore.io.images.read_image import assumed_of_mask, read_image, read_info, read_mask, write_png
 
 from .png_files import png
 from .tiff_files import tiff

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from gscore.errors import ShapeError
-from gscore.io.pictures.images import read_mask
-from gscore.io.pictures.png import gray_png, rgba_png
+from gscore.io.images.png import gray_png, rgba_png
+from gscore.io.images.read_image import read_mask
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 5), (300, 201)])

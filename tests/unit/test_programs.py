@@ -17,8 +17,8 @@ from gscore.datasets import Capture, View, load_dataset, read_capture
 from gscore.errors import FormatError, GsError
 from gscore.inspection import find_capture, inspect
 from gscore.io.colmap.lenses import BENT, bent_pixels
-from gscore.io.pictures.images import write_png
-from gscore.sfm.plain import is_plain, other_cameras
+from gscore.io.images.read_image import write_png
+from gscore.sfm.photo_folders import is_photo_folder, other_cameras
 from tests import program_files as files
 from tests.program_files import Chunk, Rig
 
@@ -95,7 +95,7 @@ def test_realityscan(form: str, terms: dict[str, float], rig: Rig, tmp_path: Pat
     """Oracle: equations (27) to (48) of RealityScan's own document, and known poses."""
     rig = replace(rig, terms=terms)
     WRITERS[form](_photos(tmp_path, rig), rig)
-    assert not is_plain(tmp_path)
+    assert not is_photo_folder(tmp_path)
     _check(_read(tmp_path), rig, "realityscan")
 
 
@@ -392,8 +392,8 @@ def test_of_several_camera_files_one_is_read_and_the_others_named(rig: Rig, tmp_
         shutil.copy(tmp_path / "a/images" / name, tmp_path / "b/day 1")
     files.write_rs_xmp(tmp_path / "b", inner)
     _check(_read(tmp_path / "b"), inner, "realityscan")
-    assert find_capture(tmp_path / "b") == tmp_path / "b" and not is_plain(tmp_path / "b")
-    assert find_capture(tmp_path / "a") == tmp_path / "a" and is_plain(tmp_path / "a")
+    assert find_capture(tmp_path / "b") == tmp_path / "b" and not is_photo_folder(tmp_path / "b")
+    assert find_capture(tmp_path / "a") == tmp_path / "a" and is_photo_folder(tmp_path / "a")
 
 
 def test_colmap_and_transforms_come_first(rig: Rig, tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from gscore.errors import DatasetError, FormatError
-from gscore.io.pictures.images import read_image, read_info
-from gscore.io.pictures.raw import RAW_ENDINGS, is_raw
+from gscore.io.images.raw import RAW_ENDINGS, is_raw
+from gscore.io.images.read_image import read_image, read_info
 from gscore.sfm.photos import read_photos
 
 from .raw_files import directories, dng, page

@@ -5,7 +5,7 @@ import pytest
 
 from gscore import ShapeError
 from gscore.frontend import downscale
-from gscore.io.pictures.images import resize
+from gscore.io.images.read_image import resize
 
 
 @pytest.mark.parametrize(

@@ -108,10 +108,10 @@ def test_clearing_spares_meshes_of_the_user(tmp_path: Path, ours: bool) -> None:
 
 
 def test_names_are_those_of_the_trainer() -> None:
-    """Oracle: `gscore.trainer.files.folder`, which needs torch and so cannot be read in Blender."""
+    """Oracle: `gscore.trainer.files.run_folder`, which needs torch and so is not for Blender."""
     pytest.importorskip("torch")
-    from gscore.trainer.files import folder
+    from gscore.trainer.files import run_folder
 
-    run = folder.RunFolder(Path("out"))
+    run = run_folder.RunFolder(Path("out"))
     assert set(RUN_FILES) >= {run.config.name, run.point_cloud.name}
     assert run.checkpoint(12).name == "step_00000012.safetensors"

@@ -12,7 +12,7 @@ from gscore.errors import FormatError
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.binary import read_images
 from gscore.io.colmap.text import read_cameras
-from gscore.shown import quoted, shown, typed
+from gscore.quoting import as_typed, brief, quoted
 
 PACKAGE = Path(gscore.__file__).parent
 LARGE = 50_000_000
@@ -22,18 +22,18 @@ def test_short_values_are_whole() -> None:
     """Oracle: Python's own words."""
     for value in ("a.png", 7, 1.5, None, True, [[1.0, 2.0, 3.0, 4.0]] * 4, {"a": [1]}):
         assert quoted(value) == repr(value)
-    assert shown(Path("a/b.ply")) == "a/b.ply"
+    assert brief(Path("a/b.ply")) == "a/b.ply"
 
 
 def test_commands_can_be_typed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: what a shell takes them apart to, and a program that is not on PATH."""
     words = ("render", Path("my photos/run"), "-o", "it's.mp4")
-    assert shlex.split(typed(*words)) == ["gscore", *map(str, words)]
+    assert shlex.split(as_typed(*words)) == ["gscore", *map(str, words)]
     monkeypatch.setenv("PATH", "")
     monkeypatch.setattr("sys.argv", [".venv/bin/gscore", "train"])
-    assert typed("info", "a") == ".venv/bin/gscore info a"
+    assert as_typed("info", "a") == ".venv/bin/gscore info a"
     monkeypatch.setattr("sys.argv", ["worker.py"])
-    assert typed("info", "a") == "gscore info a"
+    assert as_typed("info", "a") == "gscore info a"
 
 
 @pytest.mark.parametrize(
@@ -42,12 +42,12 @@ def test_commands_can_be_typed(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_long_values_are_cut(value: object) -> None:
     """Oracle: 200 letters, the limit of a path in a message."""
     assert len(quoted(value)) <= 200
-    assert len(shown(str(value)[:LARGE])) <= 200
+    assert len(brief(str(value)[:LARGE])) <= 200
 
 
 def test_what_no_output_prints_is_replaced() -> None:
     """Oracle: UTF-8 takes it."""
-    assert shown("a\0b\ud800").encode() == b"a?b?"
+    assert brief("a\0b\ud800").encode() == b"a?b?"
     assert len(listing(["n" * 1000] * 9)) < 1100
 
 

@@ -6,8 +6,8 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import pytest
 
 from gscore.errors import ConfigError
-from gscore.io.places import check_apart, check_place
-from gscore.io.system_places import is_shared, system_tree
+from gscore.io.output_paths import check_output_path, check_separate
+from gscore.io.system_folders import is_shared, system_tree
 
 WINDOWS = {
     "SystemRoot": r"C:\Windows",
@@ -68,9 +68,9 @@ def test_the_folder_of_temporary_files_is_told_by_the_environment() -> None:
 
 def test_single_files_may_lie_where_everything_lies() -> None:
     """Oracle: a film in the folder of temporary files is fine, one among devices is not."""
-    check_apart(Path("/tmp"))
+    check_separate(Path("/tmp"))
     with pytest.raises(ConfigError, match="/dev lies among devices"):
-        check_apart(Path("/dev"))
+        check_separate(Path("/dev"))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="users without a home are a matter of containers")
@@ -80,4 +80,4 @@ def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     monkeypatch.setattr(os, "getuid", lambda: 4_000_000)
     with pytest.raises(RuntimeError):
         Path("~").expanduser()
-    check_place(tmp_path / "run")
+    check_output_path(tmp_path / "run")

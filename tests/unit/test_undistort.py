@@ -15,7 +15,7 @@ from gscore.datasets.undistort import Undistortion, plan_undistortion
 from gscore.errors import DatasetError, FormatError
 from gscore.io.colmap.camera_models import CAMERA_MODELS
 from gscore.io.colmap.folder import ColmapCamera
-from gscore.io.pictures.images import resize, write_png
+from gscore.io.images.read_image import resize, write_png
 
 _DISTORTED = [
     model.name

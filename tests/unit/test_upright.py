@@ -10,15 +10,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from gscore.blocks.cut import cut_capture
+from gscore.blocks.split_capture import cut_capture
 from gscore.commands import main
-from gscore.commands.given.model import GivenModel
+from gscore.commands.args.model_argument import ModelArgument
 from gscore.commands.pictures.page_views import find_views
-from gscore.commands.pictures.shots import find_shots
+from gscore.commands.pictures.render_cameras import find_shots
 from gscore.commands.terminal.status import Status
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.io.pictures.images import read_image
+from gscore.io.images.read_image import read_image
 from gscore.report.cameras_plan import plan_axes
 from gscore.scene import Cameras
 from gscore.upright import turn_cameras, upright_turns
@@ -147,9 +147,9 @@ def _down(up: np.ndarray | None) -> np.ndarray:
     return np.stack([x, np.cross(-up, x), -up])
 
 
-def _no_model() -> GivenModel:
+def _no_model() -> ModelArgument:
     """A model of a capture that is named."""
-    return GivenModel(run=None, file=cast(Any, None), data=None, train=None)
+    return ModelArgument(run=None, file=cast(Any, None), data=None, train=None)
 
 
 def _asked(folder: Path, **others: object) -> Namespace:

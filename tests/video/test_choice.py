@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gscore.errors import Cancelled
-from gscore.video.choose import choose
-from gscore.video.motion import Travel
+from gscore.video.camera_motion import Travel
+from gscore.video.frame_selection import choose
+from gscore.video.frame_survey import Survey, survey
 from gscore.video.source import opened_video
-from gscore.video.survey import Survey, survey
 
 from . import films
 from .conftest import Film

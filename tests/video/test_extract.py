@@ -12,8 +12,8 @@ from gscore.commands import main
 from gscore.control import Control
 from gscore.errors import Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import Event, FramesDone, FramesProgress
-from gscore.video import FrameRequest, extract_frames, is_video
-from gscore.video.folder import FrameFolder
+from gscore.video import ExtractRequest, extract_frames, is_video
+from gscore.video.frame_folder import FrameFolder
 
 from . import films
 from .conftest import Film
@@ -34,7 +34,7 @@ def _psnr(a: np.ndarray, b: np.ndarray) -> float:
 def test_files_hold_the_frames_their_names_say(film: Film, tmp_path: Path, kind: str) -> None:
     """Oracle: the pictures the video was made of; JPEG costs less than the video did."""
     done = extract_frames(
-        FrameRequest(video=film.path, output=tmp_path / "out", frames=20, format=kind)
+        ExtractRequest(video=film.path, output=tmp_path / "out", frames=20, format=kind)
     )
     found = _pixels(tmp_path / "out")
     assert list(found) == list(done.names) and 17 <= len(found) <= 20
@@ -53,7 +53,7 @@ def test_files_hold_the_frames_their_names_say(film: Film, tmp_path: Path, kind:
 def test_jpeg_costs_next_to_nothing(film: Film, tmp_path: Path) -> None:
     """Oracle: the same frames as PNG: more than 40 dB, with the colours at full resolution."""
     for kind in ("jpg", "png"):
-        request = FrameRequest(video=film.path, output=tmp_path / kind, frames=8, format=kind)
+        request = ExtractRequest(video=film.path, output=tmp_path / kind, frames=8, format=kind)
         extract_frames(request)
     pairs = zip(_pixels(tmp_path / "jpg").values(), _pixels(tmp_path / "png").values(), strict=True)
     assert min(_psnr(a, b) for a, b in pairs) > 40
@@ -65,7 +65,7 @@ def test_jpeg_costs_next_to_nothing(film: Film, tmp_path: Path) -> None:
 def test_the_same_video_gives_the_same_bytes(film: Film, tmp_path: Path) -> None:
     """Oracle: the files of another run."""
     for name in ("one", "two"):
-        extract_frames(FrameRequest(video=film.path, output=tmp_path / name, frames=15))
+        extract_frames(ExtractRequest(video=film.path, output=tmp_path / name, frames=15))
     one, two = ({p.name: p.read_bytes() for p in (tmp_path / n).iterdir()} for n in ("one", "two"))
     assert one == two
 
@@ -73,20 +73,20 @@ def test_the_same_video_gives_the_same_bytes(film: Film, tmp_path: Path) -> None
 def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
     """Oracle: the times of the files; other options are refused, a lost file is noticed."""
     out = tmp_path / "out"
-    first = extract_frames(FrameRequest(video=film.path, output=out, frames=10))
+    first = extract_frames(ExtractRequest(video=film.path, output=out, frames=10))
     stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
     told: list[Event] = []
     again = extract_frames(
-        FrameRequest(video=film.path, output=out, frames=10), on_event=told.append
+        ExtractRequest(video=film.path, output=out, frames=10), on_event=told.append
     )
     assert again.found and not first.found and again.names == first.names
     assert stamps == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
     assert [type(event) for event in told] == [FramesDone]
     with pytest.raises(ConfigError, match="other options"):
-        extract_frames(FrameRequest(video=film.path, output=out, frames=12))
+        extract_frames(ExtractRequest(video=film.path, output=out, frames=12))
     (out / first.names[0]).unlink()
     with pytest.raises(ConfigError, match="holds frames"):
-        extract_frames(FrameRequest(video=film.path, output=out, frames=10))
+        extract_frames(ExtractRequest(video=film.path, output=out, frames=10))
 
 
 def test_frames_are_replaced_where_that_is_asked_for(
@@ -115,7 +115,7 @@ def test_frames_are_replaced_where_that_is_asked_for(
 def test_one_process_at_a_time_writes_into_a_folder(film: Film, tmp_path: Path) -> None:
     """Oracle: the sentence of the second, begun while the first looks and while it writes, and the
     frames of the first alone; a third finds them."""
-    request = FrameRequest(video=film.path, output=tmp_path / "new/out", frames=10)
+    request = ExtractRequest(video=film.path, output=tmp_path / "new/out", frames=10)
     refused: set[str] = set()
 
     def show(event: Event) -> None:
@@ -135,7 +135,7 @@ def test_frames_of_another_process_that_has_ended_meanwhile_are_found(
     film: Film, tmp_path: Path
 ) -> None:
     """Oracle: the names and times of the files that it wrote."""
-    request = FrameRequest(video=film.path, output=tmp_path / "out", frames=10)
+    request = ExtractRequest(video=film.path, output=tmp_path / "out", frames=10)
     waiting = FrameFolder(request)
     extract_frames(request)
     with waiting.writing():
@@ -149,7 +149,7 @@ def test_a_hidden_folder_of_somebody_else_stays(film: Film, tmp_path: Path, name
     theirs.parent.mkdir()
     theirs.write_text("mine")
     with pytest.raises(ConfigError, match=r"\.new\.frames is where frames are written"):
-        extract_frames(FrameRequest(video=film.path, output=tmp_path / "new"))
+        extract_frames(ExtractRequest(video=film.path, output=tmp_path / "new"))
     assert theirs.read_text() == "mine" and not (tmp_path / "new").exists()
 
 
@@ -159,7 +159,7 @@ def test_what_a_killed_run_left_is_replaced(film: Film, tmp_path: Path) -> None:
     (left / "frames").mkdir(parents=True)
     (left / "lock").write_text('{"pid": 1}')
     (left / "frames/frame_000001.jpg").write_bytes(b"half")
-    done = extract_frames(FrameRequest(video=film.path, output=tmp_path / "out", frames=10))
+    done = extract_frames(ExtractRequest(video=film.path, output=tmp_path / "out", frames=10))
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert "frame_000001.jpg" not in done.names
 
@@ -181,7 +181,7 @@ def test_a_record_that_lacks_something_is_no_record(
     path.write_text(json.dumps(record))
     try:
         with pytest.raises(ConfigError, match=r"or not all of them.*--overwrite"):
-            extract_frames(FrameRequest(video=film.path, output=taken, frames=10))
+            extract_frames(ExtractRequest(video=film.path, output=taken, frames=10))
     finally:
         path.write_text(before)
 
@@ -190,7 +190,7 @@ def test_a_record_that_lacks_something_is_no_record(
 def taken(film: Film, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of ten frames."""
     out = tmp_path_factory.mktemp("taken") / "out"
-    extract_frames(FrameRequest(video=film.path, output=out, frames=10))
+    extract_frames(ExtractRequest(video=film.path, output=out, frames=10))
     return out
 
 
@@ -198,7 +198,7 @@ def test_a_folder_of_others_is_left_alone(film: Film, tmp_path: Path) -> None:
     """Oracle: the folder afterwards."""
     (tmp_path / "mine.txt").write_text("x")
     with pytest.raises(ConfigError, match="something else"):
-        extract_frames(FrameRequest(video=film.path, output=tmp_path))
+        extract_frames(ExtractRequest(video=film.path, output=tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
@@ -212,7 +212,7 @@ def test_stopping_leaves_nothing(film: Film, tmp_path: Path, phase: str) -> None
             control.stop()
 
     with pytest.raises(Cancelled):
-        request = FrameRequest(video=film.path, output=tmp_path / "out")
+        request = ExtractRequest(video=film.path, output=tmp_path / "out")
         extract_frames(request, on_event=show, control=control)
     assert list(tmp_path.iterdir()) == []
 
@@ -223,14 +223,14 @@ def test_a_full_disk_leaves_nothing(
     """Oracle: the sentence, and the folder."""
     import errno
 
-    from gscore.video import folder
+    from gscore.video import frame_folder
 
     def full(*_: object) -> str:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(folder.FrameFolder, "put", full)
+    monkeypatch.setattr(frame_folder.FrameFolder, "put", full)
     with pytest.raises(GsError, match="the disk is full"):
-        extract_frames(FrameRequest(video=film.path, output=tmp_path / "out"))
+        extract_frames(ExtractRequest(video=film.path, output=tmp_path / "out"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -241,7 +241,7 @@ def test_a_standing_camera_is_refused(tmp_path: Path) -> None:
     noisy = (np.clip(view + rng.integers(-3, 4, view.shape), 0, 255) for _ in range(30))
     path = films.write(tmp_path / "still.mp4", (picture.astype(np.uint8) for picture in noisy))
     with pytest.raises(DatasetError, match="stands still"):
-        extract_frames(FrameRequest(video=path, output=tmp_path / "out"))
+        extract_frames(ExtractRequest(video=path, output=tmp_path / "out"))
 
 
 def test_the_command_says_what_it_did(film: Film, tmp_path: Path, capsys: Out) -> None:
@@ -260,7 +260,7 @@ def test_events_tell_how_far_it_is(film: Film, tmp_path: Path) -> None:
     """Oracle: counts that rise to the totals of each phase."""
     told: list[Event] = []
     extract_frames(
-        FrameRequest(video=film.path, output=tmp_path / "out", frames=10), on_event=told.append
+        ExtractRequest(video=film.path, output=tmp_path / "out", frames=10), on_event=told.append
     )
     progress = [event for event in told if isinstance(event, FramesProgress)]
     assert {event.phase for event in progress} == {"looking at frames", "writing frames"}

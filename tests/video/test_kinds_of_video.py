@@ -12,11 +12,11 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.commands.video_facts import video_facts
+from gscore.commands.video_info import video_facts
 from gscore.errors import FormatError
-from gscore.video import FrameRequest, Frames, extract_frames
+from gscore.video import ExtractRequest, Frames, extract_frames
 from gscore.video.source import damage_words, opened_video
-from gscore.video.tone import to_screen
+from gscore.video.tone_mapping import to_screen
 
 from . import films
 
@@ -45,7 +45,7 @@ def walk() -> list[np.ndarray]:
 
 def _frames(path: Path, tmp_path: Path, *, count: int = 6, kind: str = "png") -> Frames:
     return extract_frames(
-        FrameRequest(video=path, output=tmp_path / "out", frames=count, format=kind)
+        ExtractRequest(video=path, output=tmp_path / "out", frames=count, format=kind)
     )
 
 

@@ -19,7 +19,7 @@ from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.live import attempts, handler  # noqa: E402
+from addon.live import handler, retry_limit  # noqa: E402
 from addon.live.card import Card  # noqa: E402
 from addon.nodes import display  # noqa: E402
 from addon.render.viewport import Viewport  # noqa: E402
@@ -108,7 +108,7 @@ def story() -> Iterator[object]:
     failing.end("once")
     yield 0.5
     shot("again")
-    attempts.PAUSES = (0.1, 0.2, 0.3)
+    retry_limit.PAUSES = (0.1, 0.2, 0.3)
     failing = Failing(Card, "show", 1e9)
     area().tag_redraw()
     yield lambda: handler.SESSION.by_engine

@@ -22,7 +22,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.cameras import camera_path, camera_path_import, export_colmap, importing  # noqa: E402
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
-from addon.interface import waiting  # noqa: E402
+from addon.interface import modal_status  # noqa: E402
 from tests.window.held import Held  # noqa: E402
 from tools.window.desk import Teller, area, clear, leaving, send, shoot, space  # noqa: E402
 
@@ -248,8 +248,8 @@ def story() -> Iterator[object]:
     importing.BUDGET = 0.0  # a camera a piece, so that there is time to press a key
     clear()
     bpy.data.batch_remove([*bpy.data.cameras, *bpy.data.meshes, *bpy.data.lights])
-    say = waiting.StatusBar.say
-    waiting.StatusBar.say = lambda self, text: (said.append(text or ""), say(self, text))[1]
+    say = modal_status.StatusBar.say
+    modal_status.StatusBar.say = lambda self, text: (said.append(text or ""), say(self, text))[1]
     with bpy.context.temp_override(window=window(), area=area()):
         bpy.ops.ed.undo_push(message="start")
     yield 0.5

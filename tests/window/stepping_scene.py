@@ -25,7 +25,7 @@ from addon import attributes  # noqa: E402
 from addon.cameras import captures  # noqa: E402
 from addon.core import join_splats  # noqa: E402
 from addon.render import decimate, picture  # noqa: E402
-from addon.splats import choose, objects  # noqa: E402
+from addon.splats import objects, selection_masks  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.window.held import Held  # noqa: E402
 from tools.window.desk import Teller, area, clear, leaving, shoot  # noqa: E402
@@ -132,7 +132,7 @@ def given_up() -> Iterator[object]:
     seed()
     mode("EDIT")
     yield 0.5
-    held = Held(choose, "flooded")
+    held = Held(selection_masks, "flooded")
     invoke("select_flood", gap=1.0)
     yield held.began.is_set
     seen["meanwhile"] = ob().mode
@@ -230,7 +230,7 @@ def disabled() -> Iterator[object]:
     """The add-on is disabled while splats are looked for, and enabled again."""
     begin()
     yield 0.5
-    held = Held(choose, "flooded")
+    held = Held(selection_masks, "flooded")
     seed()
     mode("EDIT")
     invoke("select_flood", gap=1.0)

@@ -23,10 +23,10 @@ import numpy as np  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.cameras.objects import root_of  # noqa: E402
-from addon.job.training import job_of as training_of  # noqa: E402
-from addon.judge.work import job_of as errors_of  # noqa: E402
-from addon.process import beat  # noqa: E402
-from addon.steer.work import job_of as region_of  # noqa: E402
+from addon.error_maps.measure_errors import job_of as errors_of  # noqa: E402
+from addon.process import poll_timer  # noqa: E402
+from addon.region_training.train_region import job_of as region_of  # noqa: E402
+from addon.training.start_training import job_of as training_of  # noqa: E402
 from tools.window.desk import Teller, area, at_rest, leaving, region, shoot, space  # noqa: E402
 
 Teller.LONGEST = 60.0
@@ -44,7 +44,7 @@ def _timed() -> float | None:
     return again
 
 
-_tick, beat.tick = beat.tick, _timed
+_tick, poll_timer.poll = poll_timer.poll, _timed
 
 
 def press(name: str, **given: object) -> None:
@@ -113,7 +113,7 @@ def over(job_of: object, *of: object) -> object:
 def trained() -> bool:
     """Whether the scene's training has ended, and its splats are there."""
     job = training_of(bpy.context.scene)
-    return job is not None and job.state.ended and not any(f.waits() for f in beat.FOLLOWERS)
+    return job is not None and job.state.ended and not any(f.waits() for f in poll_timer.FOLLOWERS)
 
 
 def to_train(capture: Path) -> None:

@@ -58,7 +58,7 @@ def main() -> int:
     args.output.mkdir(parents=True, exist_ok=True)
     isas = backend.available_isas()
     for name, scene in scenes(args):
-        true = truth.ask(scene)
+        true = truth.reference_truth(scene)
         errors = {}
         for isa in isas:
             with native.with_isa(isa):

@@ -61,8 +61,8 @@ def mesh_of(scene: bpy.types.Scene) -> int:
 def training(options: argparse.Namespace) -> None:
     """Beats while a trainer works."""
     from addon import preferences
-    from addon.job import display, session, training
-    from addon.process import beat
+    from addon.process import poll_timer
+    from addon.training import display, run_state, start_training
 
     prefs = preferences.get()
     prefs.python_path = str(options.python)
@@ -74,7 +74,7 @@ def training(options: argparse.Namespace) -> None:
     bpy.ops.gscore.import_cameras()
     began = time.monotonic()
     with Watch() as click:
-        job = training.train(scene)
+        job = start_training.train(scene)
     show("the click on Train", [click.took])
     kinds = ("reading lines", "building the display", "a picture", "splats")
     beats: dict[str, list[tuple[float, ...]]] = {kind: [] for kind in kinds}
@@ -82,7 +82,7 @@ def training(options: argparse.Namespace) -> None:
         picture, mesh, splats = job.preview_shown, mesh_of(scene), job.filling
         chores = len(job.chores)
         with Watch() as watch:
-            beat.tick()
+            poll_timer.poll()
         kind = "splats" if splats or job.filling or mesh != mesh_of(scene) else "reading lines"
         if job.preview_shown != picture:
             kind = "a picture"
@@ -90,9 +90,9 @@ def training(options: argparse.Namespace) -> None:
             kind = "building the display"
         beats[kind].append(watch.took)
         late = time.monotonic() - began > options.seconds
-        if late and job.state.status == session.RUNNING:
+        if late and job.state.status == run_state.RUNNING:
             job.stop()
-        time.sleep(beat.FAST if display.filling() else beat.INTERVAL)
+        time.sleep(poll_timer.FAST if display.write_splats() else poll_timer.INTERVAL)
     for kind, values in beats.items():
         show(f"training, {kind}", values)
     show("training, all", [v for values in beats.values() for v in values])
@@ -103,8 +103,8 @@ def arrival(count: int) -> None:
     """Steps in which many splats are handed over."""
     from addon.attributes import NO_SPLATS
     from addon.core import Splats, write_splats
-    from addon.job import loader
-    from addon.splats import filling, objects
+    from addon.splats import objects, write_chunked
+    from addon.training import loader
 
     rng = np.random.default_rng(0)
 
@@ -129,12 +129,12 @@ def arrival(count: int) -> None:
     loaded = reader.take()
     assert loaded is not None
     ob = objects.create(NO_SPLATS, "many")
-    steps, mesh, hand = [], None, filling.Filling(loaded)
+    steps, mesh, hand = [], None, write_chunked.ChunkedWrite(loaded)
     while mesh is None:
         with Watch() as watch:
             mesh = hand.step()
             if mesh is not None:
-                filling.replace(ob, mesh)
+                write_chunked.replace(ob, mesh)
         steps.append(watch.took)
     show(f"{count:,} splats arrive", steps)
 

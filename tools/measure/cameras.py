@@ -43,17 +43,17 @@ def measured(name: str, operator: str, **settings: Any) -> None:
 
 def begun(operator: str, **settings: Any) -> Any:
     """An operator as a button begins it."""
-    from addon.process.pieces import Going
+    from addon.process.incremental_tasks import TaskRunner
 
-    return Going(stand_in(operator, **settings).pieces(bpy.context))
+    return TaskRunner(stand_in(operator, **settings).pieces(bpy.context))
 
 
 def removal() -> Any:
     """The removal of what is no longer needed, as work."""
-    from addon.interface.clearing import clearing
-    from addon.process.pieces import Going
+    from addon.interface.incremental_removal import clearing
+    from addon.process.incremental_tasks import TaskRunner
 
-    return Going(clearing())
+    return TaskRunner(clearing())
 
 
 def printed(name: str, going: Any) -> None:

@@ -19,8 +19,8 @@ import numpy as np
 
 from gscore.io.colmap.folder import ColmapModel, read_model
 from gscore.presets import PRESETS
-from gscore.sfm import Request, find_cameras
-from gscore.sfm.request import MAPPERS
+from gscore.sfm import SearchRequest, find_cameras
+from gscore.sfm.search_request import MAPPERS
 from gscore.trainer.run import train
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     for source in args.captures:
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "capture"
-            request = Request(photos=source / "images", output=output, use_masks=False,
+            request = SearchRequest(photos=source / "images", output=output, use_masks=False,
                               mapper=args.mapper)  # fmt: skip
             before = cpu_seconds()
             found = find_cameras(request)

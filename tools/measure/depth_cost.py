@@ -15,7 +15,7 @@ from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply.splats import read_ply
 from gscore.trainer.depth.setup import prepare_depth
-from gscore.trainer.host.state import ordinary_state
+from gscore.trainer.host.isolated_state import isolated_torch_state
 from gscore.trainer.trainer import Trainer
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
@@ -48,7 +48,7 @@ def main() -> None:
     photos = load_dataset(data)
     targets = prepare_depth(data, config, photos).loss_targets
     assert targets is not None
-    with ordinary_state():
+    with isolated_torch_state():
         plain = Trainer(config, photos, start=splats)
         deep = Trainer(config, photos, start=splats, depth=targets)
         times = [(_step(plain), _step(deep)) for _ in range(WARM_UP + args.pairs)][WARM_UP:]

@@ -90,19 +90,19 @@ class Blenders:
 
 def carry(ob: bpy.types.Object, *, group: bool, text: bool) -> None:
     """Give all splats what is asked for."""
-    from addon.splats import texts, weights
-    from addon.splats.carried import Column, blocks
+    from addon.splats import string_attributes, vertex_groups
+    from addon.splats.point_attributes import Column, blocks
 
     count = len(ob.data.vertices)
     if group:
         values = np.linspace(0.25, 0.75, count, dtype=np.float32)[:, None]
         for name, _, entries in blocks(Column("group", "GROUP", values)):
-            weights.write(ob.data, name, entries)
+            vertex_groups.write(ob.data, name, entries)
     if text:
         ob.data.attributes.new("text", "STRING", "POINT")
         words = np.array([b"text"] * count, np.object_)[:, None]
         for name, _, entries in blocks(Column("text", "STRING", words)):
-            texts.write(ob.data, name, entries)
+            string_attributes.write(ob.data, name, entries)
 
 
 def timed(name: str, operator: str, **settings: Any) -> None:
@@ -116,7 +116,7 @@ def timed(name: str, operator: str, **settings: Any) -> None:
 
 def measured(name: str, pieces: Any) -> None:
     """Print what work takes."""
-    from addon.process.pieces import Going
+    from addon.process.incremental_tasks import TaskRunner
     from addon.splats import edit_operators, operators, select_operators
 
     blenders, enter = Blenders(), operators.edit_vertices
@@ -125,7 +125,7 @@ def measured(name: str, pieces: Any) -> None:
     own, theirs, late = 0.0, 0.0, 0.0
     began = time.perf_counter()
     try:
-        going = Going(pieces)
+        going = TaskRunner(pieces)
         for step, waited in steps(going):
             own, theirs = max(own, step - blenders.spent), max(theirs, blenders.spent)
             late, blenders.spent = max(late, waited), 0.0
@@ -148,16 +148,16 @@ def nothing() -> Iterator[str]:
 def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
     """What a stroke of the brush, and picking a color, begin with."""
     from addon.cameras.render_camera import render_camera
-    from addon.paint import painted, sight
+    from addon.paint import paint_target, visible_splats
     from addon.paint.brush import Brush
 
     scene = bpy.context.scene
     view = render_camera(camera, scene, width=1600, height=900)
     brush = Brush(radius=50, color=(1, 0, 0))
-    measured("Paint", painted.beginning(ob, brush, view))
-    measured("Paint, Front Only", painted.beginning(ob, brush, view, front_only=True))
+    measured("Paint", paint_target.begin_stroke(ob, brush, view))
+    measured("Paint, Front Only", paint_target.begin_stroke(ob, brush, view, front_only=True))
     with suppress(ValueError):  # there may be none in the middle
-        measured("Paint, Pick a Color", sight.color_at(ob, view, np.array([800.0, 450.0])))
+        measured("Paint, Pick a Color", visible_splats.color_at(ob, view, np.array([800.0, 450.0])))
 
 
 def main() -> None:

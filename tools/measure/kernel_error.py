@@ -101,7 +101,7 @@ def errors() -> dict[str, float]:
             sigma_px=(0.9, 4.0),
             overscan=0.05,
         )
-        true = truth.ask(scene)
+        true = truth.reference_truth(scene)
         drawn = native.draw(scene, true.weights)
         pictures.append(picture_errors(drawn, true)[~true.band])
         gradients += [

@@ -16,7 +16,7 @@ import numpy as np
 import pycolmap
 from gscore_line import verb
 
-from gscore.sfm.adjust import adjust
+from gscore.sfm.bundle_adjustment import adjust
 
 
 def adjusted(model: Path, *, bends: bool) -> Any:

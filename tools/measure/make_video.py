@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import gscore
-from gscore.commands.given.model import open_model
+from gscore.commands.args.model_argument import open_model
 from gscore.commands.pictures.camera_path import orbit_path
 from gscore.commands.pictures.video import write_video
 

@@ -45,11 +45,11 @@ class Network(NamedTuple):
 def rank(network: Network, arguments: list[str]) -> int:
     """Be one of the ranks: gscore over such a network; returns the exit code."""
     from gscore.commands import main
-    from gscore.trainer.ranks.team import Team
+    from gscore.trainer.distributed.process_group import ProcessGroup
 
-    together, chance = Team._together, random.Random(0)
+    together, chance = ProcessGroup._together, random.Random(0)
 
-    def slowly(team: Team, call: Callable[[], Any]) -> Any:
+    def slowly(team: ProcessGroup, call: Callable[[], Any]) -> Any:
         def over_the_network() -> Any:
             pause = network.delay_ms / 1000
             pause += SENT_AGAIN if chance.random() < network.loss else 0.0
@@ -61,7 +61,7 @@ def rank(network: Network, arguments: list[str]) -> int:
         return together(team, over_the_network)
 
     paid = [0]
-    Team._together = slowly
+    ProcessGroup._together = slowly
     return main(arguments)
 
 

@@ -34,10 +34,10 @@ for panel in CLASSES:
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.job.session import RunState  # noqa: E402
-from addon.job.training import job_of  # noqa: E402
-from addon.process import beat  # noqa: E402
-from addon.python import setup  # noqa: E402
+from addon.process import poll_timer  # noqa: E402
+from addon.trainer_python import setup  # noqa: E402
+from addon.training.run_state import RunState  # noqa: E402
+from addon.training.start_training import job_of  # noqa: E402
 from tools.window.desk import Teller, area, at_rest, leaving, region, send, shoot, space  # noqa: E402
 
 Teller.LONGEST = 200.0
@@ -122,7 +122,7 @@ def state() -> RunState:
 
 def trained() -> bool:
     """Whether the training has ended and its splats are there."""
-    return state().ended and not any(f.waits() for f in beat.FOLLOWERS)
+    return state().ended and not any(f.waits() for f in poll_timer.FOLLOWERS)
 
 
 def training() -> Iterator[object]:

@@ -8,7 +8,7 @@ from ...config import LIFTED_BY, Skip, Strategy, TrainConfig
 from ...config_file import from_dict, to_dict
 from ...errors import ConfigError
 from ...json_text import parse_json
-from ...shown import quoted
+from ...quoting import quoted
 from ...trainer.files.checkpoint import FREE
 
 _NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", *LIFTED_BY.values()}))

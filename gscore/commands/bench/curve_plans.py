@@ -10,7 +10,7 @@ from ...bench.training import open_sizes
 from ...config import Skip, TrainConfig
 from ...datasets import Dataset
 from ...errors import ConfigError
-from ...shown import quoted
+from ...quoting import quoted
 from .changes import changed
 from .sweeps import SizesPlan, plan_sizes
 from .training_options import named_sources, training_configs

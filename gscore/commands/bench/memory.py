@@ -8,10 +8,10 @@ from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import backend
-from ...words import count_words, number
+from ...text_format import count_words, number
 from ..parser import add_threads_option
 from ..terminal.output import print_json
-from ..terminal.status import beginning, wrapped
+from ..terminal.status import show_while, wrapped
 from .numbers import check_numbers
 from .scaling import size
 
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, 2, "views")
     check_numbers(args, MIN_STEPS, "steps")
     width, height = args.size
-    with beginning(sys.stderr, f"Training {count_words(args.splats, 'splat')}"):
+    with show_while(sys.stderr, f"Training {count_words(args.splats, 'splat')}"):
         found = bench_memory(
             splats=args.splats,
             views=args.views,

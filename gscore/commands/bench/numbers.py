@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from ...errors import ConfigError
 from ...options import flag_of
-from ...shown import quoted, shown
-from ...words import number
+from ...quoting import brief, quoted
+from ...text_format import number
 
 _MOST = 10**8
 """Ten times what a large scene has; so many splats take 24 GB."""
@@ -21,5 +21,5 @@ def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
                 raise ConfigError(f"{flag_of(name)} must be at least {least}, got {quoted(given)}.")
             if given > _MOST:
                 raise ConfigError(
-                    f"{flag_of(name)} must be at most {number(_MOST)}, got {shown(given)}."
+                    f"{flag_of(name)} must be at most {number(_MOST)}, got {brief(given)}."
                 )

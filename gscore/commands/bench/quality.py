@@ -7,19 +7,19 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ...bench.quality import train_judged
+from ...bench.quality import train_scored
 from ...config import DataConfig
-from ...io.places import check_place
+from ...io.output_paths import check_output_path
 from ...metrics import Lpips, LpipsNet, find_lpips
 from ...presets import PRESETS
-from ...trainer.schedule.enough import limit_by_photos
+from ...trainer.schedule.caps import cap_by_photos
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .numbers import check_numbers
+from .progress import Ticker
 from .quality_plans import Cell, cells_of, variants_of
 from .quality_results import QualityResults
 from .quality_tables import tables
-from .ticker import Ticker
 from .training_options import add_training_options
 
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, 0, "seeds", "offsets")
     check_folder(args.output)
     for source in args.sources:
-        check_place(args.output, DataConfig(source=source))
+        check_output_path(args.output, DataConfig(source=source))
     check_replaced([args.output / "results.json"], overwrite=args.overwrite)
     lpips, _ = find_lpips(args.lpips, threads=args.threads)
     cells = deque(cells_of(args, variants_of(args)))
@@ -82,13 +82,13 @@ def _train(
             label, photos = variant.label, variant.photos
             if results.has(cell.capture, label, seed, cell.offset):
                 continue
-            config, _ = limit_by_photos(
+            config, _ = cap_by_photos(
                 replace(variant.config, seed=seed),
                 photos=len(photos.train),
                 points=photos.scene.points.given,
                 mask_mode=photos.mask_mode,
             )
-            training = train_judged(
+            training = train_scored(
                 config,
                 photos,
                 variant.judged,

@@ -10,7 +10,7 @@ from ...bench.training import open_sizes
 from ...config import DataConfig
 from ...errors import ConfigError
 from ...presets import PRESETS
-from ...shown import quoted
+from ...quoting import quoted
 from .changes import changed
 from .training_options import named_sources, training_configs
 
@@ -29,7 +29,7 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class QualityRequest:
     """A variant as the command line names it."""
 
     label: str
@@ -37,13 +37,13 @@ class Asked:
     changes: tuple[str, ...]
 
 
-def variants_of(args: argparse.Namespace) -> list[Asked]:
+def variants_of(args: argparse.Namespace) -> list[QualityRequest]:
     """The preset as it is, and each of `--compare`.
 
     Raises:
         ConfigError: two of one name, or what is no NAME=CHANGES.
     """
-    variants = [Asked(label=args.preset, preset=args.preset, changes=())]
+    variants = [QualityRequest(label=args.preset, preset=args.preset, changes=())]
     for text in args.compare:
         name, equals, changes = text.partition("=")
         if not (name and equals and changes):
@@ -56,7 +56,7 @@ def variants_of(args: argparse.Namespace) -> list[Asked]:
     return variants
 
 
-def _asked(args: argparse.Namespace, label: str, changes: Sequence[str]) -> Asked:
+def _asked(args: argparse.Namespace, label: str, changes: Sequence[str]) -> QualityRequest:
     presets = [part.removeprefix("preset=") for part in changes if part.startswith("preset=")]
     for preset in presets:
         if preset not in PRESETS:
@@ -65,10 +65,10 @@ def _asked(args: argparse.Namespace, label: str, changes: Sequence[str]) -> Aske
                 f"{', '.join(PRESETS)}."
             )
     rest = tuple(part for part in changes if not part.startswith("preset="))
-    return Asked(label=label, preset=[args.preset, *presets][-1], changes=rest)
+    return QualityRequest(label=label, preset=[args.preset, *presets][-1], changes=rest)
 
 
-def cells_of(args: argparse.Namespace, variants: Sequence[Asked]) -> list[Cell]:
+def cells_of(args: argparse.Namespace, variants: Sequence[QualityRequest]) -> list[Cell]:
     """One a capture and offset; no photo is decoded yet.
 
     Raises:
@@ -82,7 +82,11 @@ def cells_of(args: argparse.Namespace, variants: Sequence[Asked]) -> list[Cell]:
 
 
 def _cell(
-    args: argparse.Namespace, name: str, source: Path, offset: int, variants: Sequence[Asked]
+    args: argparse.Namespace,
+    name: str,
+    source: Path,
+    offset: int,
+    variants: Sequence[QualityRequest],
 ) -> Cell:
     datas, configs = [], []
     for variant in variants:

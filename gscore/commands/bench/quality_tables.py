@@ -1,8 +1,8 @@
 """The tables of `gscore bench quality`, in Markdown."""
 
+from ...bench.default_rule import CaptureChange
 from ...bench.quality import Comparison, Summary
-from ...bench.verdict import CaptureChange
-from ...words import number, number_words
+from ...text_format import number, number_words
 from .quality_results import Report
 
 

@@ -14,10 +14,10 @@ from ...errors import ConfigError
 from ...formats import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
-from ...words import count_words, number
+from ...text_format import count_words, number
 from ..parser import add_threads_option
 from ..terminal.output import print_json
-from ..terminal.status import beginning, wrapped
+from ..terminal.status import show_while, wrapped
 from .numbers import check_numbers
 
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in isas:
         backend.set_isa(isa)
-        with beginning(sys.stderr, f"Measuring {isa}, {count_words(len(splats), 'splat')}"):
+        with show_while(sys.stderr, f"Measuring {isa}, {count_words(len(splats), 'splat')}"):
             result = bench_raster(
                 splats, cameras, views, repeats=args.repeats, threads=args.threads
             )

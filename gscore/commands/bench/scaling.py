@@ -7,9 +7,9 @@ from typing import Any
 
 from ...bench.scaling import SIZES, SPLATS, VIEW_COUNTS, Scaling, bench_scaling
 from ...metrics.machine import cores, machine
+from ...quoting import quoted
 from ...raster import backend
-from ...shown import quoted
-from ...words import count_words
+from ...text_format import count_words
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
 from .numbers import check_numbers

@@ -13,11 +13,11 @@ from ...errors import ConfigError
 from ...formats import read_splats
 from ...metrics.machine import machine
 from ...raster import backend
-from ...words import count_words
-from ..given.data_options import add_data_options, with_data_options
+from ...text_format import count_words
+from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
 from ..terminal.output import print_json
-from ..terminal.status import beginning, wrapped
+from ..terminal.status import show_while, wrapped
 from .numbers import check_numbers
 
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     results = []
     for isa in backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]:
         backend.set_isa(isa)
-        with beginning(sys.stderr, f"Measuring {isa}, {count_words(args.steps, 'step')}"):
+        with show_while(sys.stderr, f"Measuring {isa}, {count_words(args.steps, 'step')}"):
             found = bench_step(
                 photos,
                 splats,

@@ -7,13 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from ...bench.pareto import (
-    Size,
-    SizeOutcome,
-    measure_sizes,
-    sizes_of,
-    unbeaten,
-)
+from ...bench.pareto_front import Size, SizeOutcome, measure_sizes, sizes_of, unbeaten
 from ...bench.training import first_size, open_sizes
 from ...config import DataConfig, TrainConfig
 from ...datasets import Dataset
@@ -22,7 +16,7 @@ from ...errors import ConfigError
 from ...io.files import atomic_write
 from ...report.curves import Series
 from ...report.figure import figure
-from ...words import count_words, number
+from ...text_format import count_words, number
 
 _QUANTITIES = ("splats", "widths", "iterations")
 

@@ -8,15 +8,15 @@ from pathlib import Path
 
 from ...bench.time_error import Curve, measure_variant
 from ...config import DataConfig, Skip
-from ...io.places import check_place
+from ...io.output_paths import check_output_path
 from ...presets import PRESETS
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .curve_figures import figure_files, table, write_curves
 from .curve_plans import CapturePlan, plans_of
 from .curve_results import ResultsFile
+from .progress import Ticker
 from .sweeps import add_sweep_options, check_sweeps, sizes_file, train_sizes
-from .ticker import Ticker
 from .training_options import add_training_options
 
 
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     check_sweeps(args)
     check_folder(args.output)
     for source in args.sources:
-        check_place(args.output, DataConfig(source=source))
+        check_output_path(args.output, DataConfig(source=source))
     plans = deque(plans_of(args))
     written = [args.output / "results.json"]
     for plan in plans:

@@ -8,8 +8,8 @@ from pathlib import Path
 from ...config import LIFTED_BY, DataConfig, Strategy, TrainConfig
 from ...errors import ConfigError
 from ...presets import PRESETS
-from ...shown import quoted
-from ..given.data_options import add_data_options, with_data_options
+from ...quoting import quoted
+from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
 
 _EVERY = 8

@@ -9,8 +9,8 @@ from ...depth.hub import cached_file, network_file, terms
 from ...depth.network import Network, Normalization
 from ...errors import BackendError, ConfigError
 from ...events import DepthProgress, Show
-from ...shown import shown
-from ...words import size_words
+from ...quoting import brief
+from ...text_format import size_words
 from ..terminal.output import print_json
 
 
@@ -21,7 +21,7 @@ def network_of(args: argparse.Namespace, show: Show) -> tuple[Path, Normalizatio
     if entry is None or path.is_file():
         if entry is None and not path.suffix:
             raise ConfigError(
-                f"There is no model {shown(path)}: give an ONNX file, or one of "
+                f"There is no model {brief(path)}: give an ONNX file, or one of "
                 f"{', '.join(network_names())}."
             )
         return path, args.normalization

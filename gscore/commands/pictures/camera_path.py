@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...errors import ConfigError
-from ...shown import quoted
+from ...quoting import quoted
 from ...transforms import invert_rigid, quat_to_rotmat, rotmat_to_quat
 from ...upright import find_up
 

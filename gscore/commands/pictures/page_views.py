@@ -17,7 +17,7 @@ from ...page.page import PageCamera
 from ...report.pictures import data_uri, shrink, size_within
 from ...scene import Cameras
 from ...upright import turn_cameras, up_of, upright_turns
-from ..given.model import GivenModel
+from ..args.model_argument import ModelArgument
 from ..terminal.status import Counted, Status
 from .camera_path import focus_point, look_at
 
@@ -45,7 +45,7 @@ class PageViews:
     """Sentences for the user."""
 
 
-def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> PageViews:
+def find_views(args: argparse.Namespace, model: ModelArgument, status: Status) -> PageViews:
     """The cameras of what `--source` names or of the run, with photos where the capture is there.
 
     Args:
@@ -78,7 +78,7 @@ def find_views(args: argparse.Namespace, model: GivenModel, status: Status) -> P
 
 
 def _dataset(
-    args: argparse.Namespace, model: GivenModel, status: Status, warnings: list[str]
+    args: argparse.Namespace, model: ModelArgument, status: Status, warnings: list[str]
 ) -> Dataset | None:
     """The capture; None where photos are not wanted or not there."""
     source = args.source
@@ -102,7 +102,9 @@ def _dataset(
         return None
 
 
-def _listed(args: argparse.Namespace, model: GivenModel) -> tuple[Cameras | None, Collection[str]]:
+def _listed(
+    args: argparse.Namespace, model: ModelArgument
+) -> tuple[Cameras | None, Collection[str]]:
     """Cameras of a cameras.json, and the names of those held out of the training."""
     beside = model.run or model.path.parent
     path = args.source or beside / "cameras.json"
@@ -163,7 +165,7 @@ def _first(cameras: Cameras, focus: np.ndarray) -> int:
     return int(np.argmax(facing - 0.3 * unusual))
 
 
-def _without_cameras(model: GivenModel, warnings: list[str]) -> PageViews:
+def _without_cameras(model: ModelArgument, warnings: list[str]) -> PageViews:
     """A view of the middle half of the splats from the front; files of splats have y down unless
     they state another axis as up."""
     if not len(model.splats):

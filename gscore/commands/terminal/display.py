@@ -30,7 +30,7 @@ from ...events import (
     Warn,
     to_line,
 )
-from ...words import count_words, number, quality_words, size_words, time_words
+from ...text_format import count_words, number, quality_words, size_words, time_words
 from .status import Status, clock
 
 _MASKS = {

@@ -15,7 +15,7 @@ from types import FrameType
 from typing import Any, Self
 
 from ...control import ending_signals
-from .launcher import one_of_many
+from .torchrun_launch import one_of_many
 
 _SIGPIPE = 13
 """Of POSIX; the code is the same where there is no such signal."""

@@ -9,7 +9,7 @@ from typing import Any
 from ...errors import ConfigError
 from ...events import strict_json
 from ...io.files import reason
-from ...shown import shown
+from ...quoting import brief
 from .marks import is_ours
 
 _NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
@@ -36,7 +36,7 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
     for path in there:
         if not path.is_file():
             what = "a folder" if path.is_dir() else "no regular file"
-            raise ConfigError(f"{shown(path)} is {what}, so no file can be written there.")
+            raise ConfigError(f"{brief(path)} is {what}, so no file can be written there.")
     foreign = [] if overwrite else [path for path in there if not is_ours(path)]
     if foreign:
         raise ConfigError(
@@ -64,7 +64,7 @@ def check_folder(folder: Path) -> None:
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         pass
     except (OSError, ValueError) as error:
-        raise ConfigError(f"Cannot use {shown(folder)}: {reason(error)}") from error
+        raise ConfigError(f"Cannot use {brief(folder)}: {reason(error)}") from error
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
@@ -94,4 +94,4 @@ def others_in(folder: Path, known: Collection[str]) -> str:
 def first_few(names: Sequence[str], most: int = 3) -> str:
     """Some names for a message, and how many there are more; empty where there are none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(shown(name) for name in names[:most]) + more
+    return ", ".join(brief(name) for name in names[:most]) + more

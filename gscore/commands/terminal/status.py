@@ -136,7 +136,7 @@ class Rows:
 
 
 @contextmanager
-def beginning(stream: TextIO, words: str) -> Iterator[None]:
+def show_while(stream: TextIO, words: str) -> Iterator[None]:
     """Show `words` on a terminal for the duration of a block, for instance of a slow import."""
     status = Status(stream, quiet=not can_move(stream))
     status.show([words])

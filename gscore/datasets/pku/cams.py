@@ -8,9 +8,9 @@ from ...errors import DatasetError
 from ...io.cams_txt import list_cams, read_cam
 from ...io.colmap.folder import has_model
 from ...io.colmap.model import ColmapCamera
-from ...io.pictures.images import read_info
+from ...io.images.read_image import read_info
 from ...scene import PointCloud
-from ...words import count_words
+from ...text_format import count_words
 from ..capture import Capture, View, listing
 from ..colmap_source import read_colmap
 from ..poses import pinhole_camera, rigid_matrix

@@ -10,7 +10,7 @@ from pathlib import Path
 from ...config import DataConfig
 from ...errors import ConfigError, DatasetError, GsError
 from ...scene import PointCloud
-from ...words import count_words
+from ...text_format import count_words
 from ..capture import Capture
 from ..colmap_source import read_colmap
 from ..rig import with_rig

@@ -5,10 +5,10 @@ from typing import Any
 
 from ...config import DataConfig
 from ...errors import DatasetError, FormatError
+from ...quoting import quoted
 from ...scene import PointCloud
-from ...shown import quoted
+from ...text_format import number
 from ...transforms import invert_rigid, viewmat_from_opengl
-from ...words import number
 from ..capture import Capture, View, listing
 from ..poses import pinhole_camera, rigid_matrix
 from ..transforms_json import inside, load_transforms, views_of_file

@@ -8,11 +8,11 @@ import numpy as np
 
 from ...config import DataConfig
 from ...errors import DatasetError, FormatError
+from ...io.images.read_image import read_info
 from ...io.npy import read_npy
-from ...io.pictures.images import read_info
+from ...quoting import brief
 from ...scene import FARTHEST, PointCloud
-from ...shown import shown
-from ...words import count_words
+from ...text_format import count_words
 from ..capture import Capture, View, listing
 from ..poses import pinhole_camera, rigid_matrix
 from .photos import mattes, photo_folder_name, pictures_by_camera
@@ -73,7 +73,7 @@ def _projections(path: Path) -> list[np.ndarray]:
             found = [_matrix(stored, f"world_mat_{i}.npy") for i in range(count)]
     except Exception as error:  # damaged archives raise some ten kinds
         raise FormatError(
-            f"{path} cannot be read as an npz with world_mat_0, world_mat_1, ...: {shown(error)}. "
+            f"{path} cannot be read as an npz with world_mat_0, world_mat_1, ...: {brief(error)}. "
             f"Copy the frame again."
         ) from error
     for i, matrix in enumerate(found):

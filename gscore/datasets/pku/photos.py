@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from ...errors import DatasetError
-from ...io.pictures.images import IMAGE_ENDINGS
+from ...io.images.read_image import IMAGE_ENDINGS
 
 VIEW_FOLDER = re.compile(r"cam_?(\d+)")
 """Folders of the cameras in `per_view`."""

@@ -14,8 +14,8 @@ import numpy as np
 from ...errors import DatasetError, FormatError
 from ...io.files import read_bytes
 from ...io.npy import read_npy
+from ...text_format import count_words
 from ...transforms import invert_rigid
-from ...words import count_words
 from ..poses import rigid_matrix
 from .posed import PosedPhoto, PosedPhotos, brown_camera
 

@@ -18,9 +18,9 @@ import numpy as np
 from ...errors import FormatError
 from ...io.colmap.model import ColmapCamera
 from ...io.xml_text import Element, read_xml
-from ...shown import quoted
+from ...quoting import quoted
+from ...text_format import count_words
 from ...transforms import invert_rigid
-from ...words import count_words
 from ..poses import rigid_matrix
 from .posed import PosedPhoto, PosedPhotos, Size, brown_camera, colmap_camera, numbers
 

@@ -15,10 +15,10 @@ from ...errors import FormatError
 from ...io.colmap.model import ColmapCamera
 from ...io.files import read_bytes
 from ...json_text import parse_json
+from ...quoting import quoted
 from ...scene import PointCloud
-from ...shown import quoted
+from ...text_format import count_words
 from ...transforms import quat_to_rotmat
-from ...words import count_words
 from .posed import PosedPhoto, PosedPhotos, brown_camera, colmap_camera, numbers
 
 _PINHOLES = ("perspective", "simple_radial", "radial", "brown")

@@ -8,8 +8,8 @@ import numpy as np
 from ...errors import FormatError
 from ...io.colmap.camera_models import MODELS_BY_NAME
 from ...io.colmap.model import ColmapCamera
+from ...quoting import quoted
 from ...scene import FARTHEST, PointCloud
-from ...shown import quoted
 from ..poses import check_focal
 
 Size = tuple[int, int]

@@ -11,10 +11,10 @@ from ...config import DataConfig
 from ...errors import DatasetError
 from ...io.colmap.camera_models import NO_PINHOLE
 from ...io.colmap.folder import is_safe_name
-from ...io.pictures.images import IMAGE_ENDINGS, read_info
+from ...io.images.read_image import IMAGE_ENDINGS, read_info
 from ...io.ply.points import read_point_cloud
 from ...scene import PointCloud
-from ...words import count_words
+from ...text_format import count_words
 from ..capture import Capture, View, listing, repeated
 from .find import ProgramFile
 from .llff import read_llff

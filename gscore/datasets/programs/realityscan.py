@@ -17,7 +17,7 @@ from ...errors import FormatError
 from ...io.colmap.model import ColmapCamera
 from ...io.files import read_bytes
 from ...io.xml_text import Element, read_xml
-from ...shown import quoted
+from ...quoting import quoted
 from ...transforms import viewmat_from_opengl
 from ..poses import rigid_matrix
 from .posed import PosedPhoto, PosedPhotos, Size, Values, brown_camera, numbers

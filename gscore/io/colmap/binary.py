@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from ...errors import DatasetError, FormatError
-from ...shown import shown
+from ...quoting import brief
 from ..files import LONGEST_PATH, open_regular, reason
 from .camera_models import MODELS_BY_ID, MODELS_BY_NAME
 from .model import ColmapCamera, ColmapImage, ColmapPoints
@@ -47,7 +47,7 @@ class _Reader:
             self._file = open_regular(path)
             self.size = os.fstat(self._file.fileno()).st_size
         except (OSError, ValueError) as error:
-            raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+            raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -162,7 +162,7 @@ def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImag
         for _ in range(reader.count(_IMAGE.size + 1 + _COUNT.size, "images")):
             values = reader.unpack(_IMAGE, "an image")
             name = reader.text("an image name")
-            what = f"observations of {shown(name)}"
+            what = f"observations of {brief(name)}"
             nbytes = _OBSERVATION.itemsize * reader.count(_OBSERVATION.itemsize, what)
             if observations:
                 seen = np.frombuffer(reader.take(nbytes, what), _OBSERVATION)

@@ -9,14 +9,14 @@ from types import ModuleType
 import numpy as np
 
 from ...errors import DatasetError, FormatError
+from ...quoting import quoted
 from ...scene import FARTHEST, FOCAL_RANGE, PointCloud, is_focal
-from ...shown import quoted
-from ...words import count_words
+from ...text_format import count_words
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
-from ..foreign import foreign
-from ..pictures.images import IMAGE_ENDINGS
-from ..pictures.raw import RAW_ENDINGS
+from ..images.raw import RAW_ENDINGS
+from ..images.read_image import IMAGE_ENDINGS
 from ..ply.points import read_point_cloud
+from ..unsupported_formats import describe_unsupported
 from ..world_file import read_origin, read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
@@ -90,7 +90,8 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
         )
     raise DatasetError(
         f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
-        f"sparse or in the folder itself, or a transforms.json. " + (foreign(path) or _ADVICE)
+        f"sparse or in the folder itself, or a transforms.json. "
+        + (describe_unsupported(path) or _ADVICE)
     )
 
 
@@ -103,7 +104,7 @@ def _no_folder(path: Path) -> str:
     """Why no capture is there."""
     if not path.is_file():
         return f"There is no folder {path}. Give the folder that holds the capture."
-    return foreign(path) or (
+    return describe_unsupported(path) or (
         f"{path} is a file; a capture is a folder of photos, with their cameras or without. To "
         "train from the splats of a PLY, give the capture and --start-splats."
     )

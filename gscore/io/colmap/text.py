@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import DatasetError, FormatError
-from ...shown import quoted, shown
+from ...quoting import brief, quoted
 from ..files import open_regular, reason
 from .camera_models import MODELS_BY_NAME
 from .model import ColmapCamera, ColmapImage, ColmapPoints
@@ -40,7 +40,7 @@ class _Lines:
                     yield number, self._decoded(raw, at)
                     at += len(raw)
         except OSError as error:
-            raise DatasetError(f"Cannot read {shown(self.path)}: {reason(error)}") from error
+            raise DatasetError(f"Cannot read {brief(self.path)}: {reason(error)}") from error
 
     def records(self) -> Iterator[tuple[int, str]]:
         """The same without comments and empty lines."""
@@ -94,7 +94,7 @@ def read_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
         model = MODELS_BY_NAME.get(words[1]) if len(words) > 1 else None
         if len(words) > 1 and model is None:
             raise FormatError(
-                f"{path} line {at + 1}: camera {shown(words[0])} has the unknown camera model "
+                f"{path} line {at + 1}: camera {brief(words[0])} has the unknown camera model "
                 f"{quoted(words[1])}, known are {', '.join(MODELS_BY_NAME)}. Undistort the capture "
                 f"with COLMAP, or update gscore."
             )

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ...errors import DatasetError, FormatError
-from ...shown import shown
+from ...quoting import brief
 from ..files import open_regular, reason
 from .obj import read_mesh_obj
 from .ply import read_mesh_ply
@@ -36,4 +36,4 @@ def _begins_with_ply(path: Path) -> bool:
         with open_regular(path) as file:
             return file.read(3) == b"ply"
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error

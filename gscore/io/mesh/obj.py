@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ...shown import quoted
+from ...quoting import quoted
 from ..files import read_bytes
 from .triangles import TriangleMesh, check_count, checked_mesh, fans
 

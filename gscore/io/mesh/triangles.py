@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ...words import count_words, number
+from ...text_format import count_words, number
 
 MOST_TRIANGLES = 20_000_000
 """Of one mesh: more than that takes gigabytes, and says no more of where a surface is."""

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import FormatError
 from ...sh import rgb_to_sh0
 from ...smallest_three import with_largest
-from ...words import count_words
+from ...text_format import count_words
 from ..splat_rows import LOGIT_OF_BYTE
 from .elements import columns
 

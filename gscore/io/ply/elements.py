@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ...errors import BackendError, ConfigError, DatasetError, FormatError
-from ...shown import quoted, shown
+from ...quoting import brief, quoted
 from ..files import open_regular, reason
-from ..foreign import foreign
+from ..unsupported_formats import describe_unsupported
 
 _log = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
         OSError,
     ) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0].rstrip(".")
-        raise _corrupt(path, shown(reason)) from error
+        raise _corrupt(path, brief(reason)) from error
 
 
 def header_bytes(lines: list[str]) -> bytes:
@@ -142,11 +142,11 @@ def _check_header(path: Path) -> tuple[bytes, int]:
             head = file.read(HEADER_LIMIT)
         size = path.stat().st_size
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
     start = len(BOM_UTF8) if head.startswith(BOM_UTF8) else 0
     if not head.startswith((b"ply\n", b"ply\r"), start):
         raise FormatError(
-            foreign(path)
+            describe_unsupported(path)
             or f"{path} is not a PLY file: it does not start with the word 'ply'. Choose the "
             f"point_cloud.ply that a 3D Gaussian Splatting trainer wrote."
         )
@@ -160,7 +160,7 @@ def _check_header(path: Path) -> tuple[bytes, int]:
             stated = words[2].decode("ascii", "replace")
             raise _corrupt(path, f"its header announces {quoted(stated)} rows")
         if is_element and int(words[2]) > size:  # every row takes at least one byte
-            name = shown(words[1].decode("ascii", "replace"))
+            name = brief(words[1].decode("ascii", "replace"))
             rows = int(words[2])
             raise _corrupt(path, f"its header announces {rows} rows of {name} in {size} bytes")
     return head[start : found.end()], found.end()

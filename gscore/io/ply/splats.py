@@ -7,11 +7,11 @@ from typing import BinaryIO
 import numpy as np
 
 from ...errors import DatasetError, FormatError
+from ...quoting import brief, quoted
 from ...scene import checked_origin
-from ...shown import quoted, shown
 from ...splats import SH_REST_BY_DEGREE, Splats
 from ..files import atomic_write, open_regular, reason
-from ..splat_rows import drawable, drawable_rows, warn_of_left_out
+from ..splat_rows import drawable, drawable_rows, warn_dropped_rows
 from .compressed import decompress, is_compressed
 from .dialects import DC, POSITION, QUAT, SCALE, parameters_of, rest_by_coefficient
 from .elements import HEADER_END, HEADER_LIMIT, header_bytes, read_elements
@@ -79,7 +79,7 @@ def read_ply_parts(path: str | Path, rows: int) -> Iterator[Splats]:
         kept = drawable_rows(part)
         left_out += len(part) - len(kept)
         yield kept
-    warn_of_left_out(path, left_out, count)
+    warn_dropped_rows(path, left_out, count)
 
 
 def _vertices(elements: dict[str, np.ndarray]) -> np.ndarray:
@@ -98,12 +98,12 @@ def header_comments(path: str | Path) -> tuple[str, ...]:
         with open_regular(path) as file:
             header = HEADER_END.split(file.read(HEADER_LIMIT), maxsplit=1)[0]
     except (OSError, ValueError) as error:
-        raise DatasetError(f"Cannot read {shown(path)}: {reason(error)}") from error
+        raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
     lines = header.decode("utf-8", "replace").splitlines()
     return tuple(line[8:].strip() for line in lines if line.startswith("comment "))
 
 
-def says_antialias(comments: tuple[str, ...]) -> bool:
+def has_antialias_comment(comments: tuple[str, ...]) -> bool:
     """Whether a header comment says that opacities were compensated, as ours or Postshot's do."""
     marks = (MIP_COMMENT.lower(), "antialiased 1", "antialiased: 1")
     return any(line.lower().startswith(marks) for line in comments)
@@ -142,7 +142,7 @@ def is_antialiased_ply(path: str | Path) -> bool:
     Raises:
         DatasetError: the file is missing.
     """
-    return says_antialias(header_comments(path))
+    return has_antialias_comment(header_comments(path))
 
 
 def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] = ()) -> None:

@@ -23,7 +23,7 @@ import torch
 
 from ...config import TrainConfig
 from ...errors import GsError
-from ...raster.once import once
+from ...raster.no_double_backward import no_double_backward
 from .targets import DepthTarget, DepthTargets
 
 _SPREAD_FLOOR = 1e-4
@@ -142,7 +142,7 @@ class _L1(torch.autograd.Function):
             raise GsError("Gradients of l1_loss can be taken only once: leave out retain_graph.")
         v_alpha, v_inverse_depth = ctx.gradients.pop(), ctx.gradients.pop()
         found = [v_inverse_depth.mul_(v_loss), v_alpha.mul_(v_loss)]
-        return *once("l1_loss", found, [*ctx.saved_tensors, v_loss]), None, None
+        return *no_double_backward("l1_loss", found, [*ctx.saved_tensors, v_loss]), None, None
 
 
 def pearson_loss(inverse_depth: torch.Tensor, target: DepthTarget) -> torch.Tensor:

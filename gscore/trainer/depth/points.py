@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...scene import Cameras, PointCloud
-from ..photos.views import Photos
-from ..rows.near import Nearest
+from ..model.nearest_points import NearestPoints
+from ..photos.view_sampler import Photos
 from .targets import Prior
 
 _SURE = 0.5
@@ -50,7 +50,7 @@ def depth_points(
     # Twice as many candidates as wanted in all, or the checks would leave too few.
     pixels = sum(int(cameras.widths[i]) * int(cameras.heights[i]) for i in used)
     stride = max(1, int(np.sqrt(pixels / (4 * count))))
-    known = Nearest(photos.scene.points.points, asked=2 * count)
+    known = NearestPoints(photos.scene.points.points, asked=2 * count)
     parts = [_from_view(photos, priors, used, i, stride, known) for i in used]
     points = np.concatenate([part[0] for part in parts])
     colors = np.concatenate([part[1] for part in parts])
@@ -67,7 +67,7 @@ def _from_view(
     used: list[int],
     index: int,
     stride: int,
-    known: Nearest,
+    known: NearestPoints,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [P, 3] and colours [P, 3] of one view."""
     cameras, prior = photos.scene.cameras, priors[index]
@@ -88,7 +88,7 @@ def _from_view(
     return points[keep], photos.image(index)[v[keep], u[keep]]
 
 
-def _far_from(known: Nearest, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def _far_from(known: NearestPoints, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """[P] bool: none of the known points lies within `radius` [P]."""
     if len(known) == 0 or len(points) == 0:
         return np.ones(len(points), bool)

@@ -5,7 +5,7 @@ import torch
 
 from ...config import TrainConfig
 from ..host.random import uniform
-from ..schedule.enough import thins_subject
+from ..schedule.caps import drops_splats_of_subject
 
 _GONE = -30.0
 """Logit of a splat that is left out: far below the opacity at which one is drawn."""
@@ -29,7 +29,7 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
     if not (rate and config.drop_below):
         return rate, ""
     if mask_mode == "composite":
-        if not thins_subject(config, mask_mode=mask_mode, known=known):
+        if not drops_splats_of_subject(config, mask_mode=mask_mode, known=known):
             return 0.0, ""
         why = f"Photos agree on the depth of {known:.0%} of the subject's pixels"
     elif known is None or known >= config.drop_below:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...report.depth import DepthPictures, DepthSection, depth_errors
-from ..photos.views import Photos, evenly
+from ..photos.view_sampler import Photos, evenly_spaced
 from .setup import DepthSetup
 
 _MOST_VIEWS = 24
@@ -36,7 +36,7 @@ def measure_depth(
     Args:
         photos: What was trained on.
         setup: Its depth maps.
-        draw: Inverse depth and opacity of the view of a number, see `Sight.inverse_depth`.
+        draw: Inverse depth and opacity of the view of a number, see `VisibleSplats.inverse_depth`.
         interrupted: Asked before each view.
     """
     targets = setup.targets
@@ -48,7 +48,7 @@ def measure_depth(
         row["split"] = "test" if index in set(photos.test) else "train"
     with_map = [i for i in (*photos.test, *photos.train) if i in targets]
     pictures = DepthPictures(count=min(len(with_map), _MOST_VIEWS))
-    for i in evenly(with_map, _MOST_VIEWS):
+    for i in evenly_spaced(with_map, _MOST_VIEWS):
         if interrupted():
             break
         image = photos.image(i)

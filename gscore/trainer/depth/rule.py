@@ -7,7 +7,7 @@ import numpy as np
 
 from ...config import Switch
 from ...scene import Scene
-from ...words import count_words, number
+from ...text_format import count_words, number
 
 DENSE_VIEWS = 30
 """Training views of a median point from which the photos alone settle the geometry."""

@@ -11,8 +11,8 @@ from ...datasets import Dataset
 from ...depth import load_priors
 from ...errors import ConfigError
 from ...scene import PointCloud
-from ...words import count_words, number
-from ..schedule.enough import MOST_ADDED, SPLATS_A_POINT
+from ...text_format import count_words, number
+from ..schedule.caps import MOST_ADDED, SPLATS_A_POINT
 from .loss import with_weights
 from .points import depth_points
 from .rule import coverage, decide
@@ -64,7 +64,7 @@ def prepare_depth(
         ConfigError: depth is asked for and no maps are named.
     """
     if not data.depths:
-        if asked := asked_for_depth(config):
+        if asked := depth_option_set(config):
             raise ConfigError(
                 f"{asked} takes depth maps, but no folder of these is named. gscore depth "
                 f"{data.source} makes them in its folder depths; give that with -d depths."
@@ -114,7 +114,7 @@ def prepare_depth(
     )
 
 
-def asked_for_depth(config: TrainConfig) -> str:
+def depth_option_set(config: TrainConfig) -> str:
     """The option that takes depth maps in any case; empty where none does."""
     if config.depth_mode is Switch.ON:
         return "--depth-mode on"

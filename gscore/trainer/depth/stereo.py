@@ -8,9 +8,9 @@ from ...config import Stereo, TrainConfig
 from ...datasets import Dataset
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
-from ...words import count_words, number
-from ..photos.views import evenly
-from ..schedule.enough import points_to_add
+from ...text_format import count_words, number
+from ..photos.view_sampler import evenly_spaced
+from ..schedule.caps import max_stereo_points
 
 _MOST_VIEWS = 120
 """Photos that take part; of more, this many at even distances: enough for so few points."""
@@ -58,10 +58,10 @@ def stereo_start(
         if config.stereo_points and config.stereo == Stereo.MISSING:
             return _nothing(f"the capture has {number(given)} (--stereo on looks for more)")
         return StereoStart()
-    most = points_to_add(config, given)
+    most = max_stereo_points(config, given)
     if not most:
         return _nothing(f"{number(given)} points leave no room for more")
-    used = evenly(photos.train, _MOST_VIEWS)
+    used = evenly_spaced(photos.train, _MOST_VIEWS)
     found = stereo_maps(photos, used, side=_SIDE, threads=config.threads, on_view=on_view)
     if found.reason:
         return _nothing(found.reason, known=0.0)

@@ -12,8 +12,8 @@ from ...errors import GsError
 from ...metrics.lpips import lpips_file, named_net
 from ...raster.api import render
 from ...splats import Splats
-from ...words import count_words
-from ..schedule.enough import models_to_expect, where_photos_agree
+from ...text_format import count_words
+from ..schedule.caps import config_where_photos_agree, expected_model_count
 from ..schedule.plan import Plan
 from .cost import Cost
 from .memory import (
@@ -116,8 +116,10 @@ def estimate(
     # Whether photos agree is not known yet: of whole photos where they do it is sooner done, of a
     # subject sooner or later.
     count = len(sizes)
-    expected = [(config, models_to_expect(config, photos=count, points=points, subject=subject))]
-    if subject and (agreed := where_photos_agree(config, photos=count, points=points)):
+    expected = [
+        (config, expected_model_count(config, photos=count, points=points, subject=subject))
+    ]
+    if subject and (agreed := config_where_photos_agree(config, photos=count, points=points)):
         expected.append(agreed)
     models = max(models for _, models in expected)
 

@@ -3,7 +3,7 @@
 from ...config import Skip, TrainConfig
 from ...metrics.machine import available_memory_bytes, total_memory_bytes
 from ...splats import SH_REST_BY_DEGREE
-from ..rows.near import few_asked
+from ..model.nearest_points import few_queries
 
 RUNTIME = 230_000_000
 """Bytes of Python with torch before a training begins."""
@@ -102,7 +102,7 @@ def point_bytes(points: int, *, splats: int) -> tuple[int, int]:
         points: Of the capture.
         splats: Largest number of splats.
     """
-    each = _POINT_OF_MANY if few_asked(points, splats) else _POINT_AT_START
+    each = _POINT_OF_MANY if few_queries(points, splats) else _POINT_AT_START
     return _POINT * points, each * points + _BASE
 
 

@@ -23,10 +23,10 @@ from ...errors import ConfigError, FormatError
 from ...io.files import atomic_write, check_regular
 from ...json_text import parse_json
 from ...options import flag_of, options_of
+from ...quoting import brief
 from ...raster import backend
-from ...shown import shown
-from ..photos.views import Photos
-from ..rows.stored import whole
+from ..model.checkpoint_schema import as_int
+from ..photos.view_sampler import Photos
 from ..trainer import Trainer
 
 FORMAT = 3
@@ -117,15 +117,15 @@ def load(path: Path) -> Checkpoint:
             _check_intact(text, metadata.get("crc32"), content, tensors)
     except (SafetensorError, KeyError, ValueError, OSError, RecursionError, MemoryError) as error:
         raise FormatError(
-            f"{path} is not a complete checkpoint of gscore ({shown(error)}); use an older one."
+            f"{path} is not a complete checkpoint of gscore ({brief(error)}); use an older one."
         ) from error
     if content.get("format") != FORMAT:
         raise FormatError(
             f"{path} was written by gscore {content.get('gscore')} in format "
             f"{content.get('format')}; this gscore reads format {FORMAT}."
         )
-    with understood(path):
-        whole("steps", content["trainer"]["steps"])
+    with checkpoint_errors(path):
+        as_int("steps", content["trainer"]["steps"])
         return Checkpoint(
             path=path,
             config=from_dict(TrainConfig, content["config"], where=str(path)),
@@ -138,7 +138,7 @@ def load(path: Path) -> Checkpoint:
 
 
 @contextmanager
-def understood(path: Path) -> Iterator[None]:
+def checkpoint_errors(path: Path) -> Iterator[None]:
     """FormatError where the content of a checkpoint is not what is looked for in it."""
     try:
         yield
@@ -152,7 +152,7 @@ def understood(path: Path) -> Iterator[None]:
     ) as error:
         raise FormatError(
             f"{path} is not a checkpoint that this gscore understands ({type(error).__name__}: "
-            f"{shown(error)}); use an older one."
+            f"{brief(error)}); use an older one."
         ) from error
 
 
@@ -195,7 +195,7 @@ def check_compatible(
         )
 
 
-def other_isa(checkpoint: Checkpoint) -> str | None:
+def isa_warning(checkpoint: Checkpoint) -> str | None:
     """A sentence for the user where the run goes on with another instruction set than it had."""
     was, now = checkpoint.isa, backend.isa()
     if was is None or was == now:

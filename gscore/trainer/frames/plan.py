@@ -8,8 +8,8 @@ from ...config import DataConfig, TrainConfig
 from ...datasets.frames import SequenceFrame, of_frame
 from ...errors import ConfigError
 from ...sequence_options import SequenceOptions
-from ...words import count_words
-from ..files.folder import RunFolder
+from ...text_format import count_words
+from ..files.run_folder import RunFolder
 
 PER_FRAME = ("guide_surface", "guide_free")
 """Options of meshes, which may hold `{frame}`: each frame then has its own."""
@@ -54,7 +54,7 @@ def plan_frames(
             "sequence."
         )
     config = replace(config, steps_a_photo=0, splats_a_photo=0)  # frames take what was asked for
-    keys = {run[0] for run in runs_of(len(frames), options)}
+    keys = {run[0] for run in independent_runs(len(frames), options)}
     found: list[PlannedFrame] = []
     for place, frame in enumerate(frames):
         own = config if place in keys else _after(found[-1], config, options)
@@ -67,7 +67,7 @@ def plan_frames(
     return found
 
 
-def runs_of(count: int, options: SequenceOptions) -> list[range]:
+def independent_runs(count: int, options: SequenceOptions) -> list[range]:
     """The places of all frames, cut into runs that need nothing of each other.
 
     Each run begins with a keyframe. Where they are follows from the options alone, so that it does
@@ -112,7 +112,7 @@ def check_shareable(runs: Sequence[range], processes: int) -> str:
     )
 
 
-def run_with(frames: Sequence[PlannedFrame], runs: Sequence[range], number: int) -> range:
+def run_of_frame(frames: Sequence[PlannedFrame], runs: Sequence[range], number: int) -> range:
     """The run that a frame belongs to.
 
     Raises:

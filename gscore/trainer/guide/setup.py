@@ -13,11 +13,17 @@ from ...errors import ConfigError
 from ...io.mesh.files import read_mesh
 from ...io.mesh.triangles import TriangleMesh
 from ...scene import offset_between
-from ...words import count_words
+from ...text_format import count_words
 from ..depth.rule import coverage
 from ..depth.targets import DepthTargets
-from .sightings import FEW, MeshVerdict, sightings_of, trusted, verdict
-from .views import MeshView, mesh_views
+from .mesh_support import (
+    FEW,
+    MeshSupportTotals,
+    measure_mesh_support,
+    total_support,
+    weighted_views,
+)
+from .mesh_views import MeshView, mesh_views
 
 _BEHIND = 0.3
 """Share of the points seen that a mesh would hide, from which on it is told that it may be wrong:
@@ -64,11 +70,11 @@ def prepare_guide(
         views = mesh_views(mesh, photos, threads=config.threads, on_progress=on_progress)
         if not any(view is not None for view in views):
             raise ConfigError(_unseen(path, mesh, photos))
-        sightings = sightings_of(views, photos)
-        said = verdict(sightings)
+        sightings = measure_mesh_support(views, photos)
+        said = total_support(sightings)
         words.append(_words(role, path, views, said))
         warnings += _doubts(path, said)
-        found[role] = trusted(views, sightings) if role == "surface" else views
+        found[role] = weighted_views(views, sightings) if role == "surface" else views
     if not found:
         return GuideSetup()
     surface = None
@@ -84,7 +90,7 @@ def prepare_guide(
     )
 
 
-def _words(role: str, path: Path, views: Sequence[MeshView | None], said: MeshVerdict) -> str:
+def _words(role: str, path: Path, views: Sequence[MeshView | None], said: MeshSupportTotals) -> str:
     seen = [view for view in views if view is not None]
     pixels = sum(view.inverse_depth.size for view in seen)
     covered = sum(int((view.inverse_depth > 0).sum()) for view in seen)
@@ -95,7 +101,7 @@ def _words(role: str, path: Path, views: Sequence[MeshView | None], said: MeshVe
     )
 
 
-def _doubts(path: Path, said: MeshVerdict) -> list[str]:
+def _doubts(path: Path, said: MeshSupportTotals) -> list[str]:
     """A sentence where points say that a mesh is not where it stands."""
     if said.total < FEW or said.behind <= _BEHIND * said.total:
         return []

@@ -20,6 +20,6 @@ def gaussian(shape: tuple[int, ...], generator: torch.Generator) -> torch.Tensor
     return torch.randn(shape, generator=generator, dtype=torch.float32, device="cpu")
 
 
-def order(count: int, generator: torch.Generator) -> list[int]:
+def permutation(count: int, generator: torch.Generator) -> list[int]:
     """The numbers below `count`, shuffled."""
     return torch.randperm(count, generator=generator, dtype=torch.int64, device="cpu").tolist()

@@ -15,7 +15,7 @@ from ...errors import ConfigError
 from ...scene import Cameras, distances
 from ...sh import rgb_to_sh0
 from ...splats import Splats
-from .views import Photos, evenly
+from .view_sampler import Photos, evenly_spaced
 
 _SPLATS, _SHARE = 1000, 10
 """How many, at most, and no more than one in so many of `max_splats`."""
@@ -54,7 +54,7 @@ def sky_splats(
     if photos.mask_mode == "composite" or config.region is not None:
         what = "the region" if config.region else "what the masks show (--mask-mode composite)"
         raise ConfigError(f"Nothing but {what} is trained, so there is no sky: leave out --sky.")
-    views = evenly(list(photos.train), _MOST_PHOTOS)
+    views = evenly_spaced(list(photos.train), _MOST_PHOTOS)
     middle = cameras.centers[views].mean(axis=0)
     away = distances(points, middle)
     reach = float(np.quantile(away[np.isfinite(away)], 1 - _FEW)) if np.isfinite(away).any() else 0

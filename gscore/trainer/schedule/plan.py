@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 from ...config import Skip, Strategy, TrainConfig
-from .enough import splats_of_each
-from .sizes import stages
+from .caps import max_splats_per_model
+from .photo_sizes import photo_size_stages
 
 _PAPER_STEPS = 30_000
 _SETTLES = 0.9
@@ -103,7 +103,7 @@ class Plan:
             drops: Whether splats are left out of its steps.
             models: How many are trained side by side, which share `max_splats`.
         """
-        n, most = config.iterations, splats_of_each(config, models)
+        n, most = config.iterations, max_splats_per_model(config, models)
         mcmc = config.strategy is Strategy.MCMC
         # Runs shorter than the paper's 30,000 steps keep its proportions where a splat still sees
         # enough views between two decisions: at least 100 steps at the start, 50 in between.
@@ -120,7 +120,7 @@ class Plan:
         # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
-        sizes, coarse_until = stages(coarse), round(config.coarse_until * n)
+        sizes, coarse_until = photo_size_stages(coarse), round(config.coarse_until * n)
         # With the photos, splats grow until these are at full size, and a little beyond it.
         long_enough = len(sizes) >= _FEWEST_SIZES and n >= _FEWEST_STEPS
         coupled = config.grow_with_photos and long_enough and not mcmc
@@ -234,12 +234,12 @@ class Plan:
         inside = self.refine_start <= step <= min(self.refine_stop, self.iterations - 1)
         return inside and step % self.refine_every == 0
 
-    def clears_at(self, step: int) -> bool:
+    def prunes_free_space_at(self, step: int) -> bool:
         """Whether the free space around cameras is cleared, and axes that are too fine are widened,
         after `step`: as often as splats are refined, but all along, for those that stay move."""
         return step % self.refine_every == 0 or step == self.iterations
 
-    def unveils_at(self, step: int) -> bool:
+    def prunes_masked_at(self, step: int) -> bool:
         """Whether splats that masks hide are taken out after `step`: at the first refinement step
         of the second third and of the last. The rest of the run closes the gaps; without it that
         costs a decibel."""

@@ -2,15 +2,15 @@
 
 from ...config import Strategy, TrainConfig
 from ..schedule.plan import Plan
-from .base import Change, DrawnView, Policy, Within, everywhere
+from .base import Change, DrawnView, Policy, Within, all_within
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "DrawnView", "Policy", "everywhere", "make_strategy"]
+__all__ = ["Change", "DrawnView", "Policy", "all_within", "make_strategy"]
 
 
 def make_strategy(
-    config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = everywhere
+    config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = all_within
 ) -> Policy:
     """The strategy that `config` names; splats are added where `may_grow` says so."""
     kinds = {Strategy.DEFAULT: DefaultStrategy, Strategy.MCMC: MCMCStrategy}

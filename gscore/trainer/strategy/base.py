@@ -6,7 +6,7 @@ from typing import Protocol
 
 import torch
 
-from ..rows.model import Model
+from ..model.model import Model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ Within = Callable[[torch.Tensor], torch.Tensor]
 """Which of `means` [N, 3], training world, lie where something may be done: [N] bool."""
 
 
-def everywhere(means: torch.Tensor) -> torch.Tensor:
+def all_within(means: torch.Tensor) -> torch.Tensor:
     """All of them."""
     return torch.ones(len(means), dtype=torch.bool, device="cpu")
 

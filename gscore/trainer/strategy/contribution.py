@@ -6,9 +6,9 @@ from typing import NamedTuple
 import torch
 
 from ...raster.memory import ones, zeros
-from ...raster.painter import Painter
 from ...raster.request import Settings
-from ..photos.pyramid import Sized
+from ...raster.training_rasterizer import TrainingRasterizer
+from ..photos.image_pyramid import SizedView
 
 
 class Weights(NamedTuple):
@@ -21,9 +21,9 @@ class Weights(NamedTuple):
 
 
 def weights_by_view(
-    painter: Painter,
+    rasterizer: TrainingRasterizer,
     params: Mapping[str, torch.Tensor],
-    shown: Iterable[Sized],
+    shown: Iterable[SizedView],
     *,
     antialias: bool,
     masks_hide: bool,
@@ -47,11 +47,11 @@ def weights_by_view(
         counts = ones(view.height, view.width, 3)
         if masks_hide and mask is not None:
             counts[..., 0] = torch.from_numpy(mask).to(counts.dtype) / 255
-        sums = torch.from_numpy(painter.weights(params, view, settings, counts, scratch))
+        sums = torch.from_numpy(rasterizer.weights(params, view, settings, counts, scratch))
         yield Weights(sums[:, 0].contiguous(), sums[:, 1].contiguous())
 
 
-def most_in_a_view(weights: Iterable[Weights], count: int) -> torch.Tensor:
+def max_contribution(weights: Iterable[Weights], count: int) -> torch.Tensor:
     """[N] float32, px: what each of `count` splats adds to the view in which it adds most.
 
     A splat that one view needs is needed; the sum over all views would favour the background, which
@@ -63,7 +63,7 @@ def most_in_a_view(weights: Iterable[Weights], count: int) -> torch.Tensor:
     return most
 
 
-def mostly_hidden(weights: Iterable[Weights], count: int, *, share: float) -> torch.Tensor:
+def mostly_masked(weights: Iterable[Weights], count: int, *, share: float) -> torch.Tensor:
     """[N] bool: which of `count` splats have less than `share` of their weight where masks show it.
 
     No photo says what these should look like, and they veil what other photos show.
@@ -75,7 +75,7 @@ def mostly_hidden(weights: Iterable[Weights], count: int, *, share: float) -> to
     return kept < share * whole
 
 
-def least(weights: torch.Tensor, count: int) -> torch.Tensor:
+def lowest_rows(weights: torch.Tensor, count: int) -> torch.Tensor:
     """[N] bool: the `count` smallest of `weights` [N]; of equal ones, those that come first."""
     out = zeros(len(weights), dtype=torch.bool)
     out[torch.sort(weights, stable=True).indices[:count]] = True

@@ -8,10 +8,10 @@ import torch
 
 from ...config import Doubling, TrainConfig
 from ...raster.memory import zeros
-from ...raster.pull import add_pull
-from ..rows.model import Model
+from ...raster.screen_gradients import add_screen_gradients
+from ..model.model import Model
 from ..schedule.plan import Plan
-from . import ops
+from . import row_ops
 from .base import Change, DrawnView, Within
 
 RESET_OPACITY = 0.01
@@ -43,7 +43,7 @@ class DefaultStrategy:
             return
         pull, seen = rows["pull"], rows["seen"]
         scale, threads = (0.5 * view.width, 0.5 * view.height), self._config.threads
-        add_pull(pull, seen, view.v_means2d, view.radii, scale, threads=threads)
+        add_screen_gradients(pull, seen, view.v_means2d, view.radii, scale, threads=threads)
 
     def after_step(
         self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
@@ -52,7 +52,7 @@ class DefaultStrategy:
         if self._plan.refines_at(step):
             change = self._refine(model, step, cap, generator)
         if self._plan.resets_at(step):
-            ops.reset_opacities(model, RESET_OPACITY)
+            row_ops.reset_opacities(model, RESET_OPACITY)
             change = Change(added=change.added, removed=change.removed, reset=True)
         return change
 
@@ -70,10 +70,10 @@ class DefaultStrategy:
         keep = ~doomed
         keep[replaced] = False
         kept = keep.nonzero().flatten()
-        kept = kept[ops.by_place(model.params["means"][kept])]
+        kept = kept[row_ops.by_place(model.params["means"][kept])]
         if len(kept) + len(healthy) == 0:  # everything would go: a blank model cannot recover
             return Change()
-        ops.edit(model, keep=kept, append=new)
+        row_ops.edit(model, keep=kept, append=new)
         self.start(model)
         return Change(added=len(healthy), removed=before - len(kept))
 
@@ -83,16 +83,18 @@ class DefaultStrategy:
         """What the rows `grow`, [N] bool, are doubled by, and which of them, [M], it replaces."""
         if self._config.doubling is Doubling.LONG_AXIS:
             rows = grow.nonzero().flatten()
-            return ops.halve(model, rows), rows
+            return row_ops.halve(model, rows), rows
         size = model.params["scales"].amax(dim=1)  # log
         large = size > _log(self._config.grow_scale * self._extent)
         clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
-        return ops.join(ops.duplicate(model, clone), ops.split(model, divide, generator)), divide
+        return row_ops.join(
+            row_ops.duplicate(model, clone), row_ops.split(model, divide, generator)
+        ), divide
 
     def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
         """[N] bool: too transparent, too large once opacities have been reset, or not a splat."""
         config, opacities = self._config, params["opacities"]
-        doomed = ~(opacities >= ops.logit(max(config.prune_opacity, 1e-6)))  # NaN goes too
+        doomed = ~(opacities >= row_ops.logit(max(config.prune_opacity, 1e-6)))  # NaN goes too
         if self._plan.reset_every and step > self._plan.reset_every:
             size = params["scales"].amax(dim=1)
             doomed |= size > _log(config.prune_scale * self._extent)

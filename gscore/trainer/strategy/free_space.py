@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ...raster.memory import zeros
-from ..rows.near import Nearest
+from ..model.nearest_points import NearestPoints
 
 _NEAREST = 10
 """The distance to the first surface is that to this nearest point: single ones are often wrong."""
@@ -23,7 +23,9 @@ class FreeSpace:
     """Balls around cameras; float64 inside, for a ball may be small against its distance from the
     origin."""
 
-    def __init__(self, centers: np.ndarray, surfaces: Nearest | None, *, share: float) -> None:
+    def __init__(
+        self, centers: np.ndarray, surfaces: NearestPoints | None, *, share: float
+    ) -> None:
         """Measure the balls.
 
         Args:

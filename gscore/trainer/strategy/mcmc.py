@@ -7,9 +7,9 @@ import torch
 
 from ...config import TrainConfig
 from ..host.random import gaussian
-from ..rows.model import Model
+from ..model.model import Model
 from ..schedule.plan import Plan
-from . import ops
+from . import row_ops
 from .base import Change, DrawnView, Within
 
 GATE_SHARPNESS = 100.0
@@ -59,20 +59,22 @@ class MCMCStrategy:
     def _refine(self, model: Model, cap: int, generator: torch.Generator) -> Change:
         floor = max(self._config.prune_opacity, 1e-6)
         opacities = model.params["opacities"]
-        dead = ~(opacities > ops.logit(floor))  # NaN is dead too
+        dead = ~(opacities > row_ops.logit(floor))  # NaN is dead too
         dead |= model.params["quats"].square().sum(dim=1) < 1e-8
         within = self._may_grow(model.params["means"])
-        moved = ops.relocate(model, dead, generator, within=within, min_opacity=floor)
+        moved = row_ops.relocate(model, dead, generator, within=within, min_opacity=floor)
         target = min(cap, int((1 + self._plan.mcmc_growth) * len(model)))
         within = self._may_grow(model.params["means"])
-        added = ops.grow(model, target - len(model), generator, within=within, min_opacity=floor)
+        added = row_ops.grow(
+            model, target - len(model), generator, within=within, min_opacity=floor
+        )
         return Change(added=added, moved=moved)
 
     def _add_noise(self, model: Model, means_lr: float, generator: torch.Generator) -> None:
         """Move faint splats at random, along their own shape: covariance @ normal noise."""
         weight = self._config.mcmc_noise * means_lr
         opacities = model.params["opacities"]
-        faint = (opacities < ops.logit(NOISE_MAX_OPACITY)).nonzero().flatten()
+        faint = (opacities < row_ops.logit(NOISE_MAX_OPACITY)).nonzero().flatten()
         if weight <= 0 or len(faint) == 0:
             return
         opacity = torch.sigmoid(opacities[faint])
@@ -81,5 +83,5 @@ class MCMCStrategy:
         quats = model.params["quats"][faint]
         noise = gaussian((len(faint), 3), generator) * (gate * weight)[:, None]
         back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
-        shift = ops.rotate(quats, variance * ops.rotate(back, noise))
+        shift = row_ops.rotate(quats, variance * row_ops.rotate(back, noise))
         model.params["means"].index_add_(0, faint, shift)

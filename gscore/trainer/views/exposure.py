@@ -11,10 +11,10 @@ from ...config import Switch, TrainConfig
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks
-from ...io.pictures.exposure_exif import stated_exposure
-from .gains import PhotoGains
-from .seeds import fit_gains
-from .sightings import sightings
+from ...io.images.exposure_exif import stated_exposure
+from .gain_fit import fit_gains
+from .photo_gains import PhotoGains
+from .track_colors import measure_track_colors
 
 LEAST_STOPS = 0.2
 """Stops between photos and their neighbours from which on exposure is learnt. Below, colours that
@@ -57,7 +57,11 @@ def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None
         return Exposure()
     train = list(photos.train)
     stated = _stated(photos, train, config.threads)
-    seen = None if tracks is None else sightings(photos, tracks, train, threads=config.threads)
+    seen = (
+        None
+        if tracks is None
+        else measure_track_colors(photos, tracks, train, threads=config.threads)
+    )
     measured = (
         seen is not None and np.median(np.bincount(seen.view, minlength=len(train))) >= _SHARED
     )

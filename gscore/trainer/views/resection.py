@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .motion import after_motion, cross_matrix
+from .pose_math import cross_matrix, moved_pose
 
 _ROUNDS = 15
 """Of Gauss and Newton."""
@@ -17,7 +17,7 @@ _FLOOR = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class PointObservations:
     """What a camera saw of the points."""
 
     points: np.ndarray
@@ -26,7 +26,7 @@ class Seen:
     """[M, 2] float64, x / z and y / z."""
 
 
-def residuals(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
+def residuals(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
     """[M, 2]: x / z and y / z of the points as seen by a pose, less those that were seen; NaN
     behind the camera."""
     local = seen.points @ viewmat[:3, :3].T + viewmat[:3, 3]
@@ -34,7 +34,7 @@ def residuals(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
     return local[:, :2] / z[:, None] - seen.rays
 
 
-def typical(viewmat: np.ndarray, seen: Seen) -> float:
+def median_residual(viewmat: np.ndarray, seen: PointObservations) -> float:
     """Median length of the residuals, x / z; infinite where there are too few points."""
     length = np.linalg.norm(residuals(viewmat, seen), axis=1)
     return (
@@ -42,7 +42,7 @@ def typical(viewmat: np.ndarray, seen: Seen) -> float:
     )
 
 
-def placed(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
+def resection_pose(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
     """The pose, [4, 4], at which a camera sees the points where it saw them; where there are fewer
     than twelve, or no better pose is found, the one it has.
 
@@ -55,14 +55,14 @@ def placed(viewmat: np.ndarray, seen: Seen) -> np.ndarray:
         step = _step(pose, seen)
         if step is None:
             break
-        pose = after_motion(pose, step)
+        pose = moved_pose(pose, step)
         if np.abs(step).max() < 1e-9:
             break
-    better = typical(pose, seen) < typical(viewmat, seen)
+    better = median_residual(pose, seen) < median_residual(viewmat, seen)
     return pose if better and np.isfinite(pose).all() else viewmat
 
 
-def _step(pose: np.ndarray, seen: Seen) -> np.ndarray | None:
+def _step(pose: np.ndarray, seen: PointObservations) -> np.ndarray | None:
     """[6]: the motion that solves the linear problem; None where it has no solution."""
     off = residuals(pose, seen)
     good = np.isfinite(off).all(axis=1)

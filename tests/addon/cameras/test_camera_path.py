@@ -12,8 +12,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures, placing
-from addon.cameras import formulas as cm
+from addon.cameras import camera_math as cm
+from addon.cameras import capture_transform, captures
 from addon.cameras.camera_path import export_path
 from addon.cameras.render_camera import render_camera
 from addon.core import write_splats
@@ -105,7 +105,7 @@ def seen(scene, camera) -> list[np.ndarray]:
 def capture_with(camera) -> bpy.types.Object:
     """A capture that stands turned, moved and scaled in the scene."""
     made = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
-    placing.set_root_matrix(made.root, made_matrix())
+    capture_transform.set_root_matrix(made.root, made_matrix())
     bpy.context.view_layer.update()
     return made.root
 

@@ -10,8 +10,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures, placing, sfm_points
-from addon.cameras import formulas as cm
+from addon.cameras import camera_math as cm
+from addon.cameras import capture_transform, captures, sfm_points
 from addon.cameras import objects as co
 from addon.cameras.backgrounds import photo_of
 from addon.cameras.objects import cameras_of, is_camera, root_of
@@ -57,7 +57,7 @@ def test_imported_cameras_project_as_colmap_says(scene, capture: Path, aligned: 
     """Oracle: COLMAP's K and pose in float64, compared with Blender's own projection."""
     made = captures.import_capture(bpy.context.scene, capture, align=aligned)
     if aligned:
-        placing.set_extent(made.root, 12.5)
+        capture_transform.set_extent(made.root, 12.5)
     bpy.context.view_layer.update()
     world = matrix_to_numpy(made.root.matrix_world)
     states = {image.name: image for image in read_colmap(capture).images}
@@ -359,7 +359,7 @@ def test_another_machine(scene, tmp_path: Path) -> None:
     root = next(ob for ob in scene.objects if co.is_kind(ob, "capture"))
     ob = cameras_of(root)[0]
     assert "is not there" in captures.use_camera(scene, ob)[0]
-    assert placing.align_root(root).ground_found
+    assert capture_transform.align_root(root).ground_found
     with pytest.raises(ValueError, match="none of the 60 photos"):
         captures.relink(root, tmp_path)
     assert root["gs_source"] == "//here/studio"
@@ -442,7 +442,7 @@ def test_operators(scene) -> None:
         bpy.ops.gscore.use_camera(camera="nobody")
     root = root_of(scene.camera)
     bpy.ops.gscore.set_extent(extent=11.0)
-    assert placing.world_extent(root) == pytest.approx(11, rel=1e-6)
+    assert capture_transform.world_extent(root) == pytest.approx(11, rel=1e-6)
     assert scene.camera.data.clip_end == pytest.approx(1100, rel=1e-5)
     before = matrix_to_numpy(root.matrix_basis)
     bpy.ops.gscore.flip_up()

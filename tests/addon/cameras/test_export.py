@@ -10,8 +10,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import captures, placing, sfm_points
-from addon.cameras import formulas as cm
+from addon.cameras import camera_math as cm
+from addon.cameras import capture_transform, captures, sfm_points
 from addon.cameras import objects as co
 from addon.cameras.export_colmap import export_colmap
 from addon.cameras.export_transforms import export_transforms
@@ -35,7 +35,7 @@ def capture(tmp_path: Path) -> Path:
 def made(scene, capture: Path) -> captures.ImportedCapture:
     """That capture in Blender, aligned and scaled."""
     made = captures.import_capture(bpy.context.scene, capture)
-    placing.set_extent(made.root, 3.0)
+    capture_transform.set_extent(made.root, 3.0)
     bpy.context.view_layer.update()
     return made
 
@@ -236,7 +236,7 @@ def test_cameras_of_ones_own(made, scene, tmp_path: Path) -> None:
     done = export_colmap(tmp_path, [*made.cameras, ob], scene, root=made.root, depsgraph=graph())
     assert (done.views, done.moved) == (15, 1)
     other = captures.import_capture(bpy.context.scene, tmp_path, align=False)
-    placing.set_root_matrix(other.root, matrix_to_numpy(made.root.matrix_basis))
+    capture_transform.set_root_matrix(other.root, matrix_to_numpy(made.root.matrix_basis))
     again = next(o for o in other.cameras if o["gs_image"] == "Dolly_1.png")
     captures.use_camera(scene, again)
     bpy.context.view_layer.update()

@@ -11,8 +11,8 @@ import pytest
 from addon.cameras import captures, export_views
 from addon.cameras.importing import ImportedCapture
 from addon.core import atomic_write
-from addon.process.background import Cancelled
-from addon.process.pieces import Going
+from addon.process.background_task import Cancelled
+from addon.process.incremental_tasks import TaskRunner
 from tests.addon.cameras.test_importing import until
 from tests.addon.captures import STUDIO
 from tools.measure.stand_in import stand_in
@@ -33,10 +33,10 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export_views, "BUDGET", 0.0)
 
 
-def going(folder: Path, **settings: Any) -> Going:
+def going(folder: Path, **settings: Any) -> TaskRunner:
     """The operator in a window, nothing done."""
     work = stand_in("export_cameras", directory=str(folder), **settings)
-    return Going(work.pieces(bpy.context))
+    return TaskRunner(work.pieces(bpy.context))
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import captures, placing
+from addon.cameras import capture_transform, captures
 from addon.cameras.camera_path import NERFSTUDIO, export_path
 from addon.cameras.camera_path_import import import_path
 from addon.cameras.export_colmap import export_colmap
@@ -17,7 +17,7 @@ from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, Splats, read_capture, read_colmap, write_colmap, write_splat_file
 from addon.splats import objects
 from addon.splats.exporting import export_splats
-from addon.splats.files import import_splats
+from addon.splats.splat_files import import_splats
 from gscore.datasets.camera_path_json import read_camera_path
 from gscore.formats import read_splat_file
 from tests.addon.captures import write_capture
@@ -38,7 +38,7 @@ def far(tmp_path: Path) -> Path:
 def splats_in(made: captures.ImportedCapture, make_splats, path: Path, about: np.ndarray) -> Splats:
     """A file of splats about a local origin, which lie about the capture's own."""
     splats = make_splats(50)
-    shift = placing.origin_of(made.root) - about
+    shift = capture_transform.origin_of(made.root) - about
     write_splat_file(
         path,
         replace(splats, means=(splats.means + shift).astype(np.float32)),
@@ -58,7 +58,7 @@ def test_cameras_and_splats_land_in_one_frame_near_the_origin(
     """Oracle: poses of the files less the local origin, in float64; splats about that origin, about
     another one, and with none stated lie where the file has them, to 1e-4 of the capture."""
     made = captures.import_capture(scene, far, align=False)
-    origin = placing.origin_of(made.root)
+    origin = capture_transform.origin_of(made.root)
     assert origin is not None and (np.abs(origin - UTM) < 10).all()
     assert any("local origin" in sentence for sentence in made.warnings)
     bpy.context.view_layer.update()
@@ -72,7 +72,7 @@ def test_cameras_and_splats_land_in_one_frame_near_the_origin(
         ob = import_splats(bpy.context, path, parent=made.root)
         bpy.context.view_layer.update()
         np.testing.assert_allclose(objects.read_world(ob).means, splats.means, atol=1e-5)
-        np.testing.assert_array_equal(placing.noted_origin(ob), about)
+        np.testing.assert_array_equal(capture_transform.noted_origin(ob), about)
         assert export_splats([ob], tmp_path / "out.ply")[0] == 50
         back = read_splat_file(tmp_path / "out.ply")
         np.testing.assert_array_equal(back.origin, origin)
@@ -89,7 +89,7 @@ def test_splats_without_a_capture_keep_their_origin(scene, make_splats, tmp_path
     splats, origin = make_splats(20), UTM + 1 / 3
     write_splat_file(tmp_path / "in.ply", splats, origin=origin)
     ob = import_splats(bpy.context, tmp_path / "in.ply")
-    np.testing.assert_array_equal(ob[placing.ORIGIN][:], origin)
+    np.testing.assert_array_equal(ob[capture_transform.ORIGIN][:], origin)
     bpy.context.view_layer.update()
     export_splats([ob], tmp_path / "out.ply")
     back = read_splat_file(tmp_path / "out.ply")
@@ -138,7 +138,7 @@ def test_camera_paths_go_out_and_come_back(scene, far: Path, tmp_path: Path, kin
     export_path(path, ob, scene, root=made.root, kind=kind)
     cameras = read_camera_path(path).cameras
     full = cameras.centers + (0 if cameras.origin is None else cameras.origin)
-    wanted = placing.origin_of(made.root) + np.array([1, 2, 3])
+    wanted = capture_transform.origin_of(made.root) + np.array([1, 2, 3])
     np.testing.assert_allclose(full, [wanted] * 2, atol=1e-5)
     back = import_path(path, scene, root=made.root)
     scene.frame_set(1)
@@ -154,14 +154,14 @@ def test_an_import_anew_keeps_the_origin_and_another_capture_is_told(
     """Oracle: the origin of the first import, though a moved model would be given another one; a
     sentence that names both captures."""
     made = captures.import_capture(scene, far)
-    origin = placing.origin_of(made.root)
+    origin = capture_transform.origin_of(made.root)
     model = read_colmap(far)
     write_colmap(replace(model, origin=np.array([40.0, 0, 0])).about(None), far / "sparse/0")
     again = captures.import_capture(scene, far)
     assert again.root == made.root
-    np.testing.assert_array_equal(placing.origin_of(again.root), origin)
+    np.testing.assert_array_equal(capture_transform.origin_of(again.root), origin)
     other = tmp_path / "other"
     write_capture(other, np.random.default_rng(1), cameras=PINHOLES)
     told = captures.import_capture(scene, other).warnings
     assert any("local origin" in one and made.root.name in one for one in told)
-    assert placing.ORIGIN not in captures.import_capture(scene, other).root
+    assert capture_transform.ORIGIN not in captures.import_capture(scene, other).root

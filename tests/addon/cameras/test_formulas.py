@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from addon.cameras.formulas import (
+from addon.cameras.camera_math import (
     Frame,
     Lens,
     frame_size,

@@ -12,15 +12,15 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import captures, importing, placing, sfm_points
+from addon.cameras import capture_transform, captures, importing, sfm_points
 from addon.cameras import objects as co
 from addon.cameras.backgrounds import file_of, photo_of
 from addon.cameras.objects import cameras_of, points_of
 from addon.compat import matrix_to_numpy
 from addon.core import read_colmap, write_colmap
-from addon.interface import clearing, temporary
+from addon.interface import incremental_removal, temporary_data
 from addon.panels.cameras import CamerasPanel
-from addon.process.pieces import Going
+from addon.process.incremental_tasks import TaskRunner
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tools.measure.stand_in import stand_in
@@ -65,12 +65,12 @@ def state() -> dict[str, Any]:
     return found
 
 
-def going(**settings: Any) -> Going:
+def going(**settings: Any) -> TaskRunner:
     """The operator in a window, nothing done."""
-    return Going(stand_in("import_cameras", **settings).pieces(bpy.context))
+    return TaskRunner(stand_in("import_cameras", **settings).pieces(bpy.context))
 
 
-def until(work: Going, ends: Callable[[], bool]) -> bool:
+def until(work: TaskRunner, ends: Callable[[], bool]) -> bool:
     """Go on until something holds, or all is done; whether that is so."""
     for _ in range(10_000):
         if ends():
@@ -107,7 +107,7 @@ def test_given_up(scene, folder: Path, name: str) -> None:
     work = going(directory=str(folder))
     until(work, {"reading": lambda: True, "cameras": half, "points": _points_come}[name])
     work.cancel()
-    clearing.finish()
+    incremental_removal.finish()
     assert counts() == before
     scene.gscore.capture_path = str(folder)
     captures.import_capture(scene, folder)
@@ -116,7 +116,7 @@ def test_given_up(scene, folder: Path, name: str) -> None:
     work = going(directory=str(folder))
     until(work, {"reading": lambda: True, "cameras": _begun, "points": _points_come}[name])
     work.cancel()
-    clearing.finish()
+    incremental_removal.finish()
     assert counts() == there and state() == seen
 
 
@@ -181,7 +181,7 @@ def test_what_is_done_right_after_esc(scene, folder: Path, tmp_path: Path, ends:
     bpy.ops.ed.undo_push(message="meanwhile")
     made = len(bpy.data.cameras)
     work.cancel()
-    next(clearing.clearing())
+    next(incremental_removal.clearing())
     assert len(bpy.data.cameras) < made
     if ends == "saved":
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -193,7 +193,7 @@ def test_what_is_done_right_after_esc(scene, folder: Path, tmp_path: Path, ends:
         return
     else:
         bpy.ops.ed.undo()
-        clearing.finish()
+        incremental_removal.finish()
     assert not bpy.data.objects and not bpy.data.cameras and not _begun()
     assert not bpy.data.images or ends == "undone"
 
@@ -203,7 +203,7 @@ def test_photos_that_are_gone_leave_bit_by_bit(
 ) -> None:
     """Oracle: cameras that are not in the scene any more, then not in the file; undo brings them
     back, and redo takes them."""
-    monkeypatch.setattr(temporary, "BUDGET", 0.0)
+    monkeypatch.setattr(temporary_data, "BUDGET", 0.0)
     made = captures.import_capture(scene, folder)
     child = bpy.data.objects.new("child", None)
     scene.collection.objects.link(child)
@@ -217,7 +217,7 @@ def test_photos_that_are_gone_leave_bit_by_bit(
     assert len(bpy.data.cameras) == 60 and len(cameras_of(root)) == 5
     assert len([ob for ob in scene.objects if ob.type == "CAMERA"]) == 5
     bpy.ops.ed.undo_push(message="anew")
-    assert len(list(clearing.clearing())) > 2
+    assert len(list(incremental_removal.clearing())) > 2
     assert len(bpy.data.cameras) == 5 and not _begun() and scene.camera is None
     assert child.parent is None
     bpy.ops.ed.undo()
@@ -235,7 +235,7 @@ def test_a_scene_that_is_gone(scene, folder: Path) -> None:
     bpy.data.scenes.remove(bpy.context.scene)
     with pytest.raises(ValueError, match="scene that cameras were imported into is gone"):
         until(work, lambda: False)
-    clearing.finish()
+    incremental_removal.finish()
     assert not bpy.data.objects and not bpy.data.cameras and not _begun()
 
 
@@ -243,7 +243,7 @@ def test_anew(scene, folder: Path) -> None:
     """Oracle: what the files say now. What is the user's stays: the empty with its alignment, what
     hangs from it, names, collections, and what looks at a camera."""
     made = captures.import_capture(scene, folder, align=False)
-    placing.set_extent(made.root, 12.5)
+    capture_transform.set_extent(made.root, 12.5)
     model, listed = read_colmap(folder), made.cameras
     matrix = matrix_to_numpy(made.root.matrix_basis)
     splats = bpy.data.objects.new("splats", None)
@@ -312,7 +312,7 @@ def test_two_imports_at_once(scene, folder: Path) -> None:
     while works:
         works = [work for work in works if not work.step()]
         threading.Event().wait(0.0005)
-    clearing.finish()
+    incremental_removal.finish()
     found = [len(all_of) for all_of in (bpy.data.cameras, bpy.data.images, bpy.data.meshes)]
     assert found == [60, 60, 1] and not _begun()
 
@@ -484,7 +484,7 @@ def test_python_searches_for_garbage_again(scene, folder: Path, ends: str) -> No
     else:
         until(work, lambda: False)
     assert gc.get_threshold() == before
-    clearing.finish()
+    incremental_removal.finish()
 
 
 def test_points_that_are_edited(scene, folder: Path) -> None:

@@ -13,8 +13,8 @@ import pytest
 from addon.cameras import camera_path, camera_path_import, captures
 from addon.cameras.camera_path import export_path
 from addon.compat import curves_of
-from addon.process.background import Cancelled
-from addon.process.pieces import Aside, Going
+from addon.process.background_task import Cancelled
+from addon.process.incremental_tasks import TaskRunner, ThreadCall
 from tests.addon.cameras.test_camera_path import camera  # noqa: F401 - a fixture
 from tests.addon.cameras.test_importing import until
 from tests.addon.captures import STUDIO
@@ -30,18 +30,18 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "BUDGET", 0.0)
 
 
-def going(name: str, file: Path, **settings: Any) -> Going:
+def going(name: str, file: Path, **settings: Any) -> TaskRunner:
     """The operator in a window, nothing done."""
     given = {"filepath": str(file), "world": "BLENDER", **settings}
-    return Going(stand_in(name, **given).pieces(bpy.context))
+    return TaskRunner(stand_in(name, **given).pieces(bpy.context))
 
 
-def exporting(file: Path, **settings: Any) -> Going:
+def exporting(file: Path, **settings: Any) -> TaskRunner:
     """Of the export."""
     return going("export_camera_path", file, **settings)
 
 
-def half(work: Going) -> Callable[[], bool]:
+def half(work: TaskRunner) -> Callable[[], bool]:
     """Whether three of six frames are read."""
     return lambda: work.sentence == "Reading frames: 3 of 6"
 
@@ -93,7 +93,7 @@ def test_export_given_up(scene, camera, tmp_path: Path, late: bool) -> None:  # 
     else:
         file = str(tmp_path / "a")
         pieces = stand_in("export_camera_path", filepath=file, world="BLENDER").pieces(bpy.context)
-        asked = next(one for one in pieces if isinstance(one, Aside))
+        asked = next(one for one in pieces if isinstance(one, ThreadCall))
 
         def given_up() -> None:
             raise Cancelled
@@ -239,12 +239,12 @@ def test_keyframes_as_blender_inserts_them(file: Path) -> None:
         )
 
 
-def importing(file: Path, **settings: Any) -> Going:
+def importing(file: Path, **settings: Any) -> TaskRunner:
     """Of the import."""
     return going("import_camera_path", file, **settings)
 
 
-def at_curve(work: Going, number: int) -> Callable[[], bool]:
+def at_curve(work: TaskRunner, number: int) -> Callable[[], bool]:
     """Whether so many curves are made."""
     return lambda: work.sentence == f"Importing keyframes: curve {number} of 9"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from addon.cameras.straight_queue import ANSWER, READY, StraightQueue
+from addon.cameras.undistort_queue import ANSWER, READY, UndistortQueue
 
 BEGINS = """
 import json, sys, time
@@ -44,7 +44,7 @@ def tasks(*copies: str) -> list[dict[str, str]]:
     return [{"copy": copy} for copy in copies]
 
 
-def poll_until(queue: StraightQueue, program: object, done: Callable[[list[str]], bool]) -> list:
+def poll_until(queue: UndistortQueue, program: object, done: Callable[[list[str]], bool]) -> list:
     """The copies that were made until something holds of them."""
     made, until = [], time.monotonic() + 20
     while not done(made):
@@ -56,7 +56,7 @@ def poll_until(queue: StraightQueue, program: object, done: Callable[[list[str]]
 
 def test_what_is_asked_for_while_the_program_ends_is_made(run: Run, told: Path) -> None:
     """The program needs a second to end, in which it reads nothing more."""
-    queue, program = StraightQueue(), run(BEGINS + ANSWERS + "time.sleep(1)")
+    queue, program = UndistortQueue(), run(BEGINS + ANSWERS + "time.sleep(1)")
     queue.ask(tasks("a"))
     poll_until(queue, program, lambda made: made == ["a"])
     for _ in range(5):  # its input ends
@@ -72,7 +72,7 @@ def test_what_is_asked_for_while_the_program_ends_is_made(run: Run, told: Path) 
 
 def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
     """Every photo is told why; later ones are tried again."""
-    queue, program = StraightQueue(), run(BEGINS + "sys.exit('no display')")
+    queue, program = UndistortQueue(), run(BEGINS + "sys.exit('no display')")
     for _ in range(2):
         queue.ask(tasks("a", "b", "c"))
         poll_until(queue, program, lambda _: not queue.busy)
@@ -85,7 +85,7 @@ def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
 
 def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None:
     """The others are made by another one."""
-    queue, program = StraightQueue(), run(BEGINS + ANSWERS)
+    queue, program = UndistortQueue(), run(BEGINS + ANSWERS)
     queue.ask(tasks("a", "crash", "b"))
     assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "b"]
     assert told.read_text().split() == ["begun", "a", "crash", "begun", "b"]
@@ -96,7 +96,7 @@ def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None
 def test_what_is_asked_for_last_comes_first(run: Run, told: Path) -> None:
     """But for the copy that is being made; nothing is made twice."""
     slow = ANSWERS.replace("    if copy", "    time.sleep(0.3)\n    if copy")
-    queue, program = StraightQueue(), run(BEGINS + slow)
+    queue, program = UndistortQueue(), run(BEGINS + slow)
     queue.ask(tasks("a", "b", "c"))
     queue.poll(program)
     queue.ask(tasks("d", "a", "c"))

@@ -15,14 +15,20 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon import preferences
-from addon.cameras import backgrounds, captures, straight, straight_operators, straightening
+from addon.cameras import (
+    backgrounds,
+    captures,
+    undistort_jobs,
+    undistort_operators,
+    undistorted_photos,
+)
 from addon.cameras.backgrounds import photo_of, straight_background
 from addon.cameras.objects import PhotoCamera, is_camera, stated
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
 from addon.panels.cameras import CamerasPanel
-from addon.process import beat
-from addon.steer import masks
-from gscore.io.pictures.images import write_png
+from addon.process import poll_timer
+from addon.region_training import masks
+from gscore.io.images.read_image import write_png
 from tests.addon.drawn import Layout, drawn
 
 SIZE = (320, 240)
@@ -134,9 +140,9 @@ def corner_near(picture: np.ndarray, place: np.ndarray, half: int = 4) -> np.nda
 def panel() -> str:
     """What the panel shows once it knows what is lacking; others have to be told first."""
     text = drawn(CamerasPanel)
-    while straightening.LACKING.busy:
+    while undistort_jobs.LACKING.busy:
         time.sleep(0.01)
-        beat.tick()
+        poll_timer.poll()
         text = drawn(CamerasPanel)
     return text
 
@@ -145,7 +151,7 @@ def panel() -> str:
 def own_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Copies go to a folder of the test."""
     folder = tmp_path / "own"
-    monkeypatch.setattr(straight, "own_folder", lambda: folder)
+    monkeypatch.setattr(undistorted_photos, "own_folder", lambda: folder)
     return folder / "straight"
 
 
@@ -227,10 +233,10 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
     cameras = [ob for ob in bpy.data.objects if is_camera(ob)]
     assert [copy_needed(ob) for ob in cameras] == [None, None]
-    assert straightening.ask(cameras) == 0
+    assert undistort_jobs.ask(cameras) == 0
     assert shown(photo_of(cameras[0])).std() > 0.3
     assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
-    straight.part_of(straight.copies(own_copies)[0]).write_bytes(b"half")
+    undistorted_photos.part_of(undistorted_photos.copies(own_copies)[0]).write_bytes(b"half")
     assert bpy.ops.gscore.remove_straight_photos() == {"FINISHED"}
     assert [*own_copies.iterdir()] == []
     assert None not in [copy_needed(ob) for ob in cameras]
@@ -253,17 +259,17 @@ def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) ->
     made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     assert not bpy.ops.gscore.stop_straightening.poll()
     began = time.monotonic()
-    assert straightening.ask(made.cameras) == 3
-    straightening.collect()
+    assert undistort_jobs.ask(made.cameras) == 3
+    undistort_jobs.collect()
     assert time.monotonic() - began < 0.5
     begun = copy_needed(made.cameras[0])
     assert "Straightening photos: 0 of 3" in drawn(CamerasPanel)
     assert not bpy.ops.gscore.remove_straight_photos.poll()
     assert bpy.ops.gscore.stop_straightening() == {"FINISHED"}
-    straightening.wait()
-    assert straight.copies(own_copies) == [begun]  # which was under way, and stays whole
+    undistort_jobs.wait()
+    assert undistorted_photos.copies(own_copies) == [begun]  # which was under way, and stays whole
     bpy.ops.gscore.straighten_photos()
-    assert len(straight.copies(own_copies)) == 3
+    assert len(undistorted_photos.copies(own_copies)) == 3
     assert [copy_needed(ob) for ob in made.cameras] == [None] * 3
 
 
@@ -274,7 +280,7 @@ def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: 
     write_png(tmp_path / "own.png", board("OPENCV"))
     chosen = bpy.data.images.load(str(tmp_path / "own.png"))
     ob.data.background_images[0].image = chosen
-    assert straightening.ask([ob]) == 0 and copy_needed(ob) is None
+    assert undistort_jobs.ask([ob]) == 0 and copy_needed(ob) is None
     assert "(Straighten Photos)" not in panel()
     captures.relink(made.root, tmp_path / "c")
     assert [slot.image for slot in ob.data.background_images] == [chosen]
@@ -297,7 +303,7 @@ def test_a_wrong_link_is_led_to_a_copy_that_is_there(
     slot.image.filepath, slot.alpha = str(tmp_path / "elsewhere.png"), 0.5
     ob.data.show_background_images = False
     assert copy_needed(ob) == copy and "(Straighten Photos)" in panel()
-    assert straightening.ask([ob]) == 0 and not straightening.QUEUE.busy
+    assert undistort_jobs.ask([ob]) == 0 and not undistort_jobs.QUEUE.busy
     assert slot.image.filepath == str(copy) and copy_needed(ob) is None
     assert slot.alpha == 0.5 and not ob.data.show_background_images
 
@@ -306,8 +312,8 @@ def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> N
     """Oracle: how many copies are asked for; the sentence in the panel and from the operator."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
     del made.cameras[0]["gs_K"]
-    assert straightening.ask(made.cameras) == 1
-    straightening.QUEUE.kill()
+    assert undistort_jobs.ask(made.cameras) == 1
+    undistort_jobs.QUEUE.kill()
     assert "has lost what the capture says" in panel() and "(Straighten Photos)" in panel()
     with pytest.raises(RuntimeError, match="has lost what the capture says"):
         bpy.ops.gscore.straighten_photos()
@@ -321,7 +327,7 @@ def test_panels_wait_for_no_disk(scene, tmp_path: Path, monkeypatch: pytest.Monk
 
     def copy_of(own: PhotoCamera, photo: Path) -> Path:
         looks.append((own.model, threading.current_thread()))
-        return straight.copy_of(own, photo)
+        return undistorted_photos.copy_of(own, photo)
 
     monkeypatch.setattr(backgrounds, "copy_of", copy_of)
     for _ in range(5):
@@ -339,9 +345,9 @@ def test_many_cameras_are_asked_for_at_once(
         os.utime(stated(ob).photo, (1e9, 1e9))  # so that all copies have other names
     calls = []
     known = backgrounds.KnownImages
-    monkeypatch.setattr(straightening, "KnownImages", lambda: calls.append(1) or known())
-    assert straightening.ask(made.cameras) == 3 and len(calls) == 1
-    straightening.QUEUE.kill()
+    monkeypatch.setattr(undistort_jobs, "KnownImages", lambda: calls.append(1) or known())
+    assert undistort_jobs.ask(made.cameras) == 3 and len(calls) == 1
+    undistort_jobs.QUEUE.kill()
     assert [copy_needed(ob) for ob in made.cameras] == [
         backgrounds.file_of(photo_of(ob)) for ob in made.cameras
     ]
@@ -354,26 +360,26 @@ def test_why_a_lens_is_not_straightened() -> None:
     known |= {"width": SIZE[0], "height": SIZE[1], "model": "SIMPLE_RADIAL"}
     folded = PhotoCamera(**known, params=(260.0, 160.0, 120.0, -1.5))
     with pytest.raises(ValueError, match=r"^a\.png cannot be straightened.*folds back"):
-        straight.undistortion_of(folded)
+        undistorted_photos.undistortion_of(folded)
     with pytest.raises(ValueError, match="import the capture's cameras again"):
-        straight.undistortion_of(PhotoCamera(**known, params=LENSES["SIMPLE_RADIAL"]))
+        undistorted_photos.undistortion_of(PhotoCamera(**known, params=LENSES["SIMPLE_RADIAL"]))
 
 
 def test_preferences_tell_the_copies_once_they_are_counted(
     scene, own_copies: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the files in the folder; and that something waits for the thread that counts."""
-    looked, count = threading.Event(), straight_operators._SIZES._function
+    looked, count = threading.Event(), undistort_operators._SIZES._function
     monkeypatch.setattr(
-        straight_operators._SIZES, "_function", lambda folder: looked.wait(60) and count(folder)
+        undistort_operators._SIZES, "_function", lambda folder: looked.wait(60) and count(folder)
     )
     own_copies.mkdir(parents=True)
     (own_copies / "a.png").write_bytes(bytes(3_000_000))
     layout = Layout()
-    straight_operators.draw_copies(layout, preferences.get())
-    assert layout.notes == [] and beat.tick()
+    undistort_operators.draw_copies(layout, preferences.get())
+    assert layout.notes == [] and poll_timer.poll()
     looked.set()
-    while beat.tick():
+    while poll_timer.poll():
         time.sleep(0.01)
-    straight_operators.draw_copies(layout, preferences.get())
+    undistort_operators.draw_copies(layout, preferences.get())
     assert "1 files, 3 MB" in layout.text and "(Remove Straightened Photos)" in layout.text

@@ -12,7 +12,7 @@ import pytest
 
 from addon.capture.inspection import ShownFacts, inspect
 from addon.core import find_capture
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from tests.addon.captures import ROOT, STUDIO, write_capture, write_photo
 
 PINHOLE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}
@@ -188,7 +188,7 @@ def test_needs_neither_blender_nor_pillow() -> None:
         "import sys\n"
         "for name in ('bpy', 'mathutils', 'PIL', 'torch', 'scipy', 'pycolmap'):\n"
         "    sys.modules[name] = None\n"
-        "import addon.cameras.alignment, addon.cameras.formulas\n"
+        "import addon.cameras.alignment, addon.cameras.camera_math\n"
         "from addon.capture.inspection import inspect\n"
         f"print(inspect({str(STUDIO)!r}).can_train)"
     )

@@ -8,13 +8,13 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import coloring, overlay
+from addon.cameras import camera_colors, overlay
 from addon.cameras.lookup import roots_of
 from addon.cameras.objects import cameras_of
 from addon.capture import depth_maps
 from addon.capture.depth_maps import ACCEPTED, MISSING, REFUSED, UNKNOWN, DepthReport, DepthRow
 from addon.depth import colors as depth_colors
-from addon.depth import work
+from addon.depth import predict_depth
 from tests.addon.captures import write_capture
 
 SQUARE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}
@@ -61,7 +61,7 @@ def test_colors_come_and_go(root: bpy.types.Object) -> None:
     assert not depth_colors.matches(root, report(root, 1))
     depth_colors.show(root, report(root, 1))
     depth_colors.show(root, report(root, 1))
-    coloring.hide(root)
+    camera_colors.hide(root)
     np.testing.assert_array_equal(colors(root), before)
     assert not depth_colors.shown(root)
     assert not any(key.startswith("gs_color") for ob in cameras_of(root) for key, _ in ob.items())
@@ -72,7 +72,7 @@ def test_a_color_the_user_gives_meanwhile_stays(root: bpy.types.Object) -> None:
     depth_colors.show(root, report(root))
     camera = cameras_of(root)[0]
     camera.color = (0.25, 0.5, 0.75, 1.0)
-    coloring.hide(root)
+    camera_colors.hide(root)
     assert tuple(camera.color) == (0.25, 0.5, 0.75, 1.0)
 
 
@@ -97,11 +97,11 @@ def test_the_operator_takes_the_scenes_report(
     with pytest.raises(RuntimeError, match="no depth report yet"):
         bpy.ops.gscore.color_cameras()
     other = DepthReport((DepthRow(view="elsewhere.jpg", verdict=ACCEPTED),))
-    monkeypatch.setattr(work, "report", lambda scene: other)
+    monkeypatch.setattr(predict_depth, "report", lambda scene: other)
     with pytest.raises(RuntimeError, match="knows no camera"):
         bpy.ops.gscore.color_cameras()
     np.testing.assert_array_equal(colors(root), before)
-    monkeypatch.setattr(work, "report", lambda scene: report(root))
+    monkeypatch.setattr(predict_depth, "report", lambda scene: report(root))
     assert bpy.ops.gscore.color_cameras() == {"FINISHED"}
     assert depth_colors.matches(root, report(root))
 
@@ -109,12 +109,12 @@ def test_the_operator_takes_the_scenes_report(
 def test_colors_follow_the_report(root: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the later report; nothing where no camera is colored."""
     first, second = report(root), report(root, 1)
-    monkeypatch.setattr(work, "report", lambda scene: second)
+    monkeypatch.setattr(predict_depth, "report", lambda scene: second)
     assert not depth_colors.follow() and not depth_colors.shown(root)
     depth_colors.show(root, first)
-    monkeypatch.setattr(work, "report", lambda scene: first)
+    monkeypatch.setattr(predict_depth, "report", lambda scene: first)
     assert not depth_colors.follow()
-    monkeypatch.setattr(work, "report", lambda scene: second)
+    monkeypatch.setattr(predict_depth, "report", lambda scene: second)
     assert depth_colors.follow() and depth_colors.matches(root, second)
     assert not depth_colors.follow()
 
@@ -124,7 +124,7 @@ def test_undo_takes_the_colors_back(
 ) -> None:
     """Oracle: Blender's undo and redo."""
     before = colors(root)
-    monkeypatch.setattr(work, "report", lambda scene: report(roots_of(scene)[0]))
+    monkeypatch.setattr(predict_depth, "report", lambda scene: report(roots_of(scene)[0]))
     bpy.context.preferences.edit.use_global_undo = True
     bpy.ops.ed.undo_push(message="before")
     bpy.ops.gscore.color_cameras()
@@ -157,7 +157,7 @@ def test_a_selected_camera_keeps_its_lines(root: bpy.types.Object) -> None:
     """Oracle: eight lines a camera, none for the selected one; every plane is filled."""
     scene = bpy.context.scene
     depth_colors.show(root, report(root))
-    cameras = [ob for ob in cameras_of(root) if coloring.MARK in ob]
+    cameras = [ob for ob in cameras_of(root) if camera_colors.MARK in ob]
     cameras[0].select_set(True)
     lines, line_colors, faces, face_colors = overlay.geometry(cameras, scene)
     assert (lines.shape, faces.shape) == ((5 * 16, 3), (6 * 6, 3))

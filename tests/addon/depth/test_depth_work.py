@@ -15,11 +15,11 @@ import pytest
 from addon import preferences
 from addon.capture import depth_maps
 from addon.core import read_colmap, write_colmap
-from addon.depth import work
+from addon.depth import predict_depth
 from addon.depth.registry import JOBS
-from addon.job import facts, lookups, verb_job
 from addon.panels import depth_table
-from addon.process import beat
+from addon.process import poll_timer
+from addon.training import facts, lookups, verb_job
 from tests.addon.captures import STUDIO
 from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import until
@@ -57,7 +57,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
     scene.gscore.output_path = str(tmp_path / "out")
     prefs = preferences.get()
     before = (prefs.python_path, prefs.depth_model)
-    facts.look_again(scene)
+    facts.refresh(scene)
     yield scene
     for job in JOBS.jobs():
         job.kill(wait=10)
@@ -84,7 +84,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
     result = DONE | {"why": "Not used; --depth-mode on uses it."}
     called = play(progress(0, "reading"), progress(1), {"await": "go"}, {"say": result})
     assert bpy.ops.gscore.predict_depth() == {"FINISHED"}
-    job = work.job_of(studio)
+    job = predict_depth.job_of(studio)
     until(lambda: job.progress is not None and job.progress.done == 1)
     assert (job.share, job.ended, studio.gscore.depth_shown) == (0.25, False, "MAPS")
     with pytest.raises(RuntimeError, match="worked on already"):
@@ -93,7 +93,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
     until(lambda: job.ended)
     assert job.status == verb_job.FINISHED
     assert job.sentence == "2 maps predicted. 1 of 2 maps are accepted."
-    report = work.report(studio)
+    report = predict_depth.report(studio)
     assert report is job.report
     assert [row.view for row in report.rows] == ["view_000.jpg", "view_001.jpg"]
     assert report.why == 'Not used; "Use Depth: Always" uses it.'
@@ -124,7 +124,7 @@ def test_cancelling_asks_and_then_ends(
     """Oracle: a script that ends when asked, and one that never does."""
     stopped = {"event": "error", "message": "Stopped after 1 views.", "type": "Cancelled"}
     play(progress(1), {"await": "stop"}, {"say": stopped})
-    job = work.predict(studio)
+    job = predict_depth.predict(studio)
     until(lambda: job.progress is not None)
     assert bpy.ops.gscore.cancel_depth() == {"FINISHED"}
     until(lambda: job.ended)
@@ -133,7 +133,7 @@ def test_cancelling_asks_and_then_ends(
         bpy.ops.gscore.cancel_depth()
     monkeypatch.setattr(verb_job, "STOP_GRACE", 0.2)
     play(progress(1), {"sleep": 60})
-    job = work.predict(studio)
+    job = predict_depth.predict(studio)
     until(lambda: job.progress is not None)
     job.cancel()
     until(lambda: job.ended, timeout=10)
@@ -152,11 +152,11 @@ def test_cancelling_asks_and_then_ends(
 def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: str) -> None:
     """Oracle: a sentence with what happened; what was known before is still shown."""
     play(*script)
-    before = work.report(studio)
+    before = predict_depth.report(studio)
     with pytest.raises(RuntimeError, match=words):
         bpy.ops.gscore.predict_depth(wait=True)
-    assert work.job_of(studio).status == verb_job.FAILED
-    assert work.report(studio) == before
+    assert predict_depth.job_of(studio).status == verb_job.FAILED
+    assert predict_depth.report(studio) == before
 
 
 def test_what_is_missing_is_said_before_anything_starts(
@@ -180,36 +180,36 @@ def test_what_is_missing_is_said_before_anything_starts(
 
 def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: metrics.json; the settings choose between it and the maps as they are."""
-    maps = work.report(studio)
+    maps = predict_depth.report(studio)
     assert len(maps.rows) == 60
     content = {"depth": {"why": "Few views.", "views": [ACCEPTED | {"split": "train"}]}}
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "metrics.json").write_text(json.dumps(content))
     lookups.depth_runs.expire()
-    until(lambda: set(work.reports(studio)) == {"MAPS", "RUN"})
-    assert work.report(studio).why == "Few views."
-    assert work.report(studio).rows[0].split == "train"
+    until(lambda: set(predict_depth.reports(studio)) == {"MAPS", "RUN"})
+    assert predict_depth.report(studio).why == "Few views."
+    assert predict_depth.report(studio).rows[0].split == "train"
     studio.gscore.depth_shown = "MAPS"
-    assert work.report(studio) is maps
+    assert predict_depth.report(studio) is maps
     (tmp_path / "out" / "metrics.json").write_text("{")
     lookups.depth_runs.expire()
-    until(lambda: "metrics.json" in work.run_report(studio)[1])
-    assert work.report(studio) is maps
+    until(lambda: "metrics.json" in predict_depth.run_report(studio)[1])
+    assert predict_depth.report(studio) is maps
 
 
 def test_a_beat_with_a_thousand_views_is_short(studio: bpy.types.Scene, play) -> None:
     """Oracle: this thread's processor time, whatever else runs; the table is complete at once."""
     table = [ACCEPTED | {"view": f"v{i:04}.jpg"} for i in range(1000)]
     play({"say": DONE | {"table": table}})
-    job = work.check(studio)
+    job = predict_depth.check(studio)
     longest, end = 0.0, time.monotonic() + 60
     while depth_table.table_of(bpy.context) is None or not job.ended:
         assert time.monotonic() < end
         start = time.thread_time()
-        beat.tick()
+        poll_timer.poll()
         longest = max(longest, time.thread_time() - start)
         time.sleep(0.01)
-    beat.tick()
+    poll_timer.poll()
     assert len(depth_table.table_of(bpy.context).views) == 1000
     assert longest < 0.05
 
@@ -229,22 +229,22 @@ def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
     subprocess.run([REAL, "-c", code, str(model)], cwd=ROOT, check=True, timeout=120)
     scene.gscore.capture_path = str(capture)
     scene.gscore.output_path = str(tmp_path / "out")
-    assert facts.look_again(scene)[0].depths == 0 and work.report(scene) is None
-    job = work.predict(scene, model, wait=True, python=REAL)
+    assert facts.refresh(scene)[0].depths == 0 and predict_depth.report(scene) is None
+    job = predict_depth.predict(scene, model, wait=True, python=REAL)
     assert job.status == verb_job.FINISHED, job.sentence
     assert len(list((capture / "depths").glob("*.png"))) == 10 + 1  # the contact sheet
     params = json.loads((capture / "sparse" / "0" / "depth_params.json").read_text())
-    rows = work.report(scene).rows
+    rows = predict_depth.report(scene).rows
     assert len(rows) == 10
     for row in rows:
         entry = params[row.name]
         assert (row.verdict == depth_maps.ACCEPTED) == entry["accepted"]
         assert row.points == entry["points"]
     before = {path: path.stat().st_mtime_ns for path in capture.rglob("*")}
-    checked = work.check(scene, wait=True, python=REAL)
+    checked = predict_depth.check(scene, wait=True, python=REAL)
     assert checked.status == verb_job.FINISHED, checked.sentence
     assert {path: path.stat().st_mtime_ns for path in capture.rglob("*")} == before
-    assert [r.verdict for r in work.report(scene).rows] == [r.verdict for r in rows]
+    assert [r.verdict for r in predict_depth.report(scene).rows] == [r.verdict for r in rows]
     until(lambda: facts.capture(scene)[0].depths == 10)
     assert bpy.ops.gscore.show_depth_sheet() == {"FINISHED"}
     assert bpy.data.images["contact_sheet.png"].size[0] > 500

@@ -9,11 +9,11 @@ import pytest
 
 from addon import preferences
 from addon.core import depth_networks
-from addon.depth import networks, work
+from addon.depth import networks, predict_depth
 from addon.depth.registry import JOBS
-from addon.job import facts, lookups
-from addon.job.networks import networks_here
 from addon.panels.depth import DepthPanel
+from addon.training import facts, lookups
+from addon.training.networks import networks_here
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
@@ -29,7 +29,7 @@ def play(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[Play]:
     """The scene's capture is the studio, the small network is chosen, and a fake plays a script in
     the place of gscore; gives where its call is noted."""
     scene.gscore.capture_path = str(STUDIO)
-    facts.look_again(scene)
+    facts.refresh(scene)
     prefs = preferences.get()
     before = prefs.python_path, prefs.depth_model
     prefs.depth_model = ""
@@ -94,7 +94,7 @@ def test_nothing_is_fetched_where_blender_stays_offline(play: Play, online) -> N
     assert "Preferences > System > Network" in shown and "(Download and Predict)" not in shown
     with pytest.raises(RuntimeError, match="does not allow add-ons to go online"):
         bpy.ops.gscore.predict_depth(download=True, wait=True)
-    assert not called.exists() and work.job_of(bpy.context.scene) is None
+    assert not called.exists() and predict_depth.job_of(bpy.context.scene) is None
 
 
 def test_the_switch_is_blenders() -> None:

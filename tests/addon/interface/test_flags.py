@@ -8,10 +8,10 @@ import pytest
 
 import addon
 from addon.core import GsError
-from addon.interface.flags import panel_words
-from addon.interface.operators import Acting
-from addon.interface.questions import Asking
-from addon.job.session import read_event
+from addon.interface.base_operator import BaseOperator
+from addon.interface.confirm_operator import ConfirmMixin
+from addon.interface.option_labels import panel_words
+from addon.training.run_state import read_event
 from gscore.events import Failed, Warn, to_line
 
 ADDON = Path(addon.__file__).parent
@@ -59,7 +59,7 @@ def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
 def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: str) -> None:
     """Oracle: the field's name for what gscore raised; what the add-on says itself stays."""
 
-    class Refusing(Asking, Acting):
+    class Refusing(ConfirmMixin, BaseOperator):
         def act(self, context: bpy.types.Context) -> str:
             raise error
 
@@ -84,7 +84,7 @@ def test_no_error_of_gscore_is_shown_as_it_is() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.ExceptHandler) and _takes_all(node) and _as_text(node)
     }
-    assert found == {"process/background.py", "python/installer.py"}
+    assert found == {"process/background_task.py", "trainer_python/installer.py"}
 
 
 def _takes_all(handler: ast.ExceptHandler) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
 
-from addon.cameras import captures, choosing, footprint
+from addon.cameras import captures, footprint, select_imported
 from addon.compat import matrix_to_numpy
 from addon.interface import framing
 from addon.splats import framed
@@ -149,7 +149,7 @@ def test_imported_cameras_are_in_the_view(scene: bpy.types.Scene, view: Any) -> 
         if again:
             view.region_3d.view_location = Vector((1, 2, 3))
         made = captures.import_capture(scene, STUDIO)
-        choosing.choose(scene, made)
+        select_imported.choose(scene, made)
         if again:
             assert view.region_3d.view_location == Vector((1, 2, 3))
         else:

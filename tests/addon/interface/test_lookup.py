@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from addon import preferences, stored_paths
-from addon.cameras import camera_path_import, captures, export_colmap, reading, straight
+from addon.cameras import camera_path_import, captures, export_colmap, reading, undistorted_photos
 from addon.cameras import objects as co
 from addon.core import (
     PRESETS,
@@ -23,14 +23,14 @@ from addon.core import (
     write_splats,
 )
 from addon.interface.lookup import Lookup
-from addon.job import earlier, facts, lookups
 from addon.panels.capture import CapturePanel
 from addon.panels.depth import DepthPanel
-from addon.panels.judge import ErrorsPanel
+from addon.panels.error_maps import ErrorsPanel
 from addon.panels.train import TrainPanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.sequence import registry
-from addon.splats.files import import_splats
+from addon.splats.splat_files import import_splats
+from addon.training import existing_run, facts, lookups
 from tests.addon.captures import STUDIO, write_capture
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
@@ -52,7 +52,7 @@ def studio(
     prefs.python_path = str(fake_python(tmp_path / "python", []))
     scene.gscore.capture_path = str(STUDIO)
     scene.gscore.output_path = str(tmp_path / "run")
-    facts.look_again(scene)
+    facts.refresh(scene)
     write_splats(tmp_path / "a.ply", splats(50))
     ob = import_splats(bpy.context, tmp_path / "a.ply")
     stored_paths.write(ob, stored_paths.RUN, tmp_path / "run")
@@ -125,7 +125,7 @@ def test_a_run_that_cannot_go_on(
         train=config,
         problem=SAID,
     )
-    monkeypatch.setattr(earlier, "read_run", lambda _: info)
+    monkeypatch.setattr(existing_run, "read_run", lambda _: info)
     shows(TrainPanel, f"cannot go on: {SHOWN}")
     with pytest.raises(RuntimeError, match=f"cannot go on: {SHOWN}"):
         bpy.ops.gscore.resume_training()
@@ -148,7 +148,7 @@ def test_what_is_said_of_cameras(
     """What a capture warns of, lenses that cannot be straightened, a model that cannot be read any
     more, and what a camera path warns of."""
     write_capture(tmp_path / "odd", np.random.default_rng(0))
-    for module in (reading, straight):
+    for module in (reading, undistorted_photos):
         monkeypatch.setattr(module, "plan_undistortion", refuse)
     odd = DataConfig(source=tmp_path / "odd")
     warned = replace(read_capture(odd, photos_required=False), warnings=(SAID,))
@@ -156,9 +156,11 @@ def test_what_is_said_of_cameras(
     made = captures.import_capture(bpy.context.scene, tmp_path / "odd")
     assert made.warnings[0] == SHOWN
     assert any(text.startswith(f"{SHOWN} Until then") for text in made.warnings)
-    bent = next(ob for ob in made.cameras if not straight.lens_of(co.stated(ob)).is_pinhole)
+    bent = next(
+        ob for ob in made.cameras if not undistorted_photos.lens_of(co.stated(ob)).is_pinhole
+    )
     with pytest.raises(ValueError, match=f"cannot be straightened. {SHOWN}"):
-        straight.undistortion_of(co.stated(bent))
+        undistorted_photos.undistortion_of(co.stated(bent))
     monkeypatch.setattr(export_colmap, "read_colmap", refuse)
     done = export_colmap.export_colmap(tmp_path / "out", made.cameras, scene, root=made.root)
     assert done.warnings[0].endswith(f"cannot be read: {SHOWN}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 
-from addon.interface.overriding import in_a_window
+from addon.interface.window_override import in_a_window
 
 ROOT = Path(__file__).parents[3]
 PUSHES_BESIDE_THREADS = """

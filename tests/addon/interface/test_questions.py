@@ -6,13 +6,13 @@ import bpy
 import pytest
 
 from addon.depth.operators import PredictDepth
-from addon.interface.operators import Acting
-from addon.interface.questions import Asking
-from addon.job.operators import DiscardTraining, Train
-from addon.python.operators import MakeEnvironment
+from addon.interface.base_operator import BaseOperator
+from addon.interface.confirm_operator import ConfirmMixin
+from addon.trainer_python.operators import MakeEnvironment
+from addon.training.operators import DiscardTraining, Train
 
 
-class Danger(Asking, Acting):
+class Danger(ConfirmMixin, BaseOperator):
     """An operator without Blender."""
 
     bl_label, confirm = "Danger", "Do It"
@@ -81,5 +81,5 @@ def test_it_asks_nothing_where_there_is_nothing_to_lose() -> None:
 @pytest.mark.parametrize("cls", [Train, DiscardTraining, PredictDepth, MakeEnvironment])
 def test_who_asks(cls: type) -> None:
     """What cannot be taken back."""
-    assert issubclass(cls, Asking) and issubclass(cls, Acting)
-    assert cls.confirm != Asking.confirm
+    assert issubclass(cls, ConfirmMixin) and issubclass(cls, BaseOperator)
+    assert cls.confirm != ConfirmMixin.confirm

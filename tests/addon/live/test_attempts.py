@@ -1,6 +1,6 @@
 """When a graphics card that fails is asked again; oracle: a clock of the test's own."""
 
-from addon.live.attempts import FORGIVEN, PAUSES, Attempts
+from addon.live.retry_limit import FORGIVEN, PAUSES, Attempts
 
 
 def test_pauses_grow_and_end() -> None:

@@ -9,15 +9,15 @@ import pytest
 
 from addon.compat import TEXTURES_ARE_ENCODED
 from addon.core import CancelFlag, Splats, render
-from addon.live.by_engine import Wish
 from addon.live.clip import Cuts, z_of
+from addon.live.engine_pictures import EngineRequest
 from addon.render.color import EXPONENT, over_view
-from addon.render.frozen import HIDDEN, SELECTED, freeze
 from addon.render.marks import SHARE, TINT
+from addon.render.mesh_copies import HIDDEN, SELECTED, freeze
 from addon.render.model import SplatCache
 from addon.render.scene import place, sources
 from addon.render.selections import Tinted
-from addon.render.viewport import Painter, smaller, view_camera
+from addon.render.viewport import ViewPainter, smaller, view_camera
 from tests.addon import splat_scenes as lab
 
 SIZE = (96, 64)
@@ -33,13 +33,13 @@ VIEW[2, 3] = -2.0
 
 
 @pytest.fixture
-def wish(scene: bpy.types.Scene) -> tuple[Wish, Splats]:
+def wish(scene: bpy.types.Scene) -> tuple[EngineRequest, Splats]:
     """Of the picture of a blob in a perspective view, and the blob's splats."""
     ob = lab.add(scene, lab.blob(1500))
     bpy.context.view_layer.update()
     (source,) = sources(bpy.context.evaluated_depsgraph_get())
     frozen = freeze(ob.data, ob.name)
-    made = Wish(
+    made = EngineRequest(
         placed=[place(source, frozen)],
         camera=view_camera(VIEW, PERSPECTIVE, *SIZE, perspective=True),
         window=PERSPECTIVE,
@@ -51,19 +51,19 @@ def wish(scene: bpy.types.Scene) -> tuple[Wish, Splats]:
     return made, frozen.read()
 
 
-def parallel(wish: Wish) -> Wish:
+def parallel(wish: EngineRequest) -> EngineRequest:
     """The same with parallel rays."""
     camera = view_camera(VIEW, PARALLEL, *SIZE, perspective=False)
     return replace(wish, camera=camera, window=PARALLEL)
 
 
-def drawn(wish: Wish, camera=None) -> np.ndarray:
+def drawn(wish: EngineRequest, camera=None) -> np.ndarray:
     """[H, W, 4], the bottom row first."""
     model = SplatCache().model(wish.placed)
     return wish.shoot(model, camera or wish.camera, lambda: False, CancelFlag())
 
 
-def truth(wish: Wish, splats: Splats, **options) -> np.ndarray:
+def truth(wish: EngineRequest, splats: Splats, **options) -> np.ndarray:
     """The same by gscore's own picture."""
     camera = wish.camera
     given = {"near": camera.near, "orthographic": camera.orthographic, **options}
@@ -156,7 +156,7 @@ def test_a_smaller_picture_is_of_the_same_view(wish):
 def test_a_painter_draws_it_once(wish):
     """Oracle: the same picture without a thread; a wish for the same is none."""
     asked, _ = wish
-    painter = Painter(SplatCache())
+    painter = ViewPainter(SplatCache())
     painter.ask(asked)
     until = time.monotonic() + 20
     while not painter.shows(asked) and time.monotonic() < until:

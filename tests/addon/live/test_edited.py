@@ -8,7 +8,7 @@ import pytest
 from addon import attributes
 from addon.live import edited
 from addon.render import copies
-from addon.render.frozen import HIDDEN, SELECTED
+from addon.render.mesh_copies import HIDDEN, SELECTED
 from addon.render.scene import sources
 from tests.addon import splat_scenes as lab
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from addon.live import atlas, order, views
-from addon.render.frozen import HIDDEN, SELECTED, FrozenMesh, freeze
+from addon.render.mesh_copies import HIDDEN, SELECTED, FrozenMesh, freeze
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, place, sources
 from addon.render.selections import Tinted
@@ -19,15 +19,15 @@ EYE = order.Eye(viewmats=(np.diag([1.0, -1, -1, 1]),), orthographic=False)
 
 
 @pytest.fixture
-def wish(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.Wish]:
+def wish(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.DrawRequest]:
     """A wish for an object as one of its copies has it."""
     ob = lab.add(scene, lab.blob(800))
     bpy.context.view_layer.update()
     (source,) = sources(bpy.context.evaluated_depsgraph_get())
 
-    def make(frozen: FrozenMesh) -> views.Wish:
+    def make(frozen: FrozenMesh) -> views.DrawRequest:
         placed: Placed = place(source, frozen)
-        return views.Wish(placed=(placed,), eye=EYE, count=800, tinted=Tinted.ALL)
+        return views.DrawRequest(placed=(placed,), eye=EYE, count=800, tinted=Tinted.ALL)
 
     make.frozen = freeze(ob.data, ob.name)
     return make

@@ -9,7 +9,7 @@ from mathutils import Matrix
 
 from addon import attributes
 from addon.core import Splats
-from addon.splats import filling, objects
+from addon.splats import objects, write_chunked
 from tests.addon import splat_scenes
 
 PLACES = {
@@ -76,7 +76,7 @@ def test_the_degree_follows_the_splats(scene: bpy.types.Scene, tmp_path: Path, w
     if way == "refresh":
         objects.refresh(ob, apart(15))
     else:
-        filling.replace(ob, objects.create(apart(15), "other").data.copy())
+        write_chunked.replace(ob, objects.create(apart(15), "other").data.copy())
         bpy.data.objects.remove(bpy.data.objects["other"])
     scene.cycles.samples, scene.cycles.use_denoising = 16, False
     wanted = mean_color(tmp_path, "GSCORE_SPLATS")

@@ -14,9 +14,9 @@ from addon import attributes
 from addon.attributes import BASE
 from addon.cameras.render_camera import render_camera
 from addon.core import Splats, join_splats
-from addon.paint import painted
+from addon.paint import paint_target
 from addon.paint.brush import COLOR, OPACITY, SELECT, Brush
-from addon.process.pieces import at_once
+from addon.process.incremental_tasks import run_blocking
 from addon.render.viewport import view_camera
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
@@ -75,7 +75,7 @@ def test_what_others_do_during_a_stroke_stays(ob: bpy.types.Object, does: str) -
     chosen = np.arange(900) % 2 == 0
 
     brush = Brush(does=does, radius=0.3, hardness=1.0, strength=1.0, color=RED)
-    made = at_once(painted.beginning(ob, brush, None))
+    made = run_blocking(paint_target.begin_stroke(ob, brush, None))
     made.to(np.array(ob.matrix_world.translation))
     wanted = np.full((900, 4), 0.25, np.float32)
     attributes.fill(ob.data, BASE, "FLOAT_COLOR", wanted.reshape(-1))
@@ -206,7 +206,9 @@ def test_only_the_front_of_a_view(scene: bpy.types.Scene, perspective: bool) -> 
         window = np.array([[2.0, 0, 0, 0], [0, 3, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
     camera = view_camera(view, window, *SIZE, perspective=perspective)
     before, middle = base_of(ob), np.array([150.0, 100])
-    at_once(painted.paint(ob, [middle], Brush(radius=40, color=RED), camera, front_only=True))
+    run_blocking(
+        paint_target.paint(ob, [middle], Brush(radius=40, color=RED), camera, front_only=True)
+    )
     reached = (base_of(ob) != before).any(axis=1)
     assert reached[: 41 * 41].sum() > 30 and not reached[41 * 41 :].any()
 
@@ -240,7 +242,7 @@ def test_refusals(ob: bpy.types.Object) -> None:
     with pytest.raises(RuntimeError, match="needs a 3D view"):
         bpy.ops.gscore.paint_splats()
     with pytest.raises(ValueError, match="Front Only needs a view"):
-        at_once(painted.paint(ob, [np.zeros(3)], Brush(radius=1), None, front_only=True))
+        run_blocking(paint_target.paint(ob, [np.zeros(3)], Brush(radius=1), None, front_only=True))
     np.testing.assert_array_equal(base_of(ob), before)
 
 
@@ -271,7 +273,9 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
     """Oracle: the attribute; displays other than the live one had been written to."""
     before = base_of(ob)
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
-    made = at_once(painted.beginning(ob, Brush(radius=40, does=COLOR, color=RED), view))
+    made = run_blocking(
+        paint_target.begin_stroke(ob, Brush(radius=40, does=COLOR, color=RED), view)
+    )
     for point in WAY:
         made.to(np.array(point))
         made.show()
@@ -283,7 +287,7 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
 def test_splats_that_were_replaced_meanwhile(ob: bpy.types.Object) -> None:
     """Oracle: the sentence, and the new splats as they came."""
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
-    made = at_once(painted.beginning(ob, Brush(radius=400, color=RED), view))
+    made = run_blocking(paint_target.begin_stroke(ob, Brush(radius=400, color=RED), view))
     made.to(np.array(WAY[0]))
     objects.refresh(ob, lab.blob(30))
     with pytest.raises(ValueError, match="were replaced while the stroke"):
@@ -306,8 +310,8 @@ def test_a_million_splats(
     monkeypatch.setattr("addon.splats.live.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     began = time.perf_counter()
-    pieces = painted.beginning(ob, Brush(radius=50, color=RED), view, front_only=True)
-    made, steps = at_once(pieces), []
+    pieces = paint_target.begin_stroke(ob, Brush(radius=50, color=RED), view, front_only=True)
+    made, steps = run_blocking(pieces), []
     for x in range(500, 1100, 20):
         step = time.perf_counter()
         made.to(np.array([x, 450.0]))

@@ -11,10 +11,10 @@ import pytest
 
 from addon import attributes
 from addon.cameras.render_camera import render_camera
-from addon.paint import modal, painted, session
+from addon.paint import modal, paint_target, session
 from addon.paint.session import Answer, Session
 from addon.panels.paint import PaintPanel
-from addon.process.pieces import at_once
+from addon.process.incremental_tasks import run_blocking
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -110,7 +110,7 @@ def by_function(ob: bpy.types.Object, brush: bpy.types.PropertyGroup, **how) -> 
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
     way = [np.array([x, HEIGHT - y], np.float64) for x, y in WAY]
     wanted = brush.brush(inverted=how.get("inverted", False))
-    at_once(painted.paint(other, way, wanted, view, front_only=brush.front_only))
+    run_blocking(paint_target.paint(other, way, wanted, view, front_only=brush.front_only))
     return base_of(other)
 
 
@@ -274,7 +274,7 @@ def test_undo_passes_and_what_it_brings_is_shown(
 ) -> None:
     """Oracle: the event after it hands the mesh's values to the live display."""
     shown = []
-    monkeypatch.setattr(painted, "show_as_kept", shown.append)
+    monkeypatch.setattr(paint_target, "show_as_kept", shown.append)
     assert desk.send("Z") is Answer.TAKEN
     assert desk.send("Z", ctrl=True) is Answer.PASSED
     assert shown == []
@@ -321,7 +321,7 @@ def test_the_live_display_follows_without_the_mesh(
     ob.gscore.display = "SPLATS"
     told: list[np.ndarray] = []
     monkeypatch.setattr(
-        painted.copies.SHARED, "repaint", lambda uid, base: told.append(base.copy())
+        paint_target.copies.SHARED, "repaint", lambda uid, base: told.append(base.copy())
     )
     before, want = base_of(ob), by_function(ob, desk.brush)
     told.clear()

@@ -11,11 +11,11 @@ import pytest
 from addon import panels
 from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
-from addon.job import registry
-from addon.job.curve import LOSS_COLOR, PSNR_COLOR, Curve
-from addon.job.session import FINISHED, PAUSED, RunState
-from addon.panels import curve_icon, now, progress, result, train
+from addon.panels import curve_icon, progress, result, running_work, train
 from addon.splats import objects
+from addon.training import registry
+from addon.training.curve import LOSS_COLOR, PSNR_COLOR, Curve
+from addon.training.run_state import FINISHED, PAUSED, RunState
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout, drawn
 
@@ -240,11 +240,11 @@ def test_the_bar_is_on_top_while_a_training_runs(
     state = running()
     job = SimpleNamespace(state=state, id="a", source=Path("plush"))
     monkeypatch.setattr(registry, "jobs", lambda: [job])
-    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(now.NowPanel)
-    monkeypatch.setattr(now, "job", lambda _: job)
-    assert drawn(now.NowPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
+    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(running_work.NowPanel)
+    monkeypatch.setattr(running_work, "job", lambda _: job)
+    assert drawn(running_work.NowPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
     state.status = FINISHED
-    assert drawn(now.NowPanel) == ""
+    assert drawn(running_work.NowPanel) == ""
 
 
 def test_decisions_are_told_in_words_of_panels(
@@ -274,9 +274,9 @@ def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.Mon
     """Oracle: the words of each kind of work, as in its own panel; none once it has ended."""
     region = SimpleNamespace(ended=False, share=0.5, start=None, progress=None)
     frames = SimpleNamespace(ended=False, share=0.1, status="running", frame=None, progress=None)
-    monkeypatch.setattr(now.steer, "job_of", lambda _: region)
-    monkeypatch.setattr(now.sequence, "job_of", lambda _: frames)
-    told = drawn(now.NowPanel)
+    monkeypatch.setattr(running_work.train_region, "job_of", lambda _: region)
+    monkeypatch.setattr(running_work.train_sequence, "job_of", lambda _: frames)
+    told = drawn(running_work.NowPanel)
     assert told == "[50%] Region: Starting () [10%] Sequence: Starting ()"
     region.ended = frames.ended = True
-    assert drawn(now.NowPanel) == ""
+    assert drawn(running_work.NowPanel) == ""

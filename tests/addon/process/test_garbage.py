@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from addon.process import garbage
-from addon.process.pieces import Going, Pieces
+from addon.process.incremental_tasks import Pieces, TaskRunner
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_two_works_that_end_in_any_order() -> None:
             yield "begun"
             yield "goes on"
 
-    first, second = Going(work()), Going(work())
+    first, second = TaskRunner(work()), TaskRunner(work())
     first.step()
     second.step()
     first.cancel()

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from addon.job import job as job_module
-from addon.job import session
-from addon.job.job import Job
-from addon.process.program import Process, environment
+from addon.process.child_program import Process, environment
+from addon.training import run_state
+from addon.training import training_job as job_module
+from addon.training.training_job import Job
 from tests.addon.fake_trainer import CONFIG, STARTED, fake_python, finish, step
 
 Start = Callable[..., Job]
@@ -43,7 +43,7 @@ def run_until(job: Job, condition: Callable[[], bool], timeout: float = 20.0) ->
         time.sleep(0.01)
 
 
-def run_to_end(job: Job, timeout: float = 20.0) -> session.RunState:
+def run_to_end(job: Job, timeout: float = 20.0) -> run_state.RunState:
     """Poll until the job has ended."""
     run_until(job, lambda: job.state.ended, timeout)
     return job.state
@@ -64,7 +64,7 @@ def test_events_become_state(start: Start) -> None:
             finish(),
         )
     )
-    assert state.status == session.FINISHED
+    assert state.status == run_state.FINISHED
     assert (state.loss, state.psnr, state.eta_s) == (0.25, 21.5, None)
     curve = state.curve
     assert (curve.steps, curve.losses, curve.psnrs) == ([40], [0.25], [21.5])
@@ -87,13 +87,13 @@ def test_garbage_between_events_is_left_out(start: Start) -> None:
             finish(),
         )
     )
-    assert (state.status, state.curve.steps, state.checkpoint) == (session.FINISHED, [7], None)
+    assert (state.status, state.curve.steps, state.checkpoint) == (run_state.FINISHED, [7], None)
 
 
 def test_a_huge_line_costs_only_itself(start: Start) -> None:
     """Oracle: the event after 30 MB without a line break."""
     state = run_to_end(start({"say": STARTED}, {"huge": 30_000_000}, step(9), finish()))
-    assert (state.status, state.curve.steps) == (session.FINISHED, [9])
+    assert (state.status, state.curve.steps) == (run_state.FINISHED, [9])
 
 
 def test_a_poll_ends_within_its_budget(start: Start) -> None:
@@ -109,7 +109,7 @@ def test_a_poll_ends_within_its_budget(start: Start) -> None:
         assert polls < 100_000
     assert polls > 10
     assert longest < 0.02
-    assert job.state.status == session.FINISHED
+    assert job.state.status == run_state.FINISHED
 
 
 def test_silence_is_told(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,26 +122,26 @@ def test_silence_is_told(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "No sign of life for" in job.silence
     run_until(job, lambda: job.state.step == 5)
     assert job.silence == ""
-    assert run_to_end(job).status == session.FINISHED
+    assert run_to_end(job).status == run_state.FINISHED
 
 
 def test_an_early_exit_quotes_the_reason(start: Start) -> None:
     """Oracle: the last line on stderr and the exit code."""
     state = run_to_end(start({"say": STARTED}, {"stderr": "boom\nkaputt"}, {"exit": 3}))
-    assert state.status == session.FAILED
+    assert state.status == run_state.FAILED
     assert "exit code 3" in state.sentence and '"kaputt"' in state.sentence
 
 
 def test_exit_zero_without_done_is_a_failure(start: Start) -> None:
     """Oracle: a trainer that says nothing has not trained."""
-    assert run_to_end(start({"say": STARTED}, {"exit": 0})).status == session.FAILED
+    assert run_to_end(start({"say": STARTED}, {"exit": 0})).status == run_state.FAILED
 
 
 def test_a_crash_names_the_signal_and_the_checkpoint(start: Start) -> None:
     """Oracle: SIGKILL is 9; the script saved a checkpoint at step 60."""
     saved = {"event": "saved", "step": 60, "path": "$out/checkpoints/step_00000060.safetensors"}
     state = run_to_end(start({"say": STARTED}, step(60), {"say": saved}, {"signal": 9}))
-    assert state.status == session.FAILED
+    assert state.status == run_state.FAILED
     assert "signal 9" in state.sentence
     assert "The checkpoint at step 60 is kept: Resume." in state.sentence
 
@@ -151,7 +151,7 @@ def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:
     message = "Cannot write out/s.ply: the disk is full. Free some space or choose another folder."
     error = {"event": "error", "message": message, "type": "GsError"}
     state = run_to_end(start({"say": STARTED}, {"say": error}, {"stderr": "x"}, {"exit": 2}))
-    assert (state.status, state.sentence) == (session.FAILED, message)
+    assert (state.status, state.sentence) == (run_state.FAILED, message)
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_a_wrong_python_is_told_what_to_do(
 ) -> None:
     """Oracle: what Python and gscore themselves print in these cases."""
     state = run_to_end(start({"stderr": stderr}, {"exit": 2}))
-    assert state.status == session.FAILED
+    assert state.status == run_state.FAILED
     assert all(word in state.sentence for word in words), state.sentence
 
 
@@ -203,18 +203,18 @@ def test_pause_and_stop_reach_the_trainer(start: Start) -> None:
     job = start({"say": STARTED}, {"follow": 20})
     run_until(job, lambda: job.state.step > 3)
     job.pause()
-    run_until(job, lambda: job.state.status == session.PAUSED)
+    run_until(job, lambda: job.state.status == run_state.PAUSED)
     paused_at = job.state.step
     time.sleep(0.3)
     job.poll()
     assert job.state.step == paused_at and job.silent_s == 0.0
     job.unpause()
     run_until(job, lambda: job.state.step > paused_at)
-    assert job.state.status == session.RUNNING
+    assert job.state.status == run_state.RUNNING
     job.stop()
-    assert job.state.status == session.STOPPING
+    assert job.state.status == run_state.STOPPING
     state = run_to_end(job)
-    assert state.status == session.STOPPED
+    assert state.status == run_state.STOPPED
     assert state.checkpoint is not None and state.checkpoint.is_file()
     assert "Resume" in state.sentence
 
@@ -251,7 +251,7 @@ def test_discarding_removes_only_what_this_run_made(start: Start, resumed: bool)
     for one in (job, alone):
         run_until(one, lambda one=one: one.state.started is not None)
         one.discard()
-        assert run_to_end(one).status == session.DISCARDED
+        assert run_to_end(one).status == run_state.DISCARDED
     assert [path.name for path in job.output.iterdir()] == ["note.txt"]
     assert alone.output.exists() == resumed
 
@@ -276,7 +276,7 @@ def test_jobs_do_not_disturb_each_other(start: Start) -> None:
     run_until(a, lambda: a.state.step > 2)
     a.stop()
     states = [run_to_end(job).status for job in (a, b, c)]
-    assert states == [session.STOPPED, session.FAILED, session.FINISHED]
+    assert states == [run_state.STOPPED, run_state.FAILED, run_state.FINISHED]
 
 
 def test_snapshots_are_asked_for_one_at_a_time(start: Start) -> None:

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from addon.process.memory import Memory
+from addon.process.reserved_memory import Memory
 
 
 def makers() -> list[threading.Thread]:

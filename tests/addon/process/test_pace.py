@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from addon.interface import stepping, waiting
-from addon.process import beat, pace
-from addon.process.pieces import Going, Pieces
+from addon.interface import incremental_operator, modal_status
+from addon.process import pace, poll_timer
+from addon.process.incremental_tasks import Pieces, TaskRunner
 
 PIECE = 0.008
 
@@ -24,7 +24,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """That of `Pace`."""
+    """That of `StepBudget`."""
     made = Clock()
     monkeypatch.setattr(pace, "time", made)
     return made
@@ -56,9 +56,9 @@ def follow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Work], None]:
     """Have the beat do some work alone, as if it was registered just now."""
 
     def begin(work: Work) -> None:
-        follower = beat.Follower(work.collect, work.waits, work.waits)
-        monkeypatch.setattr(beat, "FOLLOWERS", [follower])
-        monkeypatch.setattr(beat, "_pace", pace.Pace())
+        follower = poll_timer.Poller(work.collect, work.waits, work.waits)
+        monkeypatch.setattr(poll_timer, "FOLLOWERS", [follower])
+        monkeypatch.setattr(poll_timer, "_pace", pace.Pace())
 
     return begin
 
@@ -67,7 +67,7 @@ def beats(work: Work, clock: Clock, redraw: float) -> Iterator[int]:
     """How many pieces each beat does until all are done; redraws take so many seconds."""
     while work.left:
         before = work.left
-        interval = beat._beat()
+        interval = poll_timer._beat()
         yield before - work.left
         clock.now += max(redraw, interval or 0.0)
 
@@ -107,10 +107,10 @@ def test_a_beat_that_has_nothing_to_do_ends(
     work.stuck = True
     follow(work)
     looks = []
-    tick = beat.tick
-    monkeypatch.setattr(beat, "tick", lambda: looks.append(0) or tick())
+    tick = poll_timer.poll
+    monkeypatch.setattr(poll_timer, "tick", lambda: looks.append(0) or tick())
     for _ in range(3):
-        beat._beat()
+        poll_timer._beat()
         clock.now += 2.0
     assert len(looks) == 3
 
@@ -119,10 +119,10 @@ def test_a_pause_is_no_slow_redraw(clock: Clock, follow: Callable[[Work], None])
     """Oracle: one piece at the first beat after a minute in which none was wanted."""
     work = Work(clock, 1)
     follow(work)
-    assert beat._beat() is None
+    assert poll_timer._beat() is None
     clock.now += 60.0
     work.left = 5
-    beat._beat()
+    poll_timer._beat()
     assert work.left == 4
 
 
@@ -135,12 +135,12 @@ def test_an_operator_does_more_where_redraws_are_slow(clock: Clock) -> None:
             yield str(number)
         return "done"
 
-    own = stepping._UnderWay(Going(pieces()), None)
+    own = incremental_operator._UnderWay(TaskRunner(pieces()), None)
     said = []
     try:
         while not own.step():
             said.append(int(own.going.sentence) + 1)
-            clock.now += 0.49 + waiting.INTERVAL
+            clock.now += 0.49 + modal_status.INTERVAL
     finally:
-        stepping._UNDER_WAY.discard(own)
+        incremental_operator._UNDER_WAY.discard(own)
     assert said == [1, 14, 27] and own.going.result == "done"

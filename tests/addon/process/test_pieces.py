@@ -6,8 +6,15 @@ from typing import Any
 
 import pytest
 
-from addon.process.background import Cancelled
-from addon.process.pieces import Check, Going, Pieces, aside, at_once, stepped
+from addon.process.background_task import Cancelled
+from addon.process.incremental_tasks import (
+    Check,
+    Pieces,
+    TaskRunner,
+    run_blocking,
+    run_in_thread,
+    stepped,
+)
 
 MAIN = threading.main_thread()
 
@@ -24,14 +31,14 @@ def work(log: list[Any], raises: Exception | None = None) -> Pieces[str]:
 
     try:
         yield "first"
-        number = yield from aside(beside, "beside")
+        number = yield from run_in_thread(beside, "beside")
         yield "last"
         return f"made {number}"
     finally:
         log.append("over")
 
 
-def ended(going: Going) -> list[str]:
+def ended(going: TaskRunner) -> list[str]:
     """What it said on its way."""
     told = []
     for _ in range(10_000):
@@ -47,14 +54,14 @@ def ended(going: Going) -> list[str]:
 def test_pieces_are_done_here_and_the_rest_beside():
     """At once all is done by the thread that calls: none other may run then."""
     log: list[Any] = []
-    going = Going(work(log))
+    going = TaskRunner(work(log))
     assert ended(going) == ["first", "beside", "last"]
     assert going.result == "made 7" and log == [False, "over"]
     log.clear()
-    assert at_once(work(log)) == "made 7" and log == [True, "over"]
+    assert run_blocking(work(log)) == "made 7" and log == [True, "over"]
 
 
-@pytest.mark.parametrize("do", [at_once, lambda pieces: ended(Going(pieces))])
+@pytest.mark.parametrize("do", [run_blocking, lambda pieces: ended(TaskRunner(pieces))])
 def test_an_error_beside_is_one_of_the_work(do: Callable[[Any], Any]):
     """Its own kind, and what the work has to take back is taken back."""
     log: list[Any] = []
@@ -79,12 +86,12 @@ def test_given_up():
 
     def endless() -> Pieces[None]:
         try:
-            yield from aside(beside, "beside")
+            yield from run_in_thread(beside, "beside")
             log.append("went on")
         finally:
             log.append("over")
 
-    going = Going(endless())
+    going = TaskRunner(endless())
     assert not going.step() and began.wait(20) and not going.step()
     going.cancel()
     assert log == ["over"]
@@ -118,13 +125,13 @@ class _Counting:
 def test_steps_are_pieces():
     """What fails or is given up is cancelled, what is done is not."""
     steps = _Counting(2)
-    assert at_once(stepped(steps)) == "there" and not steps.cancelled
+    assert run_blocking(stepped(steps)) == "there" and not steps.cancelled
     steps = _Counting(3)
     with pytest.raises(ValueError, match="too far"):
-        at_once(stepped(steps))
+        run_blocking(stepped(steps))
     assert steps.cancelled
     steps = _Counting(9)
-    going = Going(stepped(steps))
+    going = TaskRunner(stepped(steps))
     assert not going.step() and going.sentence == "1 of 9"
     going.cancel()
     assert steps.cancelled

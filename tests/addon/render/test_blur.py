@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, write_splats
-from addon.render import compositor, film, panels, stage
+from addon.render import compositor, panels, pass_renderer, shutter_lens
 from addon.render.samples import Aperture, Shutter, samples
 from addon.timeline import importing, mesh
 from tests.addon import splat_scenes as lab
@@ -221,11 +221,11 @@ def test_composites_roll_where_cycles_draws_the_meshes(scene):
     scene.render.engine = "CYCLES"
     scene.render.use_motion_blur = True
     other = compositor.set_up(scene)
-    assert stage.shutter_of(other).row is None
+    assert shutter_lens.shutter_of(other).row is None
     scene.cycles.rolling_shutter_type, scene.cycles.rolling_shutter_duration = "TOP", 0.25
-    assert stage.shutter_of(other).row == 0.25
+    assert shutter_lens.shutter_of(other).row == 0.25
     scene.render.engine = "BLENDER_WORKBENCH"
-    assert stage.shutter_of(other).row is None
+    assert shutter_lens.shutter_of(other).row is None
 
 
 @pytest.mark.parametrize("what", ["splats", "camera"])
@@ -256,7 +256,7 @@ def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
 
 def test_what_stands_still_is_drawn_once(scene, tmp_path, monkeypatch):
     """Oracle: the picture without motion blur, and the number of drawings."""
-    drawings, drawn = [], film.picture.draw
+    drawings, drawn = [], pass_renderer.picture.draw
 
     def draw(*args, **options):
         drawings.append(args)
@@ -265,7 +265,7 @@ def test_what_stands_still_is_drawn_once(scene, tmp_path, monkeypatch):
     lab.prepare(scene, light=0.3)
     lab.add(scene, lab.blob())
     still = lab.render_exr(tmp_path, "still")
-    monkeypatch.setattr(film.picture, "draw", draw)
+    monkeypatch.setattr(pass_renderer.picture, "draw", draw)
     scene.render.use_motion_blur = True
     np.testing.assert_allclose(lab.render_exr(tmp_path), still, rtol=1e-6, atol=1e-7)
     assert len(drawings) == 1

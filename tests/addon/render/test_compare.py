@@ -14,14 +14,14 @@ import pytest
 from addon import stored_paths
 from addon.cameras import captures
 from addon.cameras.objects import stated
-from addon.cameras.straight import lens_of
+from addon.cameras.undistorted_photos import lens_of
 from addon.core import Folder, downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
-from addon.process.pieces import Going, Pieces, at_once
+from addon.process.incremental_tasks import Pieces, TaskRunner, run_blocking
+from addon.render import camera_photo as photo_module
 from addon.render import compare
-from addon.render import photo as photo_module
 from addon.splats import objects
-from gscore.io.pictures.images import write_png
+from gscore.io.images.read_image import write_png
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -45,7 +45,7 @@ def studio(scene):
 
 def compared(scene, camera, depsgraph) -> compare.Comparison:
     """At once, as scripts have it."""
-    return at_once(compare.Comparing(scene, camera, depsgraph).judged())
+    return run_blocking(compare.Comparing(scene, camera, depsgraph).judged())
 
 
 def pixels(image: bpy.types.Image) -> np.ndarray:
@@ -136,14 +136,14 @@ def target_pieces(camera) -> Pieces[photo_module.Target]:
     return photo_module.load_target(camera, own.width, own.height, **options)
 
 
-def target_of(camera) -> Going:
+def target_of(camera) -> TaskRunner:
     """The same, on its way."""
-    return Going(target_pieces(camera))
+    return TaskRunner(target_pieces(camera))
 
 
 def at_once_of(camera) -> photo_module.Target:
     """The same, here and now."""
-    return at_once(target_pieces(camera))
+    return run_blocking(target_pieces(camera))
 
 
 def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
@@ -323,7 +323,9 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
         labels[: own.height // 2] = white
         write_png(tmp_path / "in" / "masks" / f"{Path(own.photo).stem}.png", labels)
         options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
-        found.append(at_once(photo_module.load_target(camera, own.width, own.height, **options)))
+        found.append(
+            run_blocking(photo_module.load_target(camera, own.width, own.height, **options))
+        )
     np.testing.assert_array_equal(found[0].weight, found[1].weight)
     assert set(np.unique(found[0].weight).tolist()) == {0, 1}
 
@@ -458,7 +460,7 @@ def test_masks_of_lenses_that_bend_are_straightened_too(scene, bent):
     folder = Path(own.photo).parents[1]
     write_png(folder / "masks" / f"{own.image}.png", mask)
     options = {"background": (0.0, 0.0, 0.0), "mask_mode": "ignore"}
-    found = at_once(photo_module.load_target(camera, own.width, own.height, **options))
+    found = run_blocking(photo_module.load_target(camera, own.width, own.height, **options))
     y, x = np.mgrid[0 : own.height, 0 : own.width] + 0.5
     ray = (np.stack([x, y], axis=-1) - own.K[:2, 2]) / own.K[0, 0]
     f, _, cy, k = own.params

@@ -6,7 +6,14 @@ import pytest
 
 from addon import compat
 from addon.panels.render import RenderPanel
-from addon.render import composite_group, composite_nodes, compositor, held_passes, ignored, stage
+from addon.render import (
+    composite_group,
+    composite_nodes,
+    compositor,
+    holdout_passes,
+    shutter_lens,
+    unsupported_settings,
+)
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.mesh_scenes import emitter, glass, paint_world, plane
@@ -184,13 +191,13 @@ def test_the_shutter_and_its_curve_are_followed(mixed):
     bpy.context.view_layer.update()
     assert other.render.use_motion_blur and other.render.frame_map_new == 150
     assert not other.view_layers[0].use_motion_blur
-    own = stage.shutter_of(other).curve
-    assert own == stage.shutter_of(scene).curve and min(own) < 0.3
+    own = shutter_lens.shutter_of(other).curve
+    assert own == shutter_lens.shutter_of(scene).curve and min(own) < 0.3
     curve.curves[0].points.remove(curve.curves[0].points[1])
     curve.update()
     scene.render.motion_blur_shutter = 0.7
     bpy.context.view_layer.update()
-    assert stage.shutter_of(other) == stage.shutter_of(scene)
+    assert shutter_lens.shutter_of(other) == shutter_lens.shutter_of(scene)
 
 
 def test_markers_change_the_camera(mixed, tmp_path):
@@ -406,7 +413,7 @@ def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
     compositor.set_up(mixed)
     before = lab.render_exr(tmp_path, "before")
     mixed.objects["before"].is_holdout = True
-    sentence = ignored.NOT_TAKEN_OVER.format("before")
+    sentence = unsupported_settings.NOT_TAKEN_OVER.format("before")
     assert sentence in drawn(RenderPanel)
     lab.render_exr(tmp_path, "later")
     assert sentence in capfd.readouterr().out
@@ -487,7 +494,7 @@ def test_an_engine_that_is_gone_is_replaced(mixed):
 
 @pytest.mark.parametrize(
     "lacking",
-    [(), held_passes.NAMES[3:], held_passes.NAMES, ("World", *held_passes.NAMES)],
+    [(), holdout_passes.NAMES[3:], holdout_passes.NAMES, ("World", *holdout_passes.NAMES)],
 )
 def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
     """Oracle: the picture of a new set-up, in which splats and a mesh are held out, and one group,

@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.render import apart, compositor, grown, held_meshes, ignored, mesh_holdout
+from addon.render import (
+    compositing_scene,
+    compositor,
+    generated_instances,
+    holdout_meshes,
+    mesh_holdout,
+    unsupported_settings,
+)
 from addon.render.engine import SplatsRenderEngine
-from addon.render.held_meshes import HeldMeshes
+from addon.render.holdout_meshes import HoldoutMeshes
 from addon.triangles import Triangles
 from tests.addon import splat_scenes as lab
 
@@ -133,7 +140,7 @@ def held(scene: bpy.types.Scene) -> bpy.types.Scene:
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both ways to the instances; before 4.5 there is one."""
     if request.param == "walked":
-        monkeypatch.setattr(grown, "has_to_be_walked", grown.may_grow)
+        monkeypatch.setattr(generated_instances, "has_to_be_walked", generated_instances.may_grow)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -204,7 +211,7 @@ def test_instances_on_corners_and_of_particles(held, tmp_path):
     ob.show_instancer_for_render = True
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    of_emitter, of_hairs = HeldMeshes().of(depsgraph)
+    of_emitter, of_hairs = HoldoutMeshes().of(depsgraph)
     assert len(of_emitter.matrices) == 1 and len(of_hairs.matrices) == 20
     assert len(of_hairs.triangles.vertices) == len(shown.data.vertices)
 
@@ -220,7 +227,7 @@ def grow_hair(ob: bpy.types.Object, shown: bpy.types.Object, count: int) -> None
 def counts() -> dict[tuple[int, float], int]:
     """How often meshes hide, by their corners' number and largest coordinate."""
     bpy.context.view_layer.update()
-    found = HeldMeshes().of(bpy.context.evaluated_depsgraph_get())
+    found = HoldoutMeshes().of(bpy.context.evaluated_depsgraph_get())
     keys = [(len(m.triangles.vertices), round(float(m.triangles.vertices.max()), 2)) for m in found]
     assert len(keys) == len(set(keys))
     return {key: len(mesh.matrices) for key, mesh in zip(keys, found, strict=True)}
@@ -286,15 +293,15 @@ def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way
             return counts()
         found = {}
 
-        def of(self: HeldMeshes, depsgraph: bpy.types.Depsgraph):
+        def of(self: HoldoutMeshes, depsgraph: bpy.types.Depsgraph):
             for mesh in kept(self, depsgraph):
                 corners = mesh.triangles.vertices
                 found[len(corners), round(float(corners.max()), 2)] = len(mesh.matrices)
             return ()
 
-        kept = HeldMeshes.of
+        kept = HoldoutMeshes.of
         with monkeypatch.context() as patch:
-            patch.setattr(HeldMeshes, "of", of)
+            patch.setattr(HoldoutMeshes, "of", of)
             lab.render_exr(tmp_path, "seen")
         return found
 
@@ -313,7 +320,7 @@ def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way
 def test_viewports_follow_what_nodes_make(held, way):
     """Oracle: a look at the depsgraph without memory, at the same moment."""
     ob, _ = owner(held, "object")
-    shared = HeldMeshes()
+    shared = HoldoutMeshes()
 
     def handler(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         shared.forget_changed(depsgraph)
@@ -323,7 +330,7 @@ def test_viewports_follow_what_nodes_make(held, way):
         bpy.context.view_layer.update()
         before = shared.of(bpy.context.evaluated_depsgraph_get())
         again = shared.of(bpy.context.evaluated_depsgraph_get())
-        assert held_meshes.same_meshes(before, again)
+        assert holdout_meshes.same_meshes(before, again)
         assert before[0].triangles is again[0].triangles  # nothing is copied anew
         for change in (
             lambda: setattr(ob.location, "x", 0.2),
@@ -335,10 +342,10 @@ def test_viewports_follow_what_nodes_make(held, way):
             bpy.data.meshes["shown"].update()
             bpy.context.view_layer.update()
             after = shared.of(bpy.context.evaluated_depsgraph_get())
-            assert held_meshes.same_meshes(
-                after, HeldMeshes().of(bpy.context.evaluated_depsgraph_get())
+            assert holdout_meshes.same_meshes(
+                after, HoldoutMeshes().of(bpy.context.evaluated_depsgraph_get())
             )
-            assert not held_meshes.same_meshes(before, after)
+            assert not holdout_meshes.same_meshes(before, after)
             before = after
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(handler)
@@ -354,11 +361,11 @@ def test_composites_have_them(held, tmp_path, shape):
     ob.is_holdout = False
     compositor.set_up(held)
     ob.is_holdout = True
-    assert ignored.NOT_TAKEN_OVER.format("owner") in "".join(
-        ignored.without_effect(
-            ignored.Shown(
-                scene=held[apart.SPLAT_SCENE],
-                layer=held[apart.SPLAT_SCENE].view_layers[0],
+    assert unsupported_settings.NOT_TAKEN_OVER.format("owner") in "".join(
+        unsupported_settings.without_effect(
+            unsupported_settings.Shown(
+                scene=held[compositing_scene.SPLAT_SCENE],
+                layer=held[compositing_scene.SPLAT_SCENE].view_layers[0],
                 camera=held.camera,
             )
         )
@@ -385,11 +392,11 @@ def test_what_makes_instances_is_not_said_to_hide_nothing(held):
     hair = link(held.collection, "hair", bpy.data.hair_curves.new("hair"))
     hair.is_holdout = True
     bpy.context.view_layer.update()
-    shown = ignored.Shown(scene=held, layer=held.view_layers[0], camera=held.camera)
+    shown = unsupported_settings.Shown(scene=held, layer=held.view_layers[0], camera=held.camera)
     sentence = "Holdout of hair hides no splats"
-    assert sentence in "".join(ignored.without_effect(shown))
+    assert sentence in "".join(unsupported_settings.without_effect(shown))
     hair.modifiers.new("nodes", "NODES").node_group = on_points(None)
-    assert sentence not in "".join(ignored.without_effect(shown))
+    assert sentence not in "".join(unsupported_settings.without_effect(shown))
 
 
 def test_points_that_become_faces_hide(held, way):
@@ -402,16 +409,16 @@ def test_points_that_become_faces_hide(held, way):
     cloud.is_holdout = True
     cloud.modifiers.new("nodes", "NODES").node_group = tree
     bpy.context.view_layer.update()
-    found = HeldMeshes().of(bpy.context.evaluated_depsgraph_get())
+    found = HoldoutMeshes().of(bpy.context.evaluated_depsgraph_get())
     assert [len(m.triangles.triangles) * len(m.matrices) for m in found] == [12]
     assert compat.matrix_to_numpy(cloud.matrix_world).tolist() == found[0].matrices[0].tolist()
 
 
 def test_a_viewport_that_begins_remembers_nothing(monkeypatch):
     """Oracle: what was changed while no viewport was drawn, of which nobody told."""
-    shared = HeldMeshes()
+    shared = HoldoutMeshes()
     shared._known[1] = Triangles(np.zeros((3, 3)), np.zeros((1, 3), np.int32))
-    monkeypatch.setattr(held_meshes, "SHARED", shared)
+    monkeypatch.setattr(holdout_meshes, "SHARED", shared)
 
     class Engine:
         _view = None

@@ -7,8 +7,8 @@ import pytest
 from addon.core import Splats
 from addon.render import picture
 from addon.render.engine import final_cache
-from addon.render.film import Film
-from addon.render.stage import Stage, View
+from addon.render.pass_renderer import Film
+from addon.render.shutter_lens import Stage, View
 from tests.addon import splat_scenes as lab
 
 

@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.render import compositor, ignored, panels
+from addon.render import compositor, panels, unsupported_settings
 from addon.render.engine import NAME
 from addon.render.operators import changes_colors, use_photo_colors
 from tests.addon import splat_scenes as lab
 
 
-def shown() -> ignored.Shown:
+def shown() -> unsupported_settings.Shown:
     """What the open file would render."""
     context = bpy.context
     context.view_layer.update()
-    return ignored.Shown(scene=context.scene, layer=context.view_layer, camera=context.scene.camera)
+    return unsupported_settings.Shown(
+        scene=context.scene, layer=context.view_layer, camera=context.scene.camera
+    )
 
 
 def others(scene: bpy.types.Scene) -> None:
@@ -120,7 +122,7 @@ def reported(capfd: pytest.CaptureFixture[str]) -> list[str]:
 
 def test_every_row_is_tried() -> None:
     """The number of rows, and that of the ways to meet them."""
-    assert len(ignored.CHECKS) == len(WITHOUT_EFFECT) + len(REFUSED) + len(ELSEWHERE)
+    assert len(unsupported_settings.CHECKS) == len(WITHOUT_EFFECT) + len(REFUSED) + len(ELSEWHERE)
 
 
 @pytest.mark.parametrize("words", WITHOUT_EFFECT)
@@ -131,10 +133,10 @@ def test_what_has_no_effect_is_said(
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     before = lab.render_exr(tmp_path, "before")
-    assert ignored.without_effect(shown()) == reported(capfd) == []
+    assert unsupported_settings.without_effect(shown()) == reported(capfd) == []
     WITHOUT_EFFECT[words](scene)
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
-    (sentence,) = ignored.without_effect(shown())
+    (sentence,) = unsupported_settings.without_effect(shown())
     assert words in sentence and reported(capfd) == [sentence]
     assert sentence.replace(" ", "") in drawn()
 
@@ -160,9 +162,9 @@ def test_mattes_of_materials_are_named(scene: bpy.types.Scene) -> None:
     layer = bpy.context.view_layer
     layer.use_pass_cryptomatte_object = layer.use_pass_cryptomatte_asset = True
     layer.use_pass_object_index = True
-    assert ignored.without_effect(shown()) == []
+    assert unsupported_settings.without_effect(shown()) == []
     layer.use_pass_cryptomatte_material = True
-    (sentence,) = ignored.without_effect(shown())
+    (sentence,) = unsupported_settings.without_effect(shown())
     assert "there is no Cryptomatte Material." in sentence
 
 
@@ -172,7 +174,7 @@ def test_what_is_refused_is_said_before(scene: bpy.types.Scene, words: str) -> N
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     REFUSED[words](scene)
-    (sentence,) = ignored.refused(shown())
+    (sentence,) = unsupported_settings.refused(shown())
     assert words in sentence and sentence.replace(" ", "") in drawn()
     assert words in lab.error_of(bpy.ops.render.render)
 

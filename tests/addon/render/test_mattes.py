@@ -11,7 +11,7 @@ import pytest
 
 from addon import compat
 from addon.core import Splats
-from addon.render import cryptomatte, film, panels
+from addon.render import cryptomatte, panels, pass_renderer
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout
 from tests.addon.render import test_blur as blur
@@ -256,7 +256,7 @@ def test_a_file_tells_its_names(scene, tmp_path):
 
 def test_nothing_is_drawn_for_mattes_that_nobody_wants(scene, tmp_path, monkeypatch):
     """Oracle: drawings; one for every three objects more where they are wanted."""
-    drawings, drawn_before = [], film.picture.draw
+    drawings, drawn_before = [], pass_renderer.picture.draw
 
     def draw(*args, **options):
         drawings.append(args)
@@ -264,7 +264,7 @@ def test_nothing_is_drawn_for_mattes_that_nobody_wants(scene, tmp_path, monkeypa
 
     lab.prepare(scene, SIZE)
     several(scene, 4)
-    monkeypatch.setattr(film.picture, "draw", draw)
+    monkeypatch.setattr(pass_renderer.picture, "draw", draw)
     counts = []
     for wanted in (False, True):
         scene.view_layers[0].use_pass_cryptomatte_object = wanted

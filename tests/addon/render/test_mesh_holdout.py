@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from addon.core import Splats
-from addon.render import held_meshes, mesh_holdout, picture
+from addon.render import holdout_meshes, mesh_holdout, picture
 from addon.render.engine import final_cache
-from addon.render.film import Film
-from addon.render.stage import Stage, View
+from addon.render.pass_renderer import Film
+from addon.render.shutter_lens import Stage, View
 from tests.addon import splat_scenes as lab
 
 SIZE = 90, 70
@@ -93,7 +93,7 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     lab.add(scene, lab.blob())
     ob = plane(scene, right=0.1)
     wanted = lab.render_exr(tmp_path)
-    shared = held_meshes.HeldMeshes()
+    shared = holdout_meshes.HoldoutMeshes()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     stage = Stage(depsgraph, camera, SIZE, final_cache, lambda *_: None)
     view = View(
@@ -104,10 +104,12 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
     got = film.shoot(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=3e-5)
-    assert held_meshes.same_meshes(view.held, shared.of(depsgraph))  # nothing is copied anew
+    assert holdout_meshes.same_meshes(view.held, shared.of(depsgraph))  # nothing is copied anew
     ob.location.x += 0.1
     bpy.context.view_layer.update()
-    assert not held_meshes.same_meshes(view.held, shared.of(bpy.context.evaluated_depsgraph_get()))
+    assert not holdout_meshes.same_meshes(
+        view.held, shared.of(bpy.context.evaluated_depsgraph_get())
+    )
 
 
 def test_modifiers_count(scene, tmp_path):
@@ -229,7 +231,7 @@ def test_a_slanted_plane_has_its_depth_everywhere(scene):
     depsgraph = bpy.context.evaluated_depsgraph_get()
     lab.add(scene, lab.blob())
     view = Stage(bpy.context.evaluated_depsgraph_get(), camera, SIZE, final_cache, print).view()
-    assert len(held_meshes.HeldMeshes().of(depsgraph)) == 1
+    assert len(holdout_meshes.HoldoutMeshes().of(depsgraph)) == 1
     found = mesh_holdout.hidden(view.held, view.camera)
     assert (found.share == 1).all()
     y = (35 - (np.arange(SIZE[1]) + 0.5)) / view.camera.K[1, 1]

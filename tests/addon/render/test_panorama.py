@@ -10,7 +10,7 @@ import pytest
 from addon import compat
 from addon.cameras.panorama import panorama_of
 from addon.core import Splats
-from addon.render import ignored
+from addon.render import unsupported_settings
 from tests.addon import splat_scenes as lab
 
 HALF = np.pi / 2
@@ -275,6 +275,6 @@ def test_depth_of_field_of_a_panorama_is_named(scene):
     """Oracle: the table that the panel and the render read."""
     camera = panoramic(scene, "equidistant")
     camera.data.dof.use_dof = True
-    shown = ignored.Shown(scene=scene, layer=bpy.context.view_layer, camera=camera)
-    (sentence,) = ignored.without_effect(shown)
-    assert "Depth of Field of Camera" in sentence and not ignored.refused(shown)
+    shown = unsupported_settings.Shown(scene=scene, layer=bpy.context.view_layer, camera=camera)
+    (sentence,) = unsupported_settings.without_effect(shown)
+    assert "Depth of Field of Camera" in sentence and not unsupported_settings.refused(shown)

@@ -12,10 +12,10 @@ from addon import attributes
 from addon.attributes import BASE
 from addon.core import Splats
 from addon.render import copies
-from addon.render.frozen import FrozenMesh, freeze
+from addon.render.copy_fingerprint import repainted_rows, trace_of
+from addon.render.mesh_copies import FrozenMesh, freeze
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, place, sources
-from addon.render.trace import repainted_rows, trace_of
 from tests.addon import splat_scenes as lab
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from addon import compat
-from addon.render import compositor, film
+from addon.render import compositor, pass_renderer
 from tests.addon import splat_scenes as lab
 from tests.addon.render import test_blur as blur
 from tests.addon.render.test_panorama import panoramic
@@ -96,13 +96,13 @@ def test_everything_is_of_its_eye(pair, tmp_path):
 def test_an_eye_alone(pair, tmp_path, monkeypatch):
     """Oracle: half of the drawings."""
     lab.add(pair, lab.blob(200))
-    drawings, drawn = [], film.picture.draw
+    drawings, drawn = [], pass_renderer.picture.draw
 
     def draw(*args, **options):
         drawings.append(args)
         return drawn(*args, **options)
 
-    monkeypatch.setattr(film.picture, "draw", draw)
+    monkeypatch.setattr(pass_renderer.picture, "draw", draw)
     counts = []
     for use in (True, False):
         pair.render.stereo_views["right"].use = use

@@ -10,9 +10,9 @@ import pytest
 from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import CancelFlag, Splats, render
-from addon.process.memory import Memory
-from addon.render import copies, frozen, picture, viewport
-from addon.render.frozen import HIDDEN, SELECTED
+from addon.process.reserved_memory import Memory
+from addon.render import copies, mesh_copies, picture, viewport
+from addon.render.mesh_copies import HIDDEN, SELECTED
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, sources
 from addon.render.selections import Tinted, marks_of
@@ -76,7 +76,7 @@ def test_painter_ends_with_the_full_picture(scene):
     lab.prepare(scene, (96, 64))
     splats = lab.blob()
     request, _ = request_for(scene, splats)
-    painter = viewport.Painter(SplatCache())
+    painter = viewport.ViewPainter(SplatCache())
     painter._factor = 4
     painter.ask(request)
     wait(painter)
@@ -94,7 +94,7 @@ def test_pictures_appear_while_the_view_turns(scene):
     """Oracle: counting. Wishes come faster than any picture is drawn, as while a user orbits."""
     lab.prepare(scene, (96, 64))
     request, _ = request_for(scene, lab.veil(2000), size=(1200, 900))
-    painter, shown = viewport.Painter(SplatCache()), set()
+    painter, shown = viewport.ViewPainter(SplatCache()), set()
     until = time.monotonic() + 8
     while time.monotonic() < until and len(shown) < 4:
         turned = request.camera.viewmat.copy()
@@ -112,7 +112,7 @@ def test_a_new_wish_stops_the_old_one(scene):
     lab.prepare(scene, (96, 64))
     quick, _ = request_for(scene, lab.veil())
     slow = replace(quick, camera=replace(quick.camera, width=3000, height=3000))
-    painter = viewport.Painter(SplatCache())
+    painter = viewport.ViewPainter(SplatCache())
     painter.ask(slow)
     time.sleep(0.2)
     began = time.monotonic()
@@ -128,7 +128,7 @@ def test_problems_are_sentences(scene):
     lab.prepare(scene, (96, 64))
     request, ob = request_for(scene, lab.blob())
     placed = [type(p)(**{**vars(p), "matrix": np.diag([1.0, 2, 1, 1])}) for p in request.placed]
-    painter = viewport.Painter(SplatCache())
+    painter = viewport.ViewPainter(SplatCache())
     painter.ask(type(request)(**{**vars(request), "placed": placed}))
     wait(painter)
     assert ob.name in painter.problem and "unevenly" in painter.problem
@@ -171,14 +171,14 @@ class _SlowMemory(Memory):
 def test_a_copy_waits_for_memory(scene, monkeypatch):
     """Oracle: a copy of the same mesh that makes its own; a step that waits copies nothing."""
     ob = lab.add(scene, lab.blob(2000))
-    monkeypatch.setattr(frozen, "Memory", _SlowMemory)
-    freezer, had, waits = frozen.Freezer(ahead=0), 0, 0
+    monkeypatch.setattr(mesh_copies, "Memory", _SlowMemory)
+    freezer, had, waits = mesh_copies.Freezer(ahead=0), 0, 0
     while (copy := freezer.step(ob.data, ob.name)) is None:
         has = len(freezer._begun.attributes)
         waits += has == had
         had = has
     assert waits >= 12  # once an attribute: position, scale, rotation, base and 8 of SH
-    assert copy.fingerprint == frozen.freeze(ob.data, ob.name).fingerprint
+    assert copy.fingerprint == mesh_copies.freeze(ob.data, ob.name).fingerprint
     assert not freezer.waits
 
 
@@ -296,7 +296,7 @@ def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
     got = asked.shoot(model, asked.camera, lambda: False, CancelFlag())
     fewer = lab.add(scene, own.frozen.read().subset(marks == SELECTED))
     bpy.context.view_layer.update()
-    frozen_fewer = frozen.freeze(fewer.data, "fewer")
+    frozen_fewer = mesh_copies.freeze(fewer.data, "fewer")
     wanted = replace(asked, placed=[replace(cut, frozen=frozen_fewer, edited=False), seen])
     model = SplatCache().model(wanted.placed)
     want = wanted.shoot(model, asked.camera, lambda: False, CancelFlag())

@@ -10,10 +10,10 @@ import plyfile
 import pytest
 
 from addon.cameras.objects import cameras_of
-from addon.job import guides
 from addon.panels.train import GuidesPanel
 from addon.panels.train_sequence import TrainSequencePanel
-from addon.sequence import work
+from addon.sequence import train_sequence
+from addon.training import guides
 from gscore.datasets.frames import of_frame
 from tests.addon.drawn import drawn
 from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
@@ -78,7 +78,7 @@ def test_meshes_that_move_are_written_at_each_frame(
     called = play({"say": DONE})
     with pytest.raises(RuntimeError, match="import the cameras of frame 0 first"):
         bpy.ops.gscore.train_sequence()
-    assert not work.begun(work.output_of(video))
+    assert not train_sequence.is_started(train_sequence.output_of(video))
     root = bring_first(video, tmp_path)
     assert len(cameras_of(root)) == 60
     text = drawn(TrainSequencePanel)
@@ -97,7 +97,7 @@ def test_meshes_that_move_are_written_at_each_frame(
     bpy.ops.gscore.train_sequence(wait=True)
     assert video.frame_current == 7
     pattern = told(called)
-    assert pattern.parent == work.output_of(video) / "guides"
+    assert pattern.parent == train_sequence.output_of(video) / "guides"
     files = sorted(pattern.parent.iterdir())
     assert [path.name for path in files] == [
         pattern.name.replace("{frame:06d}", f"{n:06d}") for n in (0, 4, 12)
@@ -129,7 +129,7 @@ def test_meshes_that_stand_still_are_one_file(
     wall.data.update()
     bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
     assert told(called) != first and {told(called), mine} == set(first.parent.iterdir())
-    (work.output_of(video) / "sequence.json").write_text("{}")
+    (train_sequence.output_of(video) / "sequence.json").write_text("{}")
     bpy.ops.gscore.train_sequence(resume=True, wait=True)
     assert "--guide-surface" not in json.loads(called.read_text())
 
@@ -152,7 +152,7 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     before = set(folder.iterdir())
     assert len(before) == 4
     with pytest.raises(ValueError, match="cannot be run"):
-        work.train_sequence(video, overwrite=True, python=tmp_path / "no python")
+        train_sequence.train_sequence(video, overwrite=True, python=tmp_path / "no python")
     assert before < set(folder.iterdir())
     refused = {"event": "error", "type": "ConfigError", "message": "No such mesh."}
     play({"say": refused}, {"exit": 2})
@@ -182,7 +182,7 @@ def test_folders_of_results_may_hold_braces(
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
     files = {of_frame(told(called), number) for number in (0, 4, 8, 12)}
-    folder = work.output_of(video) / "guides"
+    folder = train_sequence.output_of(video) / "guides"
     assert files == set(folder.iterdir()) and len(files) == (4 if moves else 1)
 
 
@@ -201,7 +201,7 @@ def test_what_a_sequence_does_not_see_is_told(
     video.collection.objects.link(box)
     video.gscore.train_within = box
     assert "Only Within (Box) is for single trainings" in panel()
-    lines = work.not_seen(video)
+    lines = train_sequence.not_seen(video)
     assert "Only Within (Box) is for single" in lines[0] and "Hidden in Guide Sur" in lines[1]
     for frame, value in ((1, False), (3, True)):
         ob.hide_viewport = value
@@ -226,8 +226,8 @@ def test_a_real_sequence_is_guided(video: bpy.types.Scene, tmp_path: Path) -> No
         ob.keyframe_insert("location", frame=frame)
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
-    assert work.job_of(video).sentence.startswith("2 frames are complete")
-    output, names = work.output_of(video), []
+    assert train_sequence.job_of(video).sentence.startswith("2 frames are complete")
+    output, names = train_sequence.output_of(video), []
     for number in (0, 4):
         options = json.loads((output / f"frame_{number:06d}" / "config.json").read_text())
         names.append(Path(options["train"]["guide_surface"]))

@@ -11,12 +11,12 @@ import pytest
 
 from addon import preferences
 from addon.core import SequenceIndex, SequenceOptions, options_of, read_splats, write_splats
-from addon.job import facts
-from addon.job.options import Machine
 from addon.panels.capture import CapturePanel
 from addon.panels.train_sequence import TrainSequencePanel
-from addon.process import beat
-from addon.sequence import arguments, registry, work
+from addon.process import poll_timer
+from addon.sequence import arguments, registry, train_sequence
+from addon.training import facts
+from addon.training.options import Machine
 from gscore.io.sequences import write_sequence
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn, labels
@@ -63,7 +63,7 @@ def play(tmp_path: Path) -> Play:
 def panel() -> str:
     """What the panel shows, once the folders have been looked at."""
     drawn(TrainSequencePanel)
-    until(lambda: not beat.tick() or "Looking" not in drawn(TrainSequencePanel))
+    until(lambda: not poll_timer.poll() or "Looking" not in drawn(TrainSequencePanel))
     return drawn(TrainSequencePanel)
 
 
@@ -89,18 +89,18 @@ def test_from_button_to_timeline(video, tmp_path: Path, play: Play) -> None:
     """The arguments; the bar; at the end the frames play in the scene."""
     called = play({"say": FRAME}, step(50), {"await": "go"}, {"say": DONE})
     text = panel()
-    facts.look_again(video)
+    facts.refresh(video)
     said = drawn(CapturePanel)
     assert "4 frames, a capture each" in said and "Find Cameras" not in said
     assert "4: 0 to 12" in text and "(Train Sequence)" in text and "<next_iterations>" in text
     video.gscore_train_sequence.frames = "0:12:4"
     assert bpy.ops.gscore.train_sequence() == {"FINISHED"}
-    job = work.job_of(video)
+    job = train_sequence.job_of(video)
     until(lambda: job.progress is not None)
     assert "[38%] Frame 4, 2 of 4: step 50" in drawn(TrainSequencePanel)
     with pytest.raises(RuntimeError, match="being trained already"):
         bpy.ops.gscore.train_sequence()
-    output = work.output_of(video)
+    output = train_sequence.output_of(video)
     leave(output, (0, 4, 8, 12))
     job._process.send("go")
     until(lambda: job.ended)
@@ -123,9 +123,9 @@ def test_stop_and_go_on(video, play: Play) -> None:
     play({"say": FRAME}, {"await": "stop"}, {"say": stopped})
     panel()
     bpy.ops.gscore.train_sequence()
-    job = work.job_of(video)
+    job = train_sequence.job_of(video)
     until(lambda: job.frame is not None)
-    leave(work.output_of(video), (0,))
+    leave(train_sequence.output_of(video), (0,))
     assert bpy.ops.gscore.stop_sequence() == {"FINISHED"}
     until(lambda: job.ended)
     text = settle()
@@ -163,7 +163,7 @@ def test_what_is_missing_is_told_in_words_of_the_panel(video, tmp_path: Path) ->
     name = video.gscore.bl_rna.properties["images"].name
     text = panel()
     assert f'give its folder, and frames/{{frame:06d}} as "{name}".' in text and "--" not in text
-    facts.look_again(video)
+    facts.refresh(video)
     video.gscore.capture_path = str(STUDIO)
     until(lambda: "<images>" in drawn(CapturePanel))
     assert name not in labels(CapturePanel)  # the field stands under its own name
@@ -203,12 +203,12 @@ def test_a_real_sequence(video, tmp_path: Path) -> None:
     two_real_frames(video, tmp_path)
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
-    assert work.job_of(video).sentence.startswith("2 frames are complete")
-    bpy.ops.gscore.import_sequence(directory=str(work.output_of(video)))
+    assert train_sequence.job_of(video).sentence.startswith("2 frames are complete")
+    bpy.ops.gscore.import_sequence(directory=str(train_sequence.output_of(video)))
     ob = bpy.context.object
     counts = []
     for frame in (1, 2):
         video.frame_set(frame)
         counts.append(len(ob.data.vertices))
-        folder = work.output_of(video) / f"frame_{4 * (frame - 1):06d}"
+        folder = train_sequence.output_of(video) / f"frame_{4 * (frame - 1):06d}"
         assert counts[-1] == len(read_splats(folder / "point_cloud.ply")) > 100

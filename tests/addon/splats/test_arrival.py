@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, write_splats
-from addon.splats import arrival, files, filling, objects
-from addon.splats.arrival import Arrival
+from addon.splats import async_import, objects, splat_files, write_chunked
+from addon.splats.async_import import AsyncImport
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
@@ -17,8 +17,8 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 @pytest.fixture(autouse=True)
 def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """One attribute, or one node group, a step."""
-    monkeypatch.setattr(filling, "BUDGET", 0.0)
-    monkeypatch.setattr(arrival, "BUDGET", 0.0)
+    monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
+    monkeypatch.setattr(async_import, "BUDGET", 0.0)
 
 
 @pytest.fixture
@@ -29,14 +29,14 @@ def paths(tmp_path: Path, make_splats: Callable[..., Splats]) -> list[Path]:
     return [tmp_path / "chair.ply", tmp_path / "table.ply"]
 
 
-def begun(paths: list[Path], **options: object) -> Arrival:
+def begun(paths: list[Path], **options: object) -> AsyncImport:
     """An import whose files are read."""
-    made = Arrival(bpy.context, [files.want(path, **options) for path in paths])
+    made = AsyncImport(bpy.context, [splat_files.want(path, **options) for path in paths])
     assert made._task.wait(20)
     return made
 
 
-def finished(coming: Arrival) -> list[bpy.types.Object]:
+def finished(coming: AsyncImport) -> list[bpy.types.Object]:
     """Its objects."""
     for _ in range(200):
         made = coming.step()
@@ -45,7 +45,7 @@ def finished(coming: Arrival) -> list[bpy.types.Object]:
     raise AssertionError("it never ends")
 
 
-def until_filling(coming: Arrival) -> bpy.types.Mesh:
+def until_filling(coming: AsyncImport) -> bpy.types.Mesh:
     """The mesh that is half filled."""
     while coming._fillings is None or coming._fillings[0].share < 0.5:
         assert coming.step() is None
@@ -73,7 +73,7 @@ def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
     assert [ob.name for ob in made] == [ob.data.name for ob in made] == ["chair", "table"]
     assert not any("gs_temporary" in mesh for mesh in bpy.data.meshes)
     for ob, path in zip(made, paths, strict=True):
-        same(ob, files.import_splats(bpy.context, path, up=up))
+        same(ob, splat_files.import_splats(bpy.context, path, up=up))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_the_axis_that_a_file_states_points_up(
 ) -> None:
     """Oracle: the axis of the comment, turned to Blender's +Z; -Y where none states one."""
     write_splats(tmp_path / "a.ply", make_splats(20), comments=(line,))
-    ob = files.import_splats(bpy.context, tmp_path / "a.ply")
+    ob = splat_files.import_splats(bpy.context, tmp_path / "a.ply")
     turn = np.array(ob.matrix_basis)[:3, :3]
     np.testing.assert_allclose(turn @ up, (0, 0, 1), atol=1e-6)
     assert np.linalg.det(turn) == pytest.approx(1)
@@ -118,7 +118,7 @@ def test_what_undo_takes_comes_again(scene: bpy.types.Scene, paths: list[Path]) 
     for mesh in list(bpy.data.meshes):
         bpy.data.meshes.remove(mesh)
     for ob, path in zip(finished(coming), paths, strict=True):
-        same(ob, files.import_splats(bpy.context, path))
+        same(ob, splat_files.import_splats(bpy.context, path))
 
 
 def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
@@ -126,7 +126,7 @@ def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
     coming = begun(paths)
     until_filling(coming)
     coming.cancel()
-    Arrival(bpy.context, [files.want(paths[0])]).cancel()
+    AsyncImport(bpy.context, [splat_files.want(paths[0])]).cancel()
     assert not bpy.data.objects and not bpy.data.meshes
 
 
@@ -144,7 +144,7 @@ def test_what_is_gone_meanwhile(scene: bpy.types.Scene, paths: list[Path]) -> No
     ob = finished(coming)[0]
     assert ob.parent is None and ob.users_collection == (scene.collection,)
     assert "chair" in coming.warnings[0] and "gone" in coming.warnings[0]
-    same(ob, files.import_splats(bpy.context, paths[0]))
+    same(ob, splat_files.import_splats(bpy.context, paths[0]))
 
     other = bpy.data.scenes.new("other")
     with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):

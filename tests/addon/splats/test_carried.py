@@ -8,8 +8,8 @@ import pytest
 from mathutils import Matrix
 
 from addon import attributes
-from addon.splats import carried as carrying
-from addon.splats import objects, texts, weights
+from addon.splats import objects, string_attributes, vertex_groups
+from addon.splats import point_attributes as carrying
 from tests.addon import splat_scenes as lab
 
 COUNT = 300
@@ -109,7 +109,7 @@ def test_attributes_of_all_types_follow(
     ob: bpy.types.Object, edit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: what each point had, as Blender shows it; its number tells which it is."""
-    for module, name in ((carrying, "_BLOCK"), (texts, "BLOCK")):
+    for module, name in ((carrying, "_BLOCK"), (string_attributes, "BLOCK")):
         monkeypatch.setattr(module, name, 7)
     give_all(ob)
     ids = ob.data.attributes.new("id", "INT", "POINT")
@@ -189,7 +189,7 @@ def test_numbers_are_as_blender_keeps_them(ob: bpy.types.Object) -> None:
 @pytest.mark.parametrize("what", ["groups", "text"])
 def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str) -> None:
     """Oracle: Python's own news of it. In a Blender with add-ons it takes 0.05 s, over and over."""
-    mesh = lab.add(scene, lab.blob(2 * weights.BLOCK)).data
+    mesh = lab.add(scene, lab.blob(2 * vertex_groups.BLOCK)).data
     group = scene.objects[0].vertex_groups.new(name="all")
     group.add(list(range(len(mesh.vertices))), 1.0, "REPLACE")
     mesh.attributes.new("tag", "STRING", "POINT").data[5000].value = b"some"
@@ -198,11 +198,11 @@ def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str)
     gc.callbacks.append(note := lambda phase, info: begun.append(phase))
     try:
         if what == "groups":
-            values = weights.made(["all"], len(mesh.vertices))
-            weights.read(mesh, weights.BLOCK, values)
+            values = vertex_groups.made(["all"], len(mesh.vertices))
+            vertex_groups.read(mesh, vertex_groups.BLOCK, values)
         else:
             values = carrying.empty_values("STRING", len(mesh.vertices))
-            texts.read(mesh, "tag", texts.BLOCK, values, {})
+            string_attributes.read(mesh, "tag", string_attributes.BLOCK, values, {})
     finally:
         gc.callbacks.remove(note)
     assert not begun
@@ -212,7 +212,7 @@ def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str)
 @pytest.mark.parametrize("edited", [False, True])
 def test_separated(ob: bpy.types.Object, edited: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: rows of what was there, in both parts, from Edit Mode too; and bit by bit."""
-    monkeypatch.setattr(weights, "BLOCK", 7)
+    monkeypatch.setattr(vertex_groups, "BLOCK", 7)
     monkeypatch.setattr(carrying, "_BLOCK", 7)
     before, some = carried(ob), np.arange(COUNT) % 7 == 3
     assert len(before["head"]) == len(before["locked"]) == 90

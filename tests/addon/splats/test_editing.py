@@ -14,9 +14,9 @@ from addon.attributes import BASE, SCALE
 from addon.core import Splats, join_splats, render, sh0_to_rgb
 from addon.panels import edit as edit_panel
 from addon.panels.edit import EditPanel
-from addon.process.pieces import at_once
-from addon.splats import choose as choose_splats
+from addon.process.incremental_tasks import run_blocking
 from addon.splats import filters, grading, objects
+from addon.splats import selection_masks as choose_splats
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tools.measure.stand_in import stand_in
@@ -31,7 +31,7 @@ import bpy
 import addon_utils
 sys.path.insert(0, {root!r})
 addon_utils.enable("addon")
-from addon.steer.mask_operators import use_brush
+from addon.region_training.mask_operators import use_brush
 from tests.addon import splat_scenes as lab
 for _ in range(2):
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -209,9 +209,9 @@ def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, sha
         bpy.ops.object.mode_set(mode=mode)
         return (sh0 != before).any(axis=(1, 2))
 
-    at_once(stand_in("grade_splats", saturation=0.5).pieces(bpy.context))
+    run_blocking(stand_in("grade_splats", saturation=0.5).pieces(bpy.context))
     np.testing.assert_array_equal(changed(), some if share else True)
-    at_once(stand_in("grade_splats", gain=(0.5,) * 3, only_selected=False).pieces(bpy.context))
+    run_blocking(stand_in("grade_splats", gain=(0.5,) * 3, only_selected=False).pieces(bpy.context))
     assert changed().all()
     bpy.ops.gscore.grade_splats(gain=(0.5,) * 3)
     assert changed().all()
@@ -222,12 +222,12 @@ def test_many_are_graded_and_compared_as_few(monkeypatch: pytest.MonkeyPatch) ->
     base = np.random.default_rng(0).normal(size=(1000, 4)).astype(np.float32)
     grade = grading.Grade(lift=(0.1, 0, -0.1), gamma=(1.2, 1, 0.9), saturation=0.5)
     color = np.array([0.6, 0.5, 0.5])
-    wanted = grading.graded(base, grade), choose_splats.alike(base, color, 0.3)
+    wanted = grading.graded(base, grade), choose_splats.similar_color(base, color, 0.3)
     assert 0 < wanted[1].sum() < 1000
     for module in (grading, choose_splats):
         monkeypatch.setattr(module, "_BLOCK", 64)
     np.testing.assert_allclose(grading.graded(base, grade), wanted[0], rtol=1e-6)
-    np.testing.assert_array_equal(choose_splats.alike(base, color, 0.3), wanted[1])
+    np.testing.assert_array_equal(choose_splats.similar_color(base, color, 0.3), wanted[1])
 
 
 def test_no_grade_changes_nothing(ob: bpy.types.Object) -> None:

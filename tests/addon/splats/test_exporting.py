@@ -11,8 +11,8 @@ import pytest
 
 from addon import attributes
 from addon.core import GsError, Splats, read_splats
-from addon.process.pieces import Going
-from addon.splats import exporting, leaving, objects
+from addon.process.incremental_tasks import TaskRunner
+from addon.splats import exporting, objects, read_chunked
 from addon.splats.exporting import export_splats
 from tests.addon import points
 
@@ -22,7 +22,7 @@ Make = Callable[..., Splats]
 @pytest.fixture(autouse=True)
 def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """One attribute a step."""
-    monkeypatch.setattr(leaving, "BUDGET", 0.0)
+    monkeypatch.setattr(read_chunked, "BUDGET", 0.0)
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def obs(scene: bpy.types.Scene, make_splats: Make) -> list[bpy.types.Object]:
     return [one, other]
 
 
-class Export(Going):
+class Export(TaskRunner):
     """An export that has begun."""
 
     def __init__(self, *what: Any, **how: Any) -> None:

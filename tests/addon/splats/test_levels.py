@@ -9,9 +9,9 @@ import pytest
 from mathutils import Matrix
 
 from addon.core import Splats, read_lod, write_splats
-from addon.splats import files, objects
+from addon.splats import objects, splat_files
 from gscore.frontend import LodFacts, build_lod
-from gscore.lod import build, order
+from gscore.lod import build, chunk_layout
 
 COUNT = 2000
 
@@ -20,7 +20,7 @@ COUNT = 2000
 def lod(tmp_path: Path, make_splats: Callable[..., Splats], monkeypatch) -> Path:
     """Three levels: 2000 splats in 16 chunks, 500 and 125; merged as they come, for Blender has no
     scipy to find neighbours with."""
-    monkeypatch.setattr(order, "MOST_IN_A_CHUNK", 150)
+    monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", 150)
     monkeypatch.setattr(build, "groups_of", lambda means, *_: np.arange(len(means)) // 4)
     write_splats(tmp_path / "city.ply", make_splats(COUNT))
     build_lod(tmp_path / "city.ply", tmp_path / "city.lod", LodFacts(antialias=True))
@@ -36,7 +36,7 @@ def test_the_finest_that_is_not_too_many(scene, lod: Path, monkeypatch) -> None:
     """Oracle: the level; its splats are those of the file, and say that they are antialiased."""
     assert bpy.ops.gscore.import_splats(filepath=str(lod)) == {"FINISHED"}
     assert len(bpy.context.object.data.vertices) == COUNT
-    monkeypatch.setattr(files, "MOST_AT_ONCE", 600)
+    monkeypatch.setattr(splat_files, "MOST_AT_ONCE", 600)
     bpy.ops.gscore.import_splats(filepath=str(lod))
     ob = bpy.context.object
     np.testing.assert_allclose(objects.read(ob).means, read_lod(lod, 1).splats.means, atol=3e-6)

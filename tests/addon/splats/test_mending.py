@@ -14,8 +14,8 @@ from mathutils import Euler, Matrix
 from addon import attributes
 from addon.core import Splats
 from addon.panels import result
-from addon.render import ignored
-from addon.splats import even_scale, fitted, lag, objects
+from addon.render import unsupported_settings
+from addon.splats import fitted, lag, objects, uniform_scale
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout
 from tests.addon.points import keep as keep_points
@@ -63,16 +63,16 @@ def apply(**which: bool) -> None:
 def reported() -> str:
     """What a render says besides."""
     context = bpy.context
-    shown = ignored.Shown(
+    shown = unsupported_settings.Shown(
         scene=context.scene, layer=context.view_layer, camera=context.scene.camera
     )
-    return " ".join(ignored.without_effect(shown))
+    return " ".join(unsupported_settings.without_effect(shown))
 
 
 def is_said(button: str = BUTTON) -> bool:
     """Whether panel and render tell it alike."""
     layout = Layout()
-    result.draw_behind(layout, bpy.context)
+    result.draw_outdated(layout, bpy.context)
     panel = button in layout.text
     assert panel == (button[1:-1] in reported())
     return panel
@@ -431,7 +431,7 @@ def test_stretching_is_taken_back(ob: bpy.types.Object) -> None:
     np.testing.assert_allclose(where[0], where[2], atol=1e-5)
     np.testing.assert_allclose(where[1], where[2], atol=1e-5)
     np.testing.assert_allclose(np.array(child.matrix_world)[:3, 3], matrices[1][:3, 3], atol=1e-5)
-    assert not even_scale.is_even(ob) and not is_said(BACK)
+    assert not uniform_scale.is_even(ob) and not is_said(BACK)
 
 
 def test_a_stretched_part_goes_again(scene: bpy.types.Scene) -> None:

@@ -12,8 +12,8 @@ from addon.compat import splat_cloud_type
 from addon.core import Splats, read_splats, transform_splats, write_splat_file
 from addon.nodes import display
 from addon.panels import result
-from addon.process.pieces import Going
-from addon.render import ignored
+from addon.process.incremental_tasks import TaskRunner
+from addon.render import unsupported_settings
 from addon.splats import objects, settings
 from addon.splats.filters import visible_mask
 from tests.addon import splat_scenes as lab
@@ -168,8 +168,10 @@ def test_the_engine_renders_blenders_splats(scene: bpy.types.Scene, tmp_path: Pa
     cloud = theirs(scene, lab.blob())
     cloud.rotation_euler, cloud.location = (0, 0, 0), (0, 0, 0)
     found = lab.render_exr(tmp_path, "theirs")
-    shown = ignored.Shown(scene=scene, layer=bpy.context.view_layer, camera=scene.camera)
-    assert not [text for text in ignored.without_effect(shown) if "theirs" in text]
+    shown = unsupported_settings.Shown(
+        scene=scene, layer=bpy.context.view_layer, camera=scene.camera
+    )
+    assert not [text for text in unsupported_settings.without_effect(shown) if "theirs" in text]
     bpy.data.objects.remove(cloud)
     lab.add(scene, lab.blob())
     wanted = lab.render_exr(tmp_path, "ours")
@@ -186,7 +188,7 @@ def test_the_display_is_built_in_parts(
     for block in [*bpy.data.node_groups, *bpy.data.materials]:
         bpy.data.batch_remove([block])
     monkeypatch.setattr(settings, "BUDGET", 0.0)
-    going = Going(stand_in("take_native_splats").pieces(bpy.context))
+    going = TaskRunner(stand_in("take_native_splats").pieces(bpy.context))
     counts = [0]
     while not going.step():
         counts.append(len(bpy.data.node_groups) + len(bpy.data.materials))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats, read_splats, transform_splats, write_splats
-from addon.render.frozen import read_marks
+from addon.render.mesh_copies import read_marks
 from addon.splats import objects
 from tests.addon import points
 

@@ -25,8 +25,8 @@ from addon.core import (
     write_splats,
 )
 from addon.panels import result
-from addon.process.pieces import Going
-from addon.splats import conversion, edit, even_scale, exporting, objects
+from addon.process.incremental_tasks import TaskRunner
+from addon.splats import conversion, edit, exporting, objects, uniform_scale
 from addon.splats.filters import visible_mask
 from gscore.config_file import config_json
 from gscore.formats.registry import FORMATS, format_to_write
@@ -315,7 +315,7 @@ def test_an_export_by_the_trainers_python_can_be_given_up(
     preferences.get().python_path = os.environ["GSCORE_TRAINER_PYTHON"]
     out = tmp_path / "out.sog"
     out.write_bytes(b"before")
-    going = Going(exporting.exporting([ob], out, world="SOURCE", filtered=False))
+    going = TaskRunner(exporting.exporting([ob], out, world="SOURCE", filtered=False))
     while "trainer" not in going.sentence:
         assert not going.step()
     going.cancel()
@@ -604,11 +604,11 @@ def test_an_uneven_scale_is_made_even(ob: bpy.types.Object, parented: bool) -> N
     bpy.context.view_layer.update()
     with pytest.raises(ValueError, match="scale"):
         objects.read_world(ob)
-    assert not even_scale.is_even(ob)
+    assert not uniform_scale.is_even(ob)
     bpy.ops.gscore.make_scale_even()
     assert ob.matrix_world.to_3x3().determinant() == pytest.approx(-8, rel=1e-5)
     objects.read_world(ob)
-    assert even_scale.is_even(ob)
+    assert uniform_scale.is_even(ob)
 
 
 def test_a_stretch_that_no_scale_explains_is_refused(ob: bpy.types.Object) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from addon.core import Splats
 from addon.render.show import frame_of
-from addon.splats import edit, objects, places
+from addon.splats import bounds, edit, objects
 
 
 @pytest.mark.parametrize("most", [200_000, 400])
@@ -19,13 +19,13 @@ def test_in_world(
     most: int,
 ) -> None:
     """All of few; of many so many at most, whose quantiles, and so box and frame, are close."""
-    monkeypatch.setattr(places, "_MOST", most)
+    monkeypatch.setattr(bounds, "_MOST", most)
     ob = objects.create(make_splats(3999), "chair")
     ob.rotation_euler, ob.scale, ob.location = (0.4, 0.7, -0.2), (3, 3, 3), (1, 2, 3)
     bpy.context.view_layer.update()
     matrix = np.array(ob.matrix_world, np.float64)
     everywhere = objects.read(ob).means @ matrix[:3, :3].T + matrix[:3, 3]
-    found = places.in_world(ob)
+    found = bounds.in_world(ob)
     if most > 3999:
         np.testing.assert_allclose(found, everywhere, atol=1e-6)
     else:

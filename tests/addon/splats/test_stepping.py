@@ -11,10 +11,10 @@ import pytest
 
 from addon import attributes
 from addon.core import Splats, join_splats
-from addon.interface import stepping
-from addon.process.pieces import Going, at_once
-from addon.splats import carried, filling, leaving, objects
-from addon.splats.ready import points_of
+from addon.interface import incremental_operator
+from addon.process.incremental_tasks import TaskRunner, run_blocking
+from addon.splats import objects, point_attributes, read_chunked, write_chunked
+from addon.splats.mesh_buffers import points_of
 from tests.addon import splat_scenes as lab
 from tools.measure.stand_in import stand_in
 
@@ -41,8 +41,8 @@ IDS = [name for name, _ in EDITS]
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """One attribute a step."""
-    monkeypatch.setattr(leaving, "BUDGET", 0.0)
-    monkeypatch.setattr(filling, "BUDGET", 0.0)
+    monkeypatch.setattr(read_chunked, "BUDGET", 0.0)
+    monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
 
 
 def prepare(name: str) -> bpy.types.Object:
@@ -85,9 +85,9 @@ def state() -> dict[str, Any]:
         if mode == "EDIT":
             ob.update_from_editmode()
         mesh = ob.data.copy()  # attributes are out of reach in Edit Mode
-        for name, kind in carried.kinds(mesh).items():
-            values = carried.empty_values(kind, len(mesh.vertices))
-            carried.copy_values(mesh, name, values)
+        for name, kind in point_attributes.kinds(mesh).items():
+            values = point_attributes.empty_values(kind, len(mesh.vertices))
+            point_attributes.copy_values(mesh, name, values)
             found[f"{ob.name} {name}"] = values.tobytes()
         found[f"{ob.name} selected"] = attributes.selected(mesh).tobytes()
         bpy.data.meshes.remove(mesh)
@@ -97,14 +97,14 @@ def state() -> dict[str, Any]:
     return found
 
 
-def begun(name: str, settings: dict[str, Any]) -> Going:
+def begun(name: str, settings: dict[str, Any]) -> TaskRunner:
     """The operator after its first piece."""
-    going = Going(stand_in(name, **settings).pieces(bpy.context))
+    going = TaskRunner(stand_in(name, **settings).pieces(bpy.context))
     assert not going.step()
     return going
 
 
-def until(going: Going, ends: Callable[[], bool]) -> bool:
+def until(going: TaskRunner, ends: Callable[[], bool]) -> bool:
     """Go on until something holds, or all is done; whether that is so."""
     for _ in range(10_000):
         if ends():
@@ -206,7 +206,7 @@ def test_lacking_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     def lacks(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(carried, "picked", lacks)
+    monkeypatch.setattr(point_attributes, "picked", lacks)
     with pytest.raises(RuntimeError, match="close other programs"):
         bpy.ops.gscore.decimate_splats(count=150)
     assert state() == before
@@ -273,7 +273,7 @@ def test_undo_brings_no_copy_back() -> None:
 def test_undo_takes_what_is_half_filled() -> None:
     """Undo to a step at which fewer attributes were filled. Oracle: all of them, in the end."""
     ob = prepare("decimate_splats")
-    made = filling.Filling(points_of(at_once(leaving.Leaving(ob).table())))
+    made = write_chunked.ChunkedWrite(points_of(run_blocking(read_chunked.ChunkedRead(ob).table())))
     bpy.ops.ed.undo_push(message="before")
     for message in ("begun", "further"):
         for _ in range(3):
@@ -284,8 +284,8 @@ def test_undo_takes_what_is_half_filled() -> None:
         pass
     mesh = made.take()
     for name, kind, values in made.loaded.columns:
-        found = carried.empty_values(kind, COUNT)
-        carried.copy_values(mesh, name, found)
+        found = point_attributes.empty_values(kind, COUNT)
+        point_attributes.copy_values(mesh, name, found)
         np.testing.assert_array_equal(found.reshape(-1), values)
     assert len(bpy.data.meshes) == 2
 
@@ -296,10 +296,10 @@ def test_what_is_under_way_ends_with_the_add_on() -> None:
     before = state()
     going = begun("decimate_splats", {"count": 150})
     waiting = _Told()
-    stepping._UnderWay(going, waiting)  # as the operator does in a window
-    stepping.on_unregister()
+    incremental_operator._UnderWay(going, waiting)  # as the operator does in a window
+    incremental_operator.on_unregister()
     assert state() == before and waiting.ended
-    stepping.on_unregister()
+    incremental_operator.on_unregister()
 
 
 class _Told:
@@ -318,15 +318,15 @@ def test_all_that_numbers_tell_follows() -> None:
     kinds = {"FLOAT4X4": 16, "BYTE_COLOR": 4, "INT8": 1, "INT32_2D": 2}
     for kind, width in kinds.items():
         ob.data.attributes.new(kind, kind, "POINT")
-        values = carried.empty_values(kind, COUNT)
+        values = point_attributes.empty_values(kind, COUNT)
         values[:] = (np.arange(COUNT * width) % 100).reshape(COUNT, width) / (
             255 if kind == "BYTE_COLOR" else 1
         )
         attributes.fill(ob.data, kind, kind, values.reshape(-1))
     bpy.ops.gscore.join_splats()
     for kind in kinds:
-        values = carried.empty_values(kind, COUNT + 50)
-        carried.copy_values(ob.data, kind, values)
+        values = point_attributes.empty_values(kind, COUNT + 50)
+        point_attributes.copy_values(ob.data, kind, values)
         wanted = np.arange(values[:COUNT].size) % 100 / (255 if kind == "BYTE_COLOR" else 1)
         np.testing.assert_array_equal(values[:COUNT].reshape(-1), wanted.astype(values.dtype))
         assert not values[COUNT:].any()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.splats import leaving, objects
-from addon.splats.filling import replace
+from addon.splats import objects, read_chunked
+from addon.splats.write_chunked import replace
 from addon.timeline import mesh as frames
 from tests.addon import splat_scenes as lab
 
@@ -233,7 +233,7 @@ def test_what_would_be_lost_is_refused_before_anything_is_read(
     def read(*_: object) -> None:
         pytest.fail("it is read")
 
-    monkeypatch.setattr(leaving.Leaving, "__init__", read)
+    monkeypatch.setattr(read_chunked.ChunkedRead, "__init__", read)
     said = lab.error_of(lambda: getattr(bpy.ops.gscore, edit)(**EDITS[edit]))
     assert f"splats {why}" in said
     assert ob.data == before and len(ob.data.vertices) == COUNT

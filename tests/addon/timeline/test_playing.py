@@ -12,13 +12,13 @@ import pytest
 
 from addon.core import Splats, read_splats, sh0_to_rgb, write_splats
 from addon.panels.sequence import SequencePanel
-from addon.process import beat
+from addon.process import poll_timer
 from addon.render.copies import Copies
 from addon.render.engine import final_cache
 from addon.render.scene import sources
 from addon.splats import objects
-from addon.timeline import follow, importing, mesh
-from addon.timeline.coming import SequenceComing
+from addon.timeline import frame_sync, importing, mesh
+from addon.timeline.async_import import SequenceComing
 from addon.timeline.library import LIBRARY
 from tests.addon import points
 from tests.addon import splat_scenes as lab
@@ -89,7 +89,7 @@ def until(condition: Callable[[], bool]) -> None:
     end = time.monotonic() + 20
     while not condition():
         assert time.monotonic() < end
-        beat.tick()
+        poll_timer.poll()
         time.sleep(0.005)
 
 
@@ -183,14 +183,14 @@ def test_a_damaged_file_ends_a_render_with_its_name(scene, playing, folder, tmp_
     bpy.ops.gscore.look_at_frames_again()
     scene.frame_set(3)
     scene.frame_set(4)
-    assert number_of(playing) == 2 and "frame_0003.ply" in follow.problem_of(playing)
+    assert number_of(playing) == 2 and "frame_0003.ply" in frame_sync.problem_of(playing)
     message = lab.error_of(lambda: lab.render_file(tmp_path / "a.png"))
     assert "frames:" in message and "frame_0003.ply" in message
     placed, complete = Copies().copied(sources(bpy.context.evaluated_depsgraph_get()))
     assert complete and len(placed[0].frozen.vertices) == 320  # a viewport shows the last one
     assert "frame_0003.ply" in drawn(SequencePanel)
     scene.frame_set(5)
-    assert number_of(playing) == 4 and not follow.problem_of(playing)
+    assert number_of(playing) == 4 and not frame_sync.problem_of(playing)
 
 
 def test_the_folder_moves_with_the_file(scene, playing, folder, tmp_path) -> None:
@@ -209,7 +209,7 @@ def test_the_folder_moves_with_the_file(scene, playing, folder, tmp_path) -> Non
     bpy.context.scene.frame_set(2)
     ob = bpy.data.objects["frames"]
     assert number_of(ob) == 0  # as it was saved
-    assert "choose where it is now" in follow.problem_of(ob)
+    assert "choose where it is now" in frame_sync.problem_of(ob)
     bpy.context.view_layer.objects.active = ob
     assert "choose where it is now" in drawn(SequencePanel)
 
@@ -279,7 +279,7 @@ def test_nothing_is_left_of_a_closed_file(scene, playing) -> None:
     assert LIBRARY.held[0] > 0
     bpy.ops.wm.read_homefile(use_empty=True)
     assert LIBRARY.held == (0, 0) and not len(bpy.data.meshes)
-    until(lambda: not beat.tick())
+    until(lambda: not poll_timer.poll())
 
 
 def test_a_sequence_under_a_capture_needs_no_axis(scene, folder) -> None:
@@ -292,12 +292,12 @@ def test_a_sequence_under_a_capture_needs_no_axis(scene, folder) -> None:
 
 def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, monkeypatch) -> None:
     """Oracle: the mesh after some beats; the frame change itself writes nothing."""
-    monkeypatch.setattr(follow, "_at_once", lambda scene: False)
+    monkeypatch.setattr(frame_sync, "_at_once", lambda scene: False)
     scene.frame_set(4)
     assert number_of(playing) == 0
     until(lambda: number_of(playing) == 3)
     assert mesh.holds(playing).startswith("3 ") and not mesh.was_edited(playing)
-    until(lambda: not beat.tick())
+    until(lambda: not poll_timer.poll())
     scene.frame_set(6)
     playing.gscore_sequence.beyond = "HIDE"
     scene.frame_set(7)
@@ -308,15 +308,15 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
 def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> None:
     """Oracle: a property of the user's on the mesh of a later frame; an edge, which would be lost,
     keeps the mesh, and it says why until the edge is gone."""
-    monkeypatch.setattr(follow, "_at_once", lambda scene: False)
+    monkeypatch.setattr(frame_sync, "_at_once", lambda scene: False)
     playing.data["mine"] = 4
     scene.frame_set(4)
     until(lambda: number_of(playing) == 3)
     assert playing.data["mine"] == 4
     playing.data.edges.add(1)
     scene.frame_set(6)
-    until(lambda: "has edges or faces" in follow.problem_of(playing))
-    until(lambda: not beat.tick())
+    until(lambda: "has edges or faces" in frame_sync.problem_of(playing))
+    until(lambda: not poll_timer.poll())
     assert number_of(playing) == 3 and len(playing.data.edges) == 1
     assert [m for m in bpy.data.meshes if "gs_temporary" in m] == []
     edited = bmesh.new()
@@ -327,7 +327,7 @@ def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> N
     edited.free()
     scene.frame_set(5)
     until(lambda: number_of(playing) == 4)
-    assert not follow.problem_of(playing)
+    assert not frame_sync.problem_of(playing)
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -349,7 +349,7 @@ def test_edges_stop_it_at_once_too(scene, playing, shared: bool, number: int) ->
 @pytest.fixture
 def scrubbed(scene, playing, monkeypatch) -> bpy.types.Object:
     """As in a window just after scrubbing to frame 4, before the mesh has followed."""
-    monkeypatch.setattr(follow, "_at_once", lambda scene: False)
+    monkeypatch.setattr(frame_sync, "_at_once", lambda scene: False)
     scene.frame_set(4)
     assert number_of(playing) == 0
     return playing
@@ -372,7 +372,7 @@ def test_an_edit_after_scrubbing_is_one_of_the_frame_that_shows(scene, scrubbed,
     if bpy.context.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
     assert number_of(scrubbed) == 3
-    until(lambda: not beat.tick())
+    until(lambda: not poll_timer.poll())
     assert number_of(scrubbed) == 3
 
 
@@ -381,7 +381,7 @@ def test_a_stroke_after_scrubbing_keeps_the_frame_that_shows(scene, scrubbed) ->
     waits."""
     stroke, white = [{"name": "", "place": (0.0, 0.0, 0.0)}], (1.0, 1.0, 1.0)
     bpy.ops.gscore.paint_stroke(stroke=stroke, way="PLACES", radius=1e3, hardness=1.0, color=white)
-    until(lambda: not beat.tick())
+    until(lambda: not poll_timer.poll())
     assert number_of(scrubbed) == 3 and scrubbed.gscore_sequence.edited
     colors = sh0_to_rgb(objects.read(scrubbed).sh0)
     np.testing.assert_allclose(colors, 1.0, atol=1e-6)
@@ -389,13 +389,13 @@ def test_a_stroke_after_scrubbing_keeps_the_frame_that_shows(scene, scrubbed) ->
 
 def test_a_mesh_on_its_way_never_lands_on_an_edit(scene, scrubbed) -> None:
     """Oracle: what the edit left, however long one waits."""
-    beat.tick()  # begins to bring frame 3
+    poll_timer.poll()  # begins to bring frame 3
     scrubbed.gscore.opacity_min = 0.5
     assert bpy.ops.gscore.apply_filters() == {"FINISHED"}
     left = len(scrubbed.data.vertices)
     assert left < 330
     bpy.context.view_layer.update()
-    until(lambda: not beat.tick())
+    until(lambda: not poll_timer.poll())
     assert len(scrubbed.data.vertices) == left and scrubbed.gscore_sequence.edited
 
 

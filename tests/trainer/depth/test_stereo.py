@@ -13,7 +13,7 @@ from gscore.datasets import load_dataset
 from gscore.io.ply.splats import read_ply
 from gscore.scene import PointCloud
 from gscore.trainer.depth.stereo import StereoStart, stereo_start
-from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.files.run_folder import RunFolder
 from tests.stereo.captures import ANGLES, write_capture
 from tests.stereo.scene import Scene
 

@@ -14,7 +14,7 @@ from gscore.errors import ConfigError
 from gscore.raster.api import render
 from gscore.raster.autograd import rasterize
 from gscore.raster.header import OUT_INVERSE_DEPTH
-from gscore.raster.painter import Painter
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.scene import PointCloud
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
@@ -62,7 +62,7 @@ def test_inverse_depth_is_that_of_the_world(photos: Any, known_splats: Any) -> N
     cameras = photos.scene.cameras
     view = render(known_splats, cameras.Ks[3], cameras.viewmats[3], 48, 48)
     assert view.inverse_depth is not None and view.inverse_depth.max() > 0.3
-    np.testing.assert_allclose(trainer.sight.inverse_depth(3)[0], view.inverse_depth, atol=2e-4)
+    np.testing.assert_allclose(trainer.renderer.inverse_depth(3)[0], view.inverse_depth, atol=2e-4)
 
 
 def test_true_splats_have_no_depth_loss(
@@ -73,10 +73,10 @@ def test_true_splats_have_no_depth_loss(
     assert trainer.depth is not None
     for index in (0, 1):  # aligned and not
         for factor, limit in ((1.0, 4e-3), (2.0, 0.03)):
-            view = trainer.sight._pyramid.at(index, factor).view
+            view = trainer.renderer._pyramid.at(index, factor).view
             with torch.no_grad():
                 out = rasterize(
-                    *trainer.model.settled().values(),
+                    *trainer.model.synced().values(),
                     view.viewmat,
                     view.K,
                     view.width,
@@ -97,13 +97,13 @@ def test_depth_off_is_the_training_without_depth(
 ) -> None:
     """Oracle: bit equality, and that the rasterizer is never asked for inverse depth."""
     asked = []
-    plain = Painter.draw
+    plain = TrainingRasterizer.draw
 
-    def watched(painter: Painter, splats: Any, view: Any, settings: Any) -> Any:
+    def watched(rasterizer: TrainingRasterizer, splats: Any, view: Any, settings: Any) -> Any:
         asked.append(bool(settings.outputs & OUT_INVERSE_DEPTH))
-        return plain(painter, splats, view, settings)
+        return plain(rasterizer, splats, view, settings)
 
-    monkeypatch.setattr(Painter, "draw", watched)
+    monkeypatch.setattr(TrainingRasterizer, "draw", watched)
     without = run(Trainer(CONFIG, photos), 30)
     weightless = replace(CONFIG, depth_weight=0.0, depth_weight_final=0.0)
     with_zero = run(Trainer(weightless, photos, depth=targets), 30)
@@ -119,13 +119,13 @@ def test_weights_scale_the_gradients_and_terms_add_up(
 ) -> None:
     """Oracle: the loss is linear in its weights, so gradients of the first picture are, too."""
     given = []
-    plain = Painter.gradients
+    plain = TrainingRasterizer.gradients
 
-    def watched(self: Painter, *args: Any, **options: Any) -> Any:
+    def watched(self: TrainingRasterizer, *args: Any, **options: Any) -> Any:
         given.append([None if v is None else v.clone() for v in args[2:4]])
         return plain(self, *args, **options)
 
-    monkeypatch.setattr(Painter, "gradients", watched)
+    monkeypatch.setattr(TrainingRasterizer, "gradients", watched)
     targets = DepthTargets(true_priors(masked, known_splats), train=masked.train, views=8)
     for depth, alpha in ((1.0, 0.0), (0.25, 0.0), (0.0, 0.5), (0.25, 0.5)):
         config = replace(CONFIG, depth_weight=depth, depth_weight_final=depth, depth_warmup=0.0)
@@ -152,7 +152,9 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
         found = []
         for i in photos.train:
             sure = truth[i].confidence > 0
-            difference = trainer.sight.inverse_depth(i)[0][sure] / truth[i].inverse_depth[sure] - 1
+            difference = (
+                trainer.renderer.inverse_depth(i)[0][sure] / truth[i].inverse_depth[sure] - 1
+            )
             found.append(float(np.median(np.abs(difference))))
         errors.append(np.mean(found))
     assert errors[1] < 0.75 * errors[0], errors

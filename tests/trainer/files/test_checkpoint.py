@@ -18,7 +18,7 @@ from gscore.errors import ConfigError, FormatError, GsError
 from gscore.events import Event, Warn
 from gscore.raster import backend
 from gscore.trainer.files import checkpoint
-from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.checkpoint_files import checkpoint_json, with_checkpoint_json

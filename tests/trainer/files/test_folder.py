@@ -14,8 +14,8 @@ from gscore.config_file import config_json
 from gscore.errors import ConfigError, GsError
 from gscore.io.lock import FolderLock
 from gscore.io.runs import RUN_LOCK, clear_run, others_in_run, remove_results
-from gscore.trainer.files import folder as folder_module
-from gscore.trainer.files.folder import open_folder
+from gscore.trainer.files import run_folder as folder_module
+from gscore.trainer.files.run_folder import open_folder
 
 
 def names(path: Path) -> set[str]:
@@ -247,7 +247,7 @@ def test_the_lock_of_a_dead_process_does_not_count(tmp_path: Path) -> None:
     """Oracle: a process that was killed while it held the folder."""
     code = (
         "import os, sys; from pathlib import Path\n"
-        "from gscore.trainer.files.folder import open_folder\n"
+        "from gscore.trainer.files.run_folder import open_folder\n"
         "with open_folder(Path(sys.argv[1]), resume=False, overwrite=False): os._exit(9)"
     )
     ended = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)

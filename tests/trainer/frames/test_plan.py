@@ -11,9 +11,9 @@ from gscore.sequence_options import SequenceOptions
 from gscore.trainer.frames.plan import (
     PlannedFrame,
     check_guides,
+    independent_runs,
     plan_frames,
-    run_with,
-    runs_of,
+    run_of_frame,
 )
 
 
@@ -29,9 +29,9 @@ def planned(options: SequenceOptions) -> list[PlannedFrame]:
 def test_runs_begin_at_keyframes() -> None:
     """Oracle: runs written out; without warm start each frame is one."""
     every_second = [range(2), range(2, 4), range(4, 5)]
-    assert runs_of(5, SequenceOptions(keyframe_every=2)) == every_second
-    assert runs_of(5, SequenceOptions()) == [range(5)]
-    alone = runs_of(3, SequenceOptions(warm_start=False, keyframe_every=2))
+    assert independent_runs(5, SequenceOptions(keyframe_every=2)) == every_second
+    assert independent_runs(5, SequenceOptions()) == [range(5)]
+    alone = independent_runs(3, SequenceOptions(warm_start=False, keyframe_every=2))
     assert alone == [range(1), range(1, 2), range(2, 3)]
 
 
@@ -47,10 +47,10 @@ def test_a_keyframe_is_trained_like_the_first_frame() -> None:
 def test_a_frame_is_found_in_its_run() -> None:
     """Oracle: runs written out; the sentence about a frame that was not asked for."""
     options = SequenceOptions(keyframe_every=2)
-    frames, runs = planned(options), runs_of(5, options)
-    assert run_with(frames, runs, 30) == run_with(frames, runs, 20) == range(2, 4)
+    frames, runs = planned(options), independent_runs(5, options)
+    assert run_of_frame(frames, runs, 30) == run_of_frame(frames, runs, 20) == range(2, 4)
     with pytest.raises(ConfigError, match="--frame 3 is none of the frames of this sequence, 0 to"):
-        run_with(frames, runs, 3)
+        run_of_frame(frames, runs, 3)
 
 
 def test_each_frame_has_the_mesh_of_its_number(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ import pytest
 from gscore.commands import main
 from gscore.io.runs import AGENT
 from gscore.io.sequences import read_sequence
-from tests.trainer.ranks.processes import rank_of, wait_for
-from tests.trainer.ranks.started import PATIENCE, ROOT, start
+from tests.trainer.distributed.processes import rank_of, wait_for
+from tests.trainer.distributed.started import PATIENCE, ROOT, start
 
 SHORT = ["--iterations", "20", "--max-splats", "200", "--sh-degree", "0", "--quiet"]
 KEYS = ["--keyframe-every", "2", "--next-iterations", "8"]

@@ -23,10 +23,10 @@ from gscore.splats import Splats
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.estimate.forecast import estimate
 from gscore.trainer.estimate.memory import depth_bytes
+from gscore.trainer.guide.mesh_free_space import MeshFreeSpace
+from gscore.trainer.guide.mesh_support import MeshSupport, weighted_views
+from gscore.trainer.guide.mesh_views import MeshView
 from gscore.trainer.guide.setup import prepare_guide
-from gscore.trainer.guide.sightings import MeshSightings, trusted
-from gscore.trainer.guide.space import KeptFree
-from gscore.trainer.guide.views import MeshView
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from gscore.transforms import Similarity
@@ -116,7 +116,7 @@ def test_free_space_is_what_lies_before_the_wall(dataset: Dataset, mesh: Path) -
     views = prepare_guide(TrainConfig(guide_free=mesh), dataset).free
     rng = np.random.default_rng(1)
     places = rng.uniform(-3, 3, (4000, 3))
-    space = KeptFree(views, cameras, similarity)
+    space = MeshFreeSpace(views, cameras, similarity)
     moved = torch.from_numpy(similarity.points_to_training(places).astype(np.float32))
     found = space.holds(moved).numpy()
     sure_in, sure_out = np.zeros(4000, bool), np.ones(4000, bool)
@@ -151,7 +151,7 @@ def test_splats_before_a_wall_are_taken_out(
     for _ in range(10):
         assert trainer.step().change.removed in (0, 5)
         plain.step()
-    assert (trainer.removal.guided.count, len(trainer.model)) == (5, len(flat) - 5)
+    assert (trainer.pruner.guided.count, len(trainer.model)) == (5, len(flat) - 5)
     assert len(plain.model) == len(flat)
 
 
@@ -165,11 +165,11 @@ def test_a_crowd_before_a_wall_stays(all_photos: Dataset, known_splats: Splats, 
     trainer = Trainer(config, all_photos, start=start, guide=guide)
     for _ in range(10):
         trainer.step()
-    assert trainer.removal.guided.crowded and trainer.removal.guided.count == 0
+    assert trainer.pruner.guided.crowded and trainer.pruner.guided.count == 0
     assert len(trainer.model) == len(moved)
     again = Trainer(config, all_photos, start=start, guide=guide)
     again.restore(trainer.state(), dict(trainer.tensors()))
-    assert again.removal.guided.crowded
+    assert again.pruner.guided.crowded
 
 
 def off_wall(splats: Splats, dataset: Dataset) -> float:
@@ -265,8 +265,8 @@ def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path
 def test_pixels_are_trusted_as_points_around_them_say() -> None:
     """Oracle: the definition, pixel by pixel with all distances; of a large photo every other."""
     rng = np.random.default_rng(2)
-    many = MeshSightings(pixels=np.zeros((80, 2)), ratios=np.array([1.0] * 20 + [2.0] * 60))
-    nothing = MeshSightings(pixels=np.zeros((0, 2)), ratios=np.zeros(0))
+    many = MeshSupport(pixels=np.zeros((80, 2)), ratios=np.array([1.0] * 20 + [2.0] * 60))
+    nothing = MeshSupport(pixels=np.zeros((0, 2)), ratios=np.zeros(0))
     for width, height, count, others in (
         (60, 40, 30, []),
         (60, 40, 2, [many]),
@@ -276,8 +276,8 @@ def test_pixels_are_trusted_as_points_around_them_say() -> None:
         ratios = rng.choice([0.8, 0.96, 1.04, 1.3], count)
         trust = rng.random((height, width), np.float32)
         view = MeshView(inverse_depth=np.ones((height, width), np.float32), confidence=trust)
-        seen = MeshSightings(pixels=pixels, ratios=ratios)
-        (found, *_) = trusted([view, *[None] * len(others)], [seen, *others])
+        seen = MeshSupport(pixels=pixels, ratios=ratios)
+        (found, *_) = weighted_views([view, *[None] * len(others)], [seen, *others])
         assert found is not None
         step = 1 if width < 400 else 2
         everywhere = np.concatenate([ratios, *(other.ratios for other in others)])
@@ -291,7 +291,7 @@ def test_pixels_are_trusted_as_points_around_them_say() -> None:
                 on = [abs(ratios[k] - 1) <= 0.05 for k in order]
                 share = np.mean(on) if on else alone
                 assert found.confidence[v, u] == pytest.approx(trust[v, u] * share, rel=1e-5)
-    assert trusted([view, None], [None, None]) == [view, None]
+    assert weighted_views([view, None], [None, None]) == [view, None]
 
 
 UNSEEN = {

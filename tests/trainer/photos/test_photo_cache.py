@@ -13,9 +13,9 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.events import Estimated, Event
-from gscore.io.pictures.images import write_png
-from gscore.trainer.photos.loading import load_photos
-from gscore.trainer.photos.pyramid import Pyramid
+from gscore.io.images.read_image import write_png
+from gscore.trainer.photos.image_pyramid import ImagePyramid
+from gscore.trainer.photos.photo_loading import load_photos
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 
@@ -99,7 +99,7 @@ def test_the_cache_is_bounded_and_the_next_views_come_in_time(
 ) -> None:
     """Oracle: bytes held, and which views were made when."""
     size = 48 * 48 * 3
-    pyramid = Pyramid(photos, photos.scene.cameras, near=0.01, limit=3 * size)
+    pyramid = ImagePyramid(photos, photos.scene.cameras, near=0.01, limit=3 * size)
     order = [5, 1, 7, 0, 3, 2]
     for place, index in enumerate(order):
         pyramid.at(index, 1.0, upcoming=order[place + 1 :])

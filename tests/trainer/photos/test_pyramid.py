@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from gscore.trainer.photos.pyramid import Pyramid
+from gscore.trainer.photos.image_pyramid import ImagePyramid
 
 
 def test_photos_are_averaged_and_cameras_keep_pointing(make_photos: Callable[..., Any]) -> None:
     """Oracle: 2 x 2 means; a point projected by the full camera, halved."""
     photos = make_photos()
     cameras = photos.scene.cameras
-    pyramid = Pyramid(photos, cameras, near=0.01)
+    pyramid = ImagePyramid(photos, cameras, near=0.01)
     for index in (0, 3):
         view, image, mask, *_ = pyramid.at(index, 2.0)
         full = photos.image(index).astype(np.float64)
@@ -32,7 +32,7 @@ def test_photos_are_averaged_and_cameras_keep_pointing(make_photos: Callable[...
 def test_odd_sizes_scale_each_axis_by_its_own_ratio(make_photos: Callable[..., Any]) -> None:
     """Oracle: 48 / sqrt(2) rounds to 34, so K is scaled by 34 / 48."""
     photos = make_photos()
-    view = Pyramid(photos, photos.scene.cameras, near=0.01).at(0, 2**0.5).view
+    view = ImagePyramid(photos, photos.scene.cameras, near=0.01).at(0, 2**0.5).view
     assert (view.width, view.height) == (34, 34)
     np.testing.assert_allclose(view.K.numpy()[:2], photos.scene.cameras.Ks[0][:2] * 34 / 48)
 
@@ -45,7 +45,7 @@ def test_what_a_mask_hides_does_not_bleed_in(make_photos: Callable[..., Any]) ->
     photos.images[0][:, 25:, 1] = 200
     photos.masks[0] = np.zeros((48, 48), np.uint8)
     photos.masks[0][:, :25] = 255
-    _, image, mask, *_ = Pyramid(photos, photos.scene.cameras, near=0.01).at(0, 2.0)
+    _, image, mask, *_ = ImagePyramid(photos, photos.scene.cameras, near=0.01).at(0, 2.0)
     assert mask is not None
     assert np.abs(image[:, 12].astype(int) - (200, 0, 0)).max() <= 1
     assert (mask[:, 12] == 128).all() or (mask[:, 12] == 127).all()
@@ -65,7 +65,7 @@ def test_tiles_that_a_mask_hides_are_left_out_where_it_says_ignore(
         ("composite", None, None, 1.0),
     ):
         photos.mask_mode = mode
-        pyramid = Pyramid(photos, photos.scene.cameras, near=0.01)
+        pyramid = ImagePyramid(photos, photos.scene.cameras, near=0.01)
         for factor, tiles in ((1.0, full), (2.0, half)):
             found = pyramid.at(0, factor)
             assert (None if found.tiles is None else found.tiles.tolist()) == tiles

@@ -14,9 +14,9 @@ from gscore.control import Control
 from gscore.datasets import Dataset, load_dataset
 from gscore.errors import ConfigError, DatasetError, GsError
 from gscore.events import Event, Progress
-from gscore.io.pictures.images import read_image, write_png
+from gscore.io.images.read_image import read_image, write_png
 from gscore.trainer import prepare as prepare_module
-from gscore.trainer.files.folder import RunFolder
+from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
 
 CONFIG = TrainConfig(iterations=60, max_splats=200, refine_start=10, refine_every=10)

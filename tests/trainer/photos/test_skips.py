@@ -9,7 +9,7 @@ import torch
 
 from gscore.config import Skip, TrainConfig
 from gscore.splats import PARAMETERS
-from gscore.trainer.photos.skips import tiles_of_mask
+from gscore.trainer.photos.raster_skips import tiles_of_mask
 from gscore.trainer.trainer import Trainer
 
 _INEXACT = (Skip.SMALL_PHOTOS, Skip.UNSEEN_SH, Skip.RARE_SH)

@@ -13,11 +13,11 @@ from gscore.datasets import load_dataset
 from gscore.errors import ConfigError, DatasetError
 from gscore.events import Started
 from gscore.io.region_file import write_region
-from gscore.trainer.region.box import Box
-from gscore.trainer.region.photos import RegionPhotos
+from gscore.text_format import psnr_name
+from gscore.trainer.region.region_box import RegionBox
+from gscore.trainer.region.region_photos import RegionPhotos
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
-from gscore.words import psnr_name
 from tests.trainer.short_run import CONFIG
 
 BOX = np.diag([0.3, 0.3, 0.3, 1.0])
@@ -30,7 +30,7 @@ def test_only_pixels_that_look_at_the_region_count(capture: Path, narrow: bool) 
     """Oracle: the outline of the box, which has its own test; masks of training views have it
     where they are narrowed, of held-out views always."""
     dataset = load_dataset(DataConfig(source=capture, eval=True))
-    box, cameras = Box(BOX), dataset.scene.cameras
+    box, cameras = RegionBox(BOX), dataset.scene.cameras
     found = RegionPhotos(dataset, box, near=0.01, narrow=narrow)
     assert found.mask_mode == "ignore" and found.test
     for index in (*found.train, *found.test):
@@ -55,9 +55,9 @@ def test_nothing_else_of_photos_is_learnt(capture: Path) -> None:
 
     def trained(kind: type[RegionPhotos]) -> bytes:
         dataset = load_dataset(DataConfig(source=capture))
-        photos = kind(dataset, Box(BOX), near=0.01, narrow=True)
+        photos = kind(dataset, RegionBox(BOX), near=0.01, narrow=True)
         # Exposure and stereo are judged on whole photos elsewhere; here only the loss sees them.
-        trainer = Trainer(ANEW, photos, region=Box(BOX))
+        trainer = Trainer(ANEW, photos, region=RegionBox(BOX))
         for _ in range(30):
             trainer.step()
         return trainer.splats().means.tobytes()
@@ -70,7 +70,7 @@ def test_photos_that_masks_cut_out_are_refused(capture: Path) -> None:
     dataset = load_dataset(DataConfig(source=capture))
     dataset.mask_mode = "composite"
     with pytest.raises(ConfigError, match="mask-mode ignore"):
-        RegionPhotos(dataset, Box(BOX), near=0.01, narrow=True)
+        RegionPhotos(dataset, RegionBox(BOX), near=0.01, narrow=True)
 
 
 def test_a_region_without_points_is_refused(capture: Path) -> None:
@@ -80,8 +80,8 @@ def test_a_region_without_points_is_refused(capture: Path) -> None:
     far = np.eye(4)
     far[:3, 3] = 100 * direction
     with pytest.raises(DatasetError, match="points of the capture lies in the region"):
-        RegionPhotos(dataset, Box(far), near=0.01, narrow=True)
-    assert RegionPhotos(dataset, Box(far), near=0.01).train
+        RegionPhotos(dataset, RegionBox(far), near=0.01, narrow=True)
+    assert RegionPhotos(dataset, RegionBox(far), near=0.01).train
 
 
 def test_another_region_does_not_go_on(

@@ -14,8 +14,8 @@ from gscore.formats import read_splats
 from gscore.metrics import evaluate
 from gscore.presets import preview
 from gscore.raster.api import render
-from gscore.trainer.region.box import Box
-from gscore.trainer.region.photos import RegionPhotos
+from gscore.trainer.region.region_box import RegionBox
+from gscore.trainer.region.region_photos import RegionPhotos
 from gscore.trainer.run import train
 
 pytestmark = [
@@ -53,7 +53,7 @@ def test_a_region_of_plush_gets_better_and_the_rest_stays(tmp_path: Path) -> Non
 
     dataset = load_dataset(data)
     cameras = dataset.scene.cameras
-    judged = RegionPhotos(dataset, Box.read(region), near=config.near)
+    judged = RegionPhotos(dataset, RegionBox.read(region), near=config.near)
 
     def worth(splats: object, photos: object, key: str) -> float:
         def picture(i: int) -> np.ndarray:

@@ -15,13 +15,13 @@ from gscore.datasets import load_dataset
 from gscore.errors import ConfigError, DatasetError, FormatError
 from gscore.formats import read_splats, write_splat_file
 from gscore.io.region_file import read_region, write_region
-from gscore.raster.painter import Painter
 from gscore.raster.request import Settings
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer.files import checkpoint
-from gscore.trainer.region.box import Box
-from gscore.trainer.region.narrow import tiles_of_splats
-from gscore.trainer.region.photos import RegionPhotos
+from gscore.trainer.region.region_box import RegionBox
+from gscore.trainer.region.region_photos import RegionPhotos
+from gscore.trainer.region.region_tiles import tiles_of_splats
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
@@ -37,7 +37,7 @@ def start(known_splats: Splats, tmp_path: Path) -> Path:
     """What the pictures show, with wrong colours in the box."""
     rng = np.random.default_rng(4)
     wrong = known_splats.sh0 + 0.3 * rng.normal(size=known_splats.sh0.shape)
-    inside = Box(TURNED).holds(known_splats.means)[:, None, None]
+    inside = RegionBox(TURNED).holds(known_splats.means)[:, None, None]
     wrong = np.where(inside, wrong, known_splats.sh0).astype(np.float32)
     path = tmp_path / "start.ply"
     write_splat_file(path, replace(known_splats, sh0=wrong))
@@ -78,9 +78,9 @@ def test_what_stands_around_a_region_keeps_its_bits(
     assert after.shN[:count, :rest].tobytes() == before.shN[outside].tobytes()
     assert not after.shN[:count, rest:].any()
     inside = after.means[count:]
-    assert np.abs(Box(TURNED).to_unit[:3, :3] @ inside.T + Box(TURNED).to_unit[:3, 3:]).max() < (
-        1 + 1e-5
-    )
+    assert np.abs(
+        RegionBox(TURNED).to_unit[:3, :3] @ inside.T + RegionBox(TURNED).to_unit[:3, 3:]
+    ).max() < (1 + 1e-5)
     assert len(after) > len(before)  # it grew
     assert bits(result.splats) == bits(after)
     assert json.loads((tmp_path / "out/metrics.json").read_text())["splats"] == len(after)
@@ -98,7 +98,7 @@ def test_a_region_goes_on_bit_by_bit(
     photos.mask_mode = "ignore"
 
     def made() -> Trainer:
-        return Trainer(config, photos, start=known_splats, region=Box(TURNED))
+        return Trainer(config, photos, start=known_splats, region=RegionBox(TURNED))
 
     def state(trainer: Trainer) -> tuple[Any, Any]:
         return {k: t.numpy().tobytes() for k, t in trainer.tensors().items()}, trainer.state()
@@ -115,7 +115,9 @@ def test_a_region_goes_on_bit_by_bit(
         while resumed.steps < 60:
             resumed.step()
         assert state(resumed) == state(whole)
-    moved = Trainer(config, photos, start=known_splats, region=Box(TURNED @ np.diag([2, 1, 1, 1])))
+    moved = Trainer(
+        config, photos, start=known_splats, region=RegionBox(TURNED @ np.diag([2, 1, 1, 1]))
+    )
     with pytest.raises(ConfigError, match="another region"):
         checkpoint.check_same_region(found, moved)
 
@@ -149,11 +151,13 @@ def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
     """Oracle: the rasterizer, drawing the region's splats alone: no opacity outside the tiles."""
     config = replace(CONFIG, start_splats=Path("a.ply"), region=Path("r"))
     small = replace(known_splats, scales=known_splats.scales - np.float32(2))
-    trainer = Trainer(config, photos, start=small, region=Box(TURNED @ np.diag([0.7, 0.7, 0.7, 1])))
+    trainer = Trainer(
+        config, photos, start=small, region=RegionBox(TURNED @ np.diag([0.7, 0.7, 0.7, 1]))
+    )
     params, hidden = trainer.model.params, 0
     for index in photos.train:
-        view = trainer.sight.view(index)
-        alpha = Painter().draw(tuple(params.values()), view, Settings()).alpha.numpy()
+        view = trainer.renderer.view(index)
+        alpha = TrainingRasterizer().draw(tuple(params.values()), view, Settings()).alpha.numpy()
         tiles = tiles_of_splats(params, view)
         shown = np.repeat(np.repeat(tiles, 16, axis=0), 16, axis=1)
         shown = shown[: view.height, : view.width]
@@ -173,8 +177,8 @@ def test_tiles_of_splats_anywhere_before_a_camera(photos: Any) -> None:
         params["scales"][:] = params["scales"].new_tensor(rng.normal(-3, 1.5, size=3))
         params["quats"][:] = params["quats"].new_tensor(rng.normal(size=4))
         params["opacities"][:] = 8.0
-        view = trainer.sight.view(int(rng.integers(len(photos.train))))
-        alpha = Painter().draw(tuple(params.values()), view, Settings()).alpha.numpy()
+        view = trainer.renderer.view(int(rng.integers(len(photos.train))))
+        alpha = TrainingRasterizer().draw(tuple(params.values()), view, Settings()).alpha.numpy()
         shown = np.repeat(np.repeat(tiles_of_splats(params, view), 16, axis=0), 16, axis=1)
         assert (alpha[shown[: view.height, : view.width] == 0] == 0).all()
 
@@ -183,7 +187,7 @@ def test_the_outline_of_a_box_is_where_points_of_it_are_seen(capture: Path) -> N
     """Oracle: 200,000 points in the box, projected one by one by plain matrices: each lies in the
     outline, and each pixel of it has one, but for a rim."""
     dataset = load_dataset(DataConfig(source=capture))
-    cameras, box = dataset.scene.cameras, Box(TURNED)
+    cameras, box = dataset.scene.cameras, RegionBox(TURNED)
     rng = np.random.default_rng(1)
     points = rng.uniform(-1, 1, size=(200_000, 3)) @ TURNED[:3, :3].T + TURNED[:3, 3]
     for i in range(len(dataset)):
@@ -212,11 +216,11 @@ def test_photos_that_do_not_see_a_region_are_left_out(capture: Path) -> None:
     box = np.diag([0.01, 0.01, 0.01, 1.0])
     ahead = np.linalg.inv(cameras.viewmats[one]) @ [0, 0, 0.05, 1]
     box[:3, 3] = ahead[:3]
-    found = RegionPhotos(dataset, Box(box), near=0.01)
+    found = RegionPhotos(dataset, RegionBox(box), near=0.01)
     assert one in found.train and len(found.train) < len(dataset.train)
     box[:3, 3] = 1e3 * np.linalg.inv(cameras.viewmats[one])[:3, 1]
     with pytest.raises(DatasetError, match="None of the"):
-        RegionPhotos(dataset, Box(box), near=0.01)
+        RegionPhotos(dataset, RegionBox(box), near=0.01)
 
 
 def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
@@ -228,7 +232,7 @@ def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
         matrix = np.eye(4)
         matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * (4.0, 0.02, 0.02)
         matrix[:3, 3] = rng.uniform(-3, 3, 3)
-        box, one = Box(matrix), dataset.test[0]
+        box, one = RegionBox(matrix), dataset.test[0]
         size = int(cameras.widths[one]), int(cameras.heights[one])
         camera = cameras.Ks[one], cameras.viewmats[one], *size
         if not box.may_be_seen(*camera, 0.01):
@@ -248,7 +252,7 @@ def test_a_region_is_judged_by_its_own_pixels(
 
     data = DataConfig(source=capture, eval=True)
     dataset = load_dataset(data)
-    judged = RegionPhotos(dataset, Box(TURNED), near=0.01)
+    judged = RegionPhotos(dataset, RegionBox(TURNED), near=0.01)
     cameras, before = dataset.scene.cameras, read_splats(start)
 
     def picture(i: int) -> np.ndarray:
@@ -299,8 +303,12 @@ def test_a_region_is_read_as_it_was_written(tmp_path: Path) -> None:
     write_region(tmp_path / "a", TURNED)
     assert read_region(tmp_path / "a").tolist() == TURNED.tolist()
     (tmp_path / "b").write_text('{"low": [-1, 0, 2], "high": [1, 4, 3]}')
-    assert Box(read_region(tmp_path / "b")).holds(np.array([[-1, 0, 2], [1, 4, 3]])).all()
-    assert not Box(read_region(tmp_path / "b")).holds(np.array([[0, 2, 1.9], [0, 4.1, 2.5]])).any()
+    assert RegionBox(read_region(tmp_path / "b")).holds(np.array([[-1, 0, 2], [1, 4, 3]])).all()
+    assert (
+        not RegionBox(read_region(tmp_path / "b"))
+        .holds(np.array([[0, 2, 1.9], [0, 4.1, 2.5]]))
+        .any()
+    )
 
 
 def test_what_cannot_be_a_region_run_is_refused(
@@ -311,12 +319,12 @@ def test_what_cannot_be_a_region_run_is_refused(
     away = TURNED.copy()
     away[:3, 3] = 50
     with pytest.raises(ConfigError, match="None of the"):
-        Trainer(config, photos, start=known_splats, region=Box(away))
+        Trainer(config, photos, start=known_splats, region=RegionBox(away))
     rest = np.zeros((len(known_splats), 15, 3), np.float32)
     with pytest.raises(ConfigError, match="--sh-degree 3"):
         Trainer(
             replace(config, sh_degree=1),
             photos,
             start=replace(known_splats, shN=rest),
-            region=Box(TURNED),
+            region=RegionBox(TURNED),
         )

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gscore.trainer.schedule.batches import photos_at_once
+from gscore.trainer.schedule.batch_size import batch_size
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8, 64])
@@ -11,7 +11,7 @@ def test_what_is_due_is_met(size: int) -> None:
     and no step takes more than there are processes."""
     taken, ends = 0, []
     while taken < 101:
-        count = photos_at_once(size, taken, every=(10, 25, 0, -1), marks=(33, 200), end=101)
+        count = batch_size(size, taken, every=(10, 25, 0, -1), marks=(33, 200), end=101)
         assert 1 <= count <= size
         taken += count
         ends.append(taken)
@@ -23,4 +23,4 @@ def test_what_is_due_is_met(size: int) -> None:
 
 def test_a_run_may_go_on_after_its_end() -> None:
     """Oracle: marks and ends that have passed hold nothing up."""
-    assert photos_at_once(4, 100, every=(), marks=(50,), end=100) == 4
+    assert batch_size(4, 100, every=(), marks=(50,), end=100) == 4

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from gscore.config import TrainConfig
+from gscore.trainer.schedule.photo_sizes import photo_size_stages
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.schedule.sizes import stages
 
 
 @pytest.mark.parametrize("coarse", [1.0, 1.1, 2.0, 5.3, 8.0, 40.0])
 def test_there_is_a_stage_for_each_size(coarse: float) -> None:
     """Oracle: sizes a root of 2 apart, and shares of a time, which runs forward."""
-    found = stages(coarse)
+    found = photo_size_stages(coarse)
     assert len(found) == round(2 * np.log2(coarse))
     assert all(0 <= share <= 1 for share in found)
     assert list(found) == sorted(found, reverse=True)

@@ -12,21 +12,21 @@ import torch
 from gscore.config import Strategy, TrainConfig
 from gscore.errors import ConfigError
 from gscore.raster.api import render
-from gscore.raster.painter import Painter
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.scene import Cameras
 from gscore.sh import rgb_to_sh0
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.files import checkpoint
-from gscore.trainer.photos.pyramid import Sized
-from gscore.trainer.photos.views import view_of
-from gscore.trainer.rows.params import tensors_from_splats
+from gscore.trainer.model.conversion import tensors_from_splats
+from gscore.trainer.photos.image_pyramid import SizedView
+from gscore.trainer.photos.view_sampler import training_camera
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.strategy.contribution import (
     Weights,
-    least,
-    most_in_a_view,
-    mostly_hidden,
+    lowest_rows,
+    max_contribution,
+    mostly_masked,
     weights_by_view,
 )
 from gscore.trainer.trainer import Trainer
@@ -43,10 +43,12 @@ def weights_of(
         mask = None if masks is None else masks[i]
         blank = np.zeros((h, w, 3), np.uint8)
         shown.append(
-            Sized(view_of(cameras.viewmats[i], cameras.Ks[i], w, h, 0.01), blank, mask, None)
+            SizedView(
+                training_camera(cameras.viewmats[i], cameras.Ks[i], w, h, 0.01), blank, mask, None
+            )
         )
     weights = weights_by_view(
-        Painter(),
+        TrainingRasterizer(),
         params,
         shown,
         antialias=False,
@@ -54,7 +56,7 @@ def weights_of(
         scratch={name: torch.zeros_like(p) for name, p in params.items()},
         threads=threads,
     )
-    return most_in_a_view(weights, len(splats)).numpy()
+    return max_contribution(weights, len(splats)).numpy()
 
 
 def slowly(splats: Splats, cameras: Cameras, masks: list[Any] | None = None) -> np.ndarray:
@@ -116,7 +118,7 @@ def test_weights_do_not_depend_on_threads(photos: Any, known_splats: Splats) -> 
 def test_least_takes_the_first_of_equals() -> None:
     """Oracle: by hand."""
     weights = torch.tensor([3.0, 0.0, 1.0, 0.0, 1.0])
-    taken = [least(weights, n).nonzero().flatten().tolist() for n in range(6)]
+    taken = [lowest_rows(weights, n).nonzero().flatten().tolist() for n in range(6)]
     assert taken == [[], [1], [1, 3], [1, 2, 3], [1, 2, 3, 4], [0, 1, 2, 3, 4]]
 
 
@@ -150,7 +152,7 @@ def test_the_least_useful_go_when_refinements_are_over(photos: Any, strategy: St
     assert result.change.removed - unpruned.change.removed == most - round(0.6 * most)
     weights = torch.from_numpy(weights_of(whole.splats(), photos.scene.cameras))
     dropped = most - round(0.6 * most)
-    kept = (~least(weights, dropped)).nonzero().flatten()
+    kept = (~lowest_rows(weights, dropped)).nonzero().flatten()
     # Weights in world units and at full size differ by rounding: nearly the same rows stay.
     ours = {row.numpy().tobytes() for row in trainer.model.params["means"]}
     theirs = {row.numpy().tobytes() for row in whole.model.params["means"][kept]}
@@ -220,8 +222,8 @@ def test_mostly_hidden_counts_all_views() -> None:
         Weights(torch.tensor([0.0, 1.0, 0.0, 0.5]), torch.tensor([8.0, 8.0, 0.0, 1.0])),
         Weights(torch.tensor([0.3, 1.0, 0.0, 0.0]), torch.tensor([2.0, 2.0, 0.0, 9.0])),
     ]
-    assert mostly_hidden(weights, 4, share=0.05).tolist() == [True, False, False, False]
-    assert mostly_hidden(weights, 4, share=0.06).tolist() == [True, False, False, True]
+    assert mostly_masked(weights, 4, share=0.05).tolist() == [True, False, False, False]
+    assert mostly_masked(weights, 4, share=0.06).tolist() == [True, False, False, True]
 
 
 def hidden_left_half(photos: Any, mode: str = "ignore") -> Any:
@@ -285,6 +287,6 @@ def test_when_hidden_splats_go() -> None:
     """Oracle: by hand."""
     config = TrainConfig(iterations=1500, refine_every=100)
     plan = Plan.of(config, extent=1.0, points=100, side=300, pixels=90000)
-    assert [step for step in range(1, 1501) if plan.unveils_at(step)] == [500, 1000]
+    assert [step for step in range(1, 1501) if plan.prunes_masked_at(step)] == [500, 1000]
     plan = Plan.of(replace(config, iterations=2000), extent=1.0, points=100, side=300, pixels=90000)
-    assert [step for step in range(1, 2001) if plan.unveils_at(step)] == [700, 1400]
+    assert [step for step in range(1, 2001) if plan.prunes_masked_at(step)] == [700, 1400]

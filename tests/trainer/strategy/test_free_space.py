@@ -16,10 +16,10 @@ from gscore.scene import PointCloud
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import session
 from gscore.trainer.files import checkpoint
-from gscore.trainer.rows.near import Nearest
+from gscore.trainer.model.nearest_points import NearestPoints
 from gscore.trainer.run import train
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy import free_space, removal
+from gscore.trainer.strategy import free_space, pruning
 from gscore.trainer.strategy.free_space import FreeSpace
 from gscore.trainer.trainer import Trainer
 
@@ -47,7 +47,7 @@ def test_balls_are_those_of_the_definition(offset: float) -> None:
     means[6] = torch.inf
     expected = slowly(means.double().numpy(), cameras, points, 0.6)
     assert 20 < expected.sum() < 980
-    space = FreeSpace(cameras, Nearest(points), share=0.6)
+    space = FreeSpace(cameras, NearestPoints(points), share=0.6)
     assert space.holds(means).numpy().tolist() == expected.tolist()
     many = means.repeat(200, 1)
     assert space.holds(many).numpy().tolist() == expected.tolist() * 200
@@ -57,12 +57,12 @@ def test_what_tells_nothing_frees_nothing() -> None:
     """Oracle: the definition; points that are no numbers do not count."""
     rng = np.random.default_rng(0)
     points, camera, here = rng.normal(size=(600, 3)) + 5, np.zeros((1, 3)), torch.zeros(1, 3)
-    assert FreeSpace(camera, Nearest(points), share=0.4).holds(here).all()
-    assert not FreeSpace(camera, Nearest(points), share=0.0).holds(here).any()
-    assert not FreeSpace(camera, Nearest(points[:499]), share=0.4).holds(here).any()
+    assert FreeSpace(camera, NearestPoints(points), share=0.4).holds(here).all()
+    assert not FreeSpace(camera, NearestPoints(points), share=0.0).holds(here).any()
+    assert not FreeSpace(camera, NearestPoints(points[:499]), share=0.4).holds(here).any()
     points[:101] = np.nan
-    assert not FreeSpace(camera, Nearest(points), share=0.4).holds(here).any()
-    assert not FreeSpace(camera[:0], Nearest(points), share=0.4).holds(here).any()
+    assert not FreeSpace(camera, NearestPoints(points), share=0.4).holds(here).any()
+    assert not FreeSpace(camera[:0], NearestPoints(points), share=0.4).holds(here).any()
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Str
     start = with_walls(known_splats, known)
     trainer = Trainer(config, known, start=start)
     removed = [trainer.step().change.removed for _ in range(40)]
-    assert trainer.removal.around.count == walls == removed[9]
+    assert trainer.pruner.around.count == walls == removed[9]
     centers, near = known.scene.cameras.centers, trainer.splats().means[:, None]
     assert np.linalg.norm(near - centers, axis=2).min() > 0.2
     assert len(trainer.model) >= len(known_splats) - 5
@@ -109,7 +109,7 @@ def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Str
     for _ in range(40):
         left.step()
     near = np.linalg.norm(left.splats().means[:, None] - centers, axis=2).min(axis=0)
-    assert left.removal.around.count == 0 and (near < 0.2).all()
+    assert left.pruner.around.count == 0 and (near < 0.2).all()
 
 
 def test_clearing_goes_on_to_the_end_and_after_a_resume(
@@ -125,7 +125,7 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
             ahead = whole.frame.similarity.points_to_training(known.scene.cameras.centers)
             whole.model.params["means"][:walls] = torch.from_numpy(ahead + 1e-3).float()
             checkpoint.save(tmp_path / "25.safetensors", whole, {})
-    assert whole.removal.around.count == 2 * walls
+    assert whole.pruner.around.count == 2 * walls
     found = checkpoint.load(tmp_path / "25.safetensors")
     resumed = Trainer(replace(config, threads=2), known, start=known_splats)
     resumed.restore(found.trainer, found.tensors)
@@ -148,15 +148,15 @@ def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Spla
         trainer.step()
     assert (
         len(trainer.model) == walls
-        and trainer.removal.around.count == 0
-        and trainer.removal.around.crowded
+        and trainer.pruner.around.count == 0
+        and trainer.pruner.around.crowded
     )
     resumed = Trainer(config, known, start=start)
     resumed.restore(trainer.state(), dict(trainer.tensors()))
     resumed.model.params["means"][1:] = 0.0
     while resumed.steps < 40:
         resumed.step()
-    assert resumed.removal.around.crowded and resumed.removal.around.count == 0
+    assert resumed.pruner.around.crowded and resumed.pruner.around.count == 0
 
 
 def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) -> None:
@@ -173,7 +173,7 @@ def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) 
         trainer = Trainer(config, known, start=start, points=points)
         for _ in range(10):
             trainer.step()
-        assert trainer.removal.around.count == gone
+        assert trainer.pruner.around.count == gone
 
 
 def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None:
@@ -183,7 +183,7 @@ def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None
     trainer = Trainer(config, seven, start=with_walls(known_splats, known))
     for _ in range(10):
         trainer.step()
-    assert trainer.removal.around.count == 7
+    assert trainer.pruner.around.count == 7
 
 
 def test_many_cleared_splats_are_told(
@@ -197,7 +197,7 @@ def test_many_cleared_splats_are_told(
     assert told.startswith("8 splats")
     monkeypatch.setattr(session, "_MANY_CLEARED", 0.06)
     assert not told_by(config, capture, tmp_path / "few")
-    monkeypatch.setattr(removal, "_CROWD", 0.04)
+    monkeypatch.setattr(pruning, "_CROWD", 0.04)
     (told,) = told_by(config, capture, tmp_path / "crowd")
     assert told.startswith("Many splats stand")
     assert not told_by(replace(config, free_space=0.0), capture, tmp_path / "anywhere")
@@ -214,7 +214,7 @@ def test_when_it_clears() -> None:
     """Oracle: by hand; refinements from step 15 to 20 only."""
     config = replace(CONFIG, iterations=35, refine_start=15)
     plan = Plan.of(config, extent=1.0, points=100, side=100, pixels=10_000)
-    assert [step for step in range(1, 36) if plan.clears_at(step)] == [10, 20, 30, 35]
+    assert [step for step in range(1, 36) if plan.prunes_free_space_at(step)] == [10, 20, 30, 35]
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0, np.nan])

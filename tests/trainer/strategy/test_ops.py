@@ -9,8 +9,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from gscore.splats import PARAMETERS
-from gscore.trainer.rows.model import Model
-from gscore.trainer.strategy import ops
+from gscore.trainer.model.model import Model
+from gscore.trainer.strategy import row_ops
 
 Make = Callable[..., Model]
 
@@ -26,7 +26,7 @@ def test_edit_keeps_and_appends_in_every_tensor(marked_model: Make) -> None:
     """Oracle: numpy fancy indexing of the marks."""
     model, before = marked_model(6), marked_model(6)
     keep = torch.tensor([4, 0, 5])
-    ops.edit(model, keep=keep, append=ops.duplicate(before, torch.tensor([1, 3])))
+    row_ops.edit(model, keep=keep, append=row_ops.duplicate(before, torch.tensor([1, 3])))
     assert len(model) == 5
     for name in PARAMETERS:
         got, was = rows_of(model, name), rows_of(before, name)
@@ -41,7 +41,7 @@ def test_edit_keeps_and_appends_in_every_tensor(marked_model: Make) -> None:
 def test_edited_parameters_are_those_that_the_optimizer_steps(marked_model: Make) -> None:
     """Oracle: Adam moves against the gradient; a parameter it lost would stay."""
     model = marked_model(4)
-    ops.edit(model, keep=torch.tensor([2, 3]))
+    row_ops.edit(model, keep=torch.tensor([2, 3]))
     before = {name: p.clone() for name, p in model.params.items()}
     for name in PARAMETERS:
         model.moments(name)[0].zero_()
@@ -56,9 +56,9 @@ def test_edited_parameters_are_those_that_the_optimizer_steps(marked_model: Make
 def test_edit_to_zero_rows_and_back(marked_model: Make) -> None:
     """Oracle: an empty model is a model."""
     model, other = marked_model(3), marked_model(3)
-    ops.edit(model, keep=torch.zeros(0, dtype=torch.int64))
+    row_ops.edit(model, keep=torch.zeros(0, dtype=torch.int64))
     assert len(model) == 0
-    ops.edit(model, append=ops.duplicate(other, torch.tensor([1])))
+    row_ops.edit(model, append=row_ops.duplicate(other, torch.tensor([1])))
     assert rows_of(model, "means")[0].tolist() == [[1, 1, 1]]
 
 
@@ -76,11 +76,11 @@ def test_rows_by_place_follow_a_morton_curve() -> None:
     means = torch.from_numpy(cells * 0.25).float()
     means[:3000] += 0.1  # well inside of cells of side 0.25
     expected = np.argsort(codes, kind="stable")
-    np.testing.assert_array_equal(ops.by_place(means).numpy(), expected)
+    np.testing.assert_array_equal(row_ops.by_place(means).numpy(), expected)
     means[7] = math.nan
-    assert sorted(ops.by_place(means).tolist()) == list(range(len(means)))
-    assert ops.by_place(torch.zeros(0, 3)).tolist() == []
-    assert ops.by_place(torch.ones(3, 3)).tolist() == [0, 1, 2]
+    assert sorted(row_ops.by_place(means).tolist()) == list(range(len(means)))
+    assert row_ops.by_place(torch.zeros(0, 3)).tolist() == []
+    assert row_ops.by_place(torch.ones(3, 3)).tolist() == [0, 1, 2]
 
 
 def test_split_draws_from_the_splat(marked_model: Make) -> None:
@@ -92,7 +92,7 @@ def test_split_draws_from_the_splat(marked_model: Make) -> None:
     model.replace("quats", quat * 3, zeros, zeros)
     model.replace("scales", scale.log(), torch.zeros(1, 3), torch.zeros(1, 3))
     many = torch.zeros(20_000, dtype=torch.int64)
-    children = ops.split(model, many, torch.Generator().manual_seed(0))
+    children = row_ops.split(model, many, torch.Generator().manual_seed(0))
     assert len(children["means"]) == 40_000
     torch.testing.assert_close(children["scales"][7], (scale[0] / 1.6).log())
     w, x, y, z = (quat[0] / quat[0].norm()).tolist()
@@ -116,7 +116,7 @@ def test_halves_lie_side_by_side_along_the_longest_axis(marked_model: Make) -> N
     model.replace("quats", quats * 3, torch.zeros(2, 4), torch.zeros(2, 4))
     model.replace("scales", scales.log(), torch.zeros(2, 3), torch.zeros(2, 3))
     before = {name: p.clone() for name, p in model.params.items()}
-    halves = ops.halve(model, torch.tensor([0, 1]))
+    halves = row_ops.halve(model, torch.tensor([0, 1]))
     assert all((p == before[name]).all() for name, p in model.params.items())
     for row in range(2):
         R = Rotation.from_quat(quats[row].numpy(), scalar_first=True).as_matrix()
@@ -125,13 +125,13 @@ def test_halves_lie_side_by_side_along_the_longest_axis(marked_model: Make) -> N
         offsets = (halves["means"][row::2] - before["means"][row]).numpy()
         np.testing.assert_allclose(offsets[0], -offsets[1], atol=1e-6)
         along = abs(offsets[0] @ vectors[:, 2])
-        np.testing.assert_allclose(along, ops.HALF_OFFSET * np.sqrt(values[2]), rtol=1e-4)
+        np.testing.assert_allclose(along, row_ops.HALF_OFFSET * np.sqrt(values[2]), rtol=1e-4)
         np.testing.assert_allclose(np.linalg.norm(offsets[0]), along, rtol=1e-5)
         factors = (halves["scales"][row::2] - before["scales"][row]).exp()
-        expected = np.full((2, 3), ops.HALF_WIDTH)
-        expected[:, scales[row].argmax()] = ops.HALF_LENGTH
+        expected = np.full((2, 3), row_ops.HALF_WIDTH)
+        expected[:, scales[row].argmax()] = row_ops.HALF_LENGTH
         np.testing.assert_allclose(factors.numpy(), expected, rtol=1e-5)
-        opacity = ops.HALF_OPACITY * torch.sigmoid(before["opacities"][row])
+        opacity = row_ops.HALF_OPACITY * torch.sigmoid(before["opacities"][row])
         torch.testing.assert_close(torch.sigmoid(halves["opacities"][row::2]), opacity.expand(2))
         for name in ("quats", "sh0", "shN"):
             torch.testing.assert_close(halves[name][row::2], before[name][[row, row]])
@@ -142,7 +142,7 @@ def test_halves_of_splats_without_bounds_are_numbers(marked_model: Make) -> None
     model = marked_model(2)
     model.params["opacities"].copy_(torch.tensor([-200.0, 200.0]))
     model.params["scales"].zero_()
-    halves = ops.halve(model, torch.tensor([0, 1]))
+    halves = row_ops.halve(model, torch.tensor([0, 1]))
     assert all(rows.isfinite().all() for rows in halves.values())
 
 
@@ -150,7 +150,7 @@ def test_reset_opacities_lowers_only(marked_model: Make) -> None:
     """Oracle: minimum of the opacity and the ceiling."""
     model = marked_model(3)
     model.params["opacities"].data = torch.tensor([-8.0, 0.0, 5.0])
-    ops.reset_opacities(model, 0.01)
+    row_ops.reset_opacities(model, 0.01)
     expected = [1 / (1 + math.exp(8)), 0.01, 0.01]
     got = torch.sigmoid(model.params["opacities"])
     np.testing.assert_allclose(got.numpy(), expected, rtol=1e-6)
@@ -161,12 +161,12 @@ def test_reset_opacities_lowers_only(marked_model: Make) -> None:
 def test_widen_sh_adds_zeros_behind(marked_model: Make) -> None:
     """Oracle: the old coefficients first, then zeros, in parameter and moments."""
     model, before = marked_model(2), marked_model(2)
-    ops.widen_sh(model, 2)
+    row_ops.widen_sh(model, 2)
     assert model.sh_degree == 2
     for got, was in zip(rows_of(model, "shN"), rows_of(before, "shN"), strict=True):
         np.testing.assert_array_equal(got[:, :9], was)
         assert not got[:, 9:].any()
-    ops.widen_sh(model, 1)
+    row_ops.widen_sh(model, 1)
     assert model.sh_degree == 2
 
 
@@ -175,7 +175,7 @@ def test_shared_opacity_scale_is_equation_9(copies: int) -> None:
     """Oracle: the double sum of the paper, term by term, and equal opacity at the centre."""
     opacity = np.array([0.005, 0.3, 0.9, 0.9999999])
     scale = np.array([[1.0, 2.0, 3.0]]).repeat(4, axis=0)
-    new, shrunk = ops.shared_opacity_scale(opacity, scale, np.full(4, copies))
+    new, shrunk = row_ops.shared_opacity_scale(opacity, scale, np.full(4, copies))
     np.testing.assert_allclose(1 - (1 - new) ** copies, opacity, rtol=1e-9)
     for row in range(4):
         total = 0.0
@@ -192,7 +192,7 @@ def test_relocate_moves_the_dead_onto_the_living(marked_model: Make) -> None:
     opacity = torch.tensor([0.001, 0.8, 0.002, 0.001])
     model.params["opacities"].data = torch.logit(opacity)
     dead = opacity < 0.005
-    moved = ops.relocate(model, dead, torch.Generator().manual_seed(0), min_opacity=0.005)
+    moved = row_ops.relocate(model, dead, torch.Generator().manual_seed(0), min_opacity=0.005)
     assert moved == 3
     for name in PARAMETERS:
         value, first, second = rows_of(model, name)
@@ -209,7 +209,7 @@ def test_relocate_without_work_changes_nothing(marked_model: Make, dead: list[bo
     """Oracle: no dead or no live splats leave every bit as it was."""
     model, before = marked_model(2), marked_model(2)
     generator = torch.Generator().manual_seed(0)
-    assert ops.relocate(model, torch.tensor(dead), generator, min_opacity=0.005) == 0
+    assert row_ops.relocate(model, torch.tensor(dead), generator, min_opacity=0.005) == 0
     for name in PARAMETERS:
         for got, was in zip(rows_of(model, name), rows_of(before, name), strict=True):
             np.testing.assert_array_equal(got, was)
@@ -220,7 +220,7 @@ def test_grow_draws_by_opacity(marked_model: Make) -> None:
     model = marked_model(3)
     opacity = np.array([0.1, 0.3, 0.6])
     model.params["opacities"].data = torch.logit(torch.tensor(opacity, dtype=torch.float32))
-    added = ops.grow(model, 10_000, torch.Generator().manual_seed(0), min_opacity=1e-6)
+    added = row_ops.grow(model, 10_000, torch.Generator().manual_seed(0), min_opacity=1e-6)
     assert added == 10_000
     assert len(model) == 10_003
     marks = model.params["means"][3:, 0].long().numpy()
@@ -234,8 +234,8 @@ def test_grow_survives_rows_that_are_not_finite(marked_model: Make) -> None:
     """Oracle: NaN opacities are never drawn; if nothing else is left, any row is."""
     model = marked_model(2)
     model.params["opacities"].data = torch.tensor([math.nan, 0.0])
-    ops.grow(model, 20, torch.Generator().manual_seed(0), min_opacity=0.005)
+    row_ops.grow(model, 20, torch.Generator().manual_seed(0), min_opacity=0.005)
     assert (model.params["means"][2:] == 1).all()
     model = marked_model(2)
     model.params["opacities"].data = torch.tensor([math.nan, math.nan])
-    assert ops.grow(model, 3, torch.Generator().manual_seed(0), min_opacity=0.005) == 3
+    assert row_ops.grow(model, 3, torch.Generator().manual_seed(0), min_opacity=0.005) == 3

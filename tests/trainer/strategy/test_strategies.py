@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from gscore.config import Doubling, Strategy, TrainConfig
-from gscore.trainer.rows.model import Model
+from gscore.trainer.model.model import Model
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy import Change, DrawnView, Policy, make_strategy, ops
+from gscore.trainer.strategy import Change, DrawnView, Policy, make_strategy, row_ops
 from gscore.trainer.strategy.default import DefaultStrategy
 from gscore.trainer.strategy.mcmc import MCMCStrategy
 
@@ -107,7 +107,7 @@ def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
     """Oracle: along a line the Morton order is that of the coordinates; all of a row moves."""
     model = opaque(marked_model(6), 0.005)
     order = torch.tensor([4, 0, 5, 2, 1, 3])
-    ops.edit(model, keep=order)
+    row_ops.edit(model, keep=order)
     strategy = default(CONFIG, model)
     see(strategy, model, [0.0] * 6)
     assert not refine(strategy, model, 10)
@@ -140,7 +140,7 @@ def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None
 def test_transparent_and_broken_splats_go(marked_model: Make) -> None:
     """Oracle: opacity below 0.005, NaN opacity and a zero quaternion cannot be seen."""
     model = opaque(marked_model(5), 0.005)
-    model.params["opacities"].data[1] = ops.logit(0.004)
+    model.params["opacities"].data[1] = row_ops.logit(0.004)
     model.params["opacities"].data[2] = math.nan
     model.params["quats"].data[3] = 0
     strategy = default(CONFIG, model)
@@ -274,13 +274,13 @@ def test_mcmc_noise_moves_faint_splats_along_their_shape(marked_model: Make) -> 
     model.params["means"].data.zero_()
     model.params["quats"].data[:] = torch.tensor([0.9, 0.3, -0.2, 0.4])
     model.params["scales"].data[:] = torch.tensor([0.5, 0.2, 0.1]).log()
-    model.params["opacities"].data[:] = ops.logit(0.01)
+    model.params["opacities"].data[:] = row_ops.logit(0.01)
     model.params["opacities"].data[: n // 2] = 2.0
     after(strategy, model, 1, n, means_lr=0.1)
     means = model.params["means"].double().numpy()
     assert not means[: n // 2].any()
     gate = 1 / (1 + math.exp(100 * (0.01 - 0.005)))
-    axes = ops.rotate(model.params["quats"][:3], torch.eye(3)).double().numpy().T
+    axes = row_ops.rotate(model.params["quats"][:3], torch.eye(3)).double().numpy().T
     sigma = axes @ np.diag([0.25, 0.04, 0.01]) @ axes.T
     expected = (gate * 10.0 * 0.1) ** 2 * sigma @ sigma
     found = np.cov(means[n // 2 :].T)

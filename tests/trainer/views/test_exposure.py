@@ -13,8 +13,8 @@ from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.tracks import tracks_of
 from gscore.events import Started
-from gscore.io.pictures.exposure_exif import stated_exposure
-from gscore.io.pictures.images import read_image
+from gscore.io.images.exposure_exif import stated_exposure
+from gscore.io.images.read_image import read_image
 from gscore.trainer.run import train
 from gscore.trainer.views.exposure import (
     FAR_STOPS,
@@ -211,9 +211,9 @@ def test_exposed_photos_are_measured_as_photos(capture: Path, tmp_path: Path) ->
     config = TrainConfig(
         iterations=300, max_splats=300, exposure=Switch.ON, exposure_lr=0.05, sh_degree=0
     )
-    learnt = train(config, DataConfig(source=dark), tmp_path / "on").psnr
+    photo_parameters = train(config, DataConfig(source=dark), tmp_path / "on").psnr
     plain = train(
         replace(config, exposure=Switch.OFF), DataConfig(source=dark), tmp_path / "off"
     ).psnr
-    assert learnt is not None and plain is not None
-    assert learnt > plain + 2
+    assert photo_parameters is not None and plain is not None
+    assert photo_parameters > plain + 2

@@ -11,13 +11,13 @@ import torch
 
 from gscore.config import Background
 from gscore.raster.loss import image_loss_gradient
-from gscore.raster.painter import Painter
 from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum, Settings
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
-from gscore.trainer.views.adam import rate_at
-from gscore.trainer.views.gains import PhotoGains, behind, without_background
+from gscore.trainer.views.photo_adam import rate_at
+from gscore.trainer.views.photo_gains import PhotoGains, background_before_gain, without_background
 from tests.trainer.short_run import CONFIG
 
 BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
@@ -102,14 +102,16 @@ def test_the_chain_from_the_loss_to_a_gain(known_splats: Any, photos: Any, mode:
     )
     options = {"mask": mask, "mask_mode": mode, "background": background}
 
-    painter = Painter()
-    shown = behind(background, gain) if mode == "composite" else background
-    picture = painter.draw(raw, view, Settings(background=shown))
+    rasterizer = TrainingRasterizer()
+    shown = background_before_gain(background, gain) if mode == "composite" else background
+    picture = rasterizer.draw(raw, view, Settings(background=shown))
     v_rgb = torch.empty_like(picture.rgb)
     found = image_loss_gradient(picture.rgb, target, v_rgb, gain=gain, **options)
-    learnt = found.v_log_gain
+    photo_parameters = found.v_log_gain
     if mode == "composite":
-        learnt = without_background(learnt, background, gain, v_rgb, picture.alpha)
+        photo_parameters = without_background(
+            photo_parameters, background, gain, v_rgb, picture.alpha
+        )
 
     def loss_of(log_gain: torch.Tensor) -> torch.Tensor:
         by = log_gain.exp()
@@ -129,7 +131,7 @@ def test_the_chain_from_the_loss_to_a_gain(known_splats: Any, photos: Any, mode:
     at = gain.double().log().requires_grad_()
     loss_of(at).backward()
     assert at.grad is not None
-    assert torch.tensor(learnt).double() == pytest.approx(at.grad, abs=1e-5)
+    assert torch.tensor(photo_parameters).double() == pytest.approx(at.grad, abs=1e-5)
     step = 1e-5
     for c in range(3):
         aside = torch.zeros(3, dtype=torch.float64)
@@ -162,8 +164,8 @@ def test_gains_of_photos_are_found(make_photos: Callable[..., Any]) -> None:
     trainer = Trainer(config, photos, gains=PhotoGains(photos.train, np.zeros((8, 3))))
     for _ in range(config.iterations):
         trainer.step()
-    assert trainer.learnt.gains is not None
-    apart = np.abs(trainer.learnt.gains.log_gains - truth)[plain.train]
+    assert trainer.photo_parameters.gains is not None
+    apart = np.abs(trainer.photo_parameters.gains.log_gains - truth)[plain.train]
     assert apart.max() < 0.1
     assert apart.mean() < 0.6 * np.abs(truth[plain.train]).mean()
 
@@ -205,7 +207,7 @@ def test_a_run_that_began_without_goes_on_without(photos: Any) -> None:
     other.restore(state, tensors)
     plain.step()
     other.step()
-    assert other.learnt.gains is None
+    assert other.photo_parameters.gains is None
     assert torch.equal(other.model.params["means"], plain.model.params["means"])
 
 

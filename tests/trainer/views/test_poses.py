@@ -12,14 +12,20 @@ from scipy.linalg import expm
 
 from gscore.config import Background
 from gscore.raster.loss import image_loss_gradient
-from gscore.raster.painter import Painter
 from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum
+from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
-from gscore.trainer.views.motion import after_motion, apart, centers, cross_matrix, slope
-from gscore.trainer.views.placing import Placing
-from gscore.trainer.views.poses import PhotoPoses
+from gscore.trainer.views.photo_poses import PhotoPoses
+from gscore.trainer.views.pose_check import PoseCheck
+from gscore.trainer.views.pose_math import (
+    centers,
+    cross_matrix,
+    moved_pose,
+    pose_distances,
+    pose_gradient,
+)
 from tests.trainer.short_run import CONFIG
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -32,7 +38,7 @@ def disturbed(photos: Any, *, degrees: float, shift: float, seed: int = 0) -> np
     for i in photos.train:
         axis, way = rng.normal(size=(2, 3))
         axis *= np.radians(degrees) / np.linalg.norm(axis)
-        out[i] = after_motion(out[i], np.concatenate([axis, way * shift / np.linalg.norm(way)]))
+        out[i] = moved_pose(out[i], np.concatenate([axis, way * shift / np.linalg.norm(way)]))
     return out
 
 
@@ -42,11 +48,11 @@ def test_a_motion_is_an_exponential(size: float) -> None:
     vector = size * np.array([0.6, -0.48, 0.64])
     pose = np.eye(4)
     pose[:3, 3] = [1.0, 2.0, 3.0]
-    found = after_motion(pose, np.concatenate([vector, [0.1, 0.2, 0.3]]))
+    found = moved_pose(pose, np.concatenate([vector, [0.1, 0.2, 0.3]]))
     turn = expm(cross_matrix(vector))
     np.testing.assert_allclose(found[:3, :3], turn, atol=1e-14)
     np.testing.assert_allclose(found[:3, 3], turn @ [1, 2, 3] + [0.1, 0.2, 0.3], atol=1e-14)
-    angle, distance = apart(found[None], pose[None])
+    angle, distance = pose_distances(found[None], pose[None])
     assert angle[0] == pytest.approx(size, abs=1e-12)
     where = centers(np.stack([found, pose]))
     assert distance[0] == pytest.approx(np.linalg.norm(where[0] - where[1]))
@@ -60,18 +66,18 @@ def test_the_chain_from_the_loss_to_a_motion(known_splats: Any, photos: Any) -> 
     generator = torch.Generator().manual_seed(0)
     target = torch.randint(0, 256, (size, size, 3), generator=generator, dtype=torch.uint8)
     raw = [torch.from_numpy(getattr(known_splats, name)) for name in NAMES]
-    painter, v_viewmat = Painter(), torch.empty(4, 4)
+    rasterizer, v_viewmat = TrainingRasterizer(), torch.empty(4, 4)
     view = Frustum(torch.from_numpy(viewmat).float(), torch.from_numpy(K).float(), size, size)
-    picture = painter.draw(raw, view)
+    picture = rasterizer.draw(raw, view)
     v_rgb = torch.empty_like(picture.rgb)
     image_loss_gradient(picture.rgb, target, v_rgb)
     grads = {name: torch.zeros_like(t) for name, t in zip(NAMES, raw, strict=True)}
-    painter.gradients(grads, v_rgb, viewmat=v_viewmat)
-    found = slope(viewmat, v_viewmat.numpy().astype(np.float64))
+    rasterizer.gradients(grads, v_rgb, viewmat=v_viewmat)
+    found = pose_gradient(viewmat, v_viewmat.numpy().astype(np.float64))
     exact = [t.double() for t in raw]
 
     def loss_of(motion: np.ndarray) -> float:
-        pose = torch.from_numpy(after_motion(viewmat, motion))
+        pose = torch.from_numpy(moved_pose(viewmat, motion))
         out = rasterize_reference(*exact, pose, torch.from_numpy(K), size, size, raw=True)
         return image_loss_reference(out.rgb, target)[0].item()
 
@@ -104,7 +110,7 @@ def test_no_camera_leaves_its_limit(photos: Any) -> None:
     pull[0, 3] = -1.0
     for _ in range(100):
         poses.learn(2, pull, 1e-3)
-    turned, shifted = apart(poses.viewmats, photos.scene.cameras.viewmats)
+    turned, shifted = pose_distances(poses.viewmats, photos.scene.cameras.viewmats)
     assert 0.015 < shifted[2] <= 0.02 + 0.005
     assert turned.max() < 0.02
     turns = poses.viewmats[:, :3, :3]
@@ -132,29 +138,31 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
         pose_lr=3e-3,
     )
 
-    def trained(placing: Placing) -> Trainer:
+    def trained(placing: PoseCheck) -> Trainer:
         trainer = Trainer(config, photos, placing=placing)
         for _ in range(config.iterations):
             trainer.step()
         return trainer
 
-    learnt = trained(Placing(viewmats=wrong, learns=True))
-    kept = trained(Placing(viewmats=wrong))
-    similarity = learnt.frame.similarity
+    photo_parameters = trained(PoseCheck(viewmats=wrong, learns=True))
+    kept = trained(PoseCheck(viewmats=wrong))
+    similarity = photo_parameters.frame.similarity
     truth = similarity.cameras_to_training(photos.scene.cameras).viewmats
     points = similarity.points_to_training(photos.scene.points.points)
 
     def missed(trainer: Trainer) -> float:
-        assert trainer.learnt.poses is not None
-        seen = [p[:, :2] / p[:, 2:] for p in _local(trainer.learnt.poses.viewmats, points)]
+        assert trainer.photo_parameters.poses is not None
+        seen = [
+            p[:, :2] / p[:, 2:] for p in _local(trainer.photo_parameters.poses.viewmats, points)
+        ]
         true = [p[:, :2] / p[:, 2:] for p in _local(truth, points)]
         off = np.array(seen) - np.array(true)
         slopes = _slopes(truth, points)
         common = np.linalg.lstsq(slopes.reshape(-1, 6), off.ravel(), rcond=None)[0]
         return float(np.sqrt(((off.ravel() - slopes.reshape(-1, 6) @ common) ** 2).mean()))
 
-    assert missed(learnt) < missed(kept) / 2
-    assert learnt.error() < 0.9 * kept.error()
+    assert missed(photo_parameters) < missed(kept) / 2
+    assert photo_parameters.error() < 0.9 * kept.error()
 
 
 def _local(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -168,7 +176,7 @@ def _slopes(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
     for axis in np.eye(6):
         ways = []
         for sign in (step, -step):
-            world = after_motion(np.eye(4), sign * axis)
+            world = moved_pose(np.eye(4), sign * axis)
             local = _local(viewmats @ world, points)
             ways.append(local[..., :2] / local[..., 2:])
         found.append((ways[0] - ways[1]) / (2 * step))
@@ -178,12 +186,12 @@ def _slopes(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
 def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
     """Oracle: the bits of the poses up to `pose_start` and from `pose_stop` on."""
     config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
-    placing = Placing(viewmats=photos.scene.cameras.viewmats, learns=True)
+    placing = PoseCheck(viewmats=photos.scene.cameras.viewmats, learns=True)
     trainer, seen = Trainer(config, photos, placing=placing), []
-    assert trainer.learnt.poses is not None
+    assert trainer.photo_parameters.poses is not None
     for _ in range(60):
         trainer.step()
-        seen.append(trainer.learnt.poses.viewmats.copy())
+        seen.append(trainer.photo_parameters.poses.viewmats.copy())
     assert all((now == seen[0]).all() for now in seen[:14])
     assert not (seen[20] == seen[0]).all()
     assert all((now == seen[-1]).all() for now in seen[30:])
@@ -191,7 +199,7 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
 
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
     """Oracle: all tensors and other state of a run that never stopped, with other threads."""
-    placing = Placing(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
+    placing = PoseCheck(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
     whole = Trainer(replace(CONFIG, threads=1), photos, placing=placing)
     for step in range(1, 61):
         whole.step()

@@ -1,0 +1,174 @@
+"""Where a capture stands: up, ground and size, all in the matrix of its empty."""
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..compat import matrix_to_numpy
+from ..core import offset_between, rotmat_to_quat
+from ..interface import editable_check
+from . import alignment, footprint, sfm_points
+from . import camera_math as cm
+from . import objects as co
+from .lookup import roots_of
+from .objects import cameras_of
+
+UP = "gs_up"
+"""Property of the empty: up in the capture's world, where its files or EXIF state it."""
+HELD_UP = "gs_held_up"
+"""Property of the empty: the same by its cameras, where EXIF says that photos were held turned."""
+ORIGIN = "gs_origin"
+"""Property of an empty, and of splats: the local origin of their world, in the coordinates of the
+capture; None where the property is not there."""
+CLIP_START, CLIP_END = 0.002, 100.0
+"""Clipping distances, in units of the cameras' extent."""
+DISPLAY = 0.2
+"""Length of a camera's drawing, in median distances to the nearest other camera."""
+
+
+def stated_up(root: bpy.types.Object, key: str = UP) -> np.ndarray | None:
+    """[3], up in the world of a capture that states it as `UP` or `HELD_UP`; None: it does not, and
+    its cameras are to tell."""
+    return np.array(root[key][:], np.float64) if key in root else None
+
+
+def origin_of(ob: bpy.types.Object | None) -> np.ndarray | None:
+    """[3] float64, the local origin of the world of an object's capture, or of the file of splats
+    that belong to none; None: it has none."""
+    return noted_origin(co.root_of(ob) or ob)
+
+
+def noted_origin(ob: bpy.types.Object | None) -> np.ndarray | None:
+    """[3] float64, the local origin that an object itself has noted; None: none."""
+    return None if ob is None or ORIGIN not in ob else np.array(ob[ORIGIN][:], np.float64)
+
+
+def note_origin(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
+    """Note a local origin [3]; None: there is none."""
+    ob.pop(ORIGIN, None)
+    if origin is not None:
+        ob[ORIGIN] = origin.tolist()
+
+
+def box_of_capture(box: np.ndarray, ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] a box in the world of an object's capture, in the coordinates of the capture's own
+    files."""
+    out = box.copy()
+    out[:3, 3] += offset_between(origin_of(ob), None)
+    return out
+
+
+def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:
+    """Find up and ground again and put them into a capture's empty, beside other captures; its
+    scale stays.
+
+    Args:
+        root: The empty.
+        up: [3], roughly up in the capture's world; None: from the cameras.
+
+    Raises:
+        ValueError: the capture has no cameras.
+    """
+    cameras = cameras_of(root)
+    if not cameras:
+        raise ValueError(f"{root.name} has no cameras to align by. Import the capture again.")
+    viewmats = np.stack([co.stated(ob).viewmat for ob in cameras])
+    made = co.points_of(root)
+    cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
+    found = alignment.align(viewmats, cloud, up)
+    scale = root_scale(root)
+    matrix = np.diag([scale, scale, scale, 1.0]) @ found.matrix
+    others = [one for scene in root.users_scene for one in roots_of(scene) if one != root]
+    if others:
+        matrix = footprint.place_next_to(matrix, footprint.reach_of(matrix, cameras, made), others)
+    set_root_matrix(root, matrix)
+    return found
+
+
+def world_extent(root: bpy.types.Object) -> float:
+    """Largest distance between two of a capture's cameras, in Blender's units."""
+    cameras = cameras_of(root)
+    viewmats = np.array([co.stated(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
+    return alignment.camera_extent(centers_of(viewmats)) * root_scale(root)
+
+
+def set_extent(root: bpy.types.Object, extent: float) -> None:
+    """Scale a capture about its empty so that its cameras are `extent` Blender units apart at most.
+
+    Raises:
+        ValueError: all cameras stand in one place.
+    """
+    now = world_extent(root)
+    if not (now > 0 and extent > 0):
+        raise ValueError(
+            f"The cameras of {root.name} stand in one place, which gives no scale. Scale the empty."
+        )
+    matrix = matrix_to_numpy(root.matrix_basis)
+    matrix[:3] *= extent / now
+    set_root_matrix(root, matrix)
+    size_drawings(root, cameras_of(root))
+
+
+def reset_root(root: bpy.types.Object) -> None:
+    """Give a capture the axes, origin and scale of its own files back."""
+    set_root_matrix(root, np.eye(4))
+    size_drawings(root, cameras_of(root))
+
+
+def root_scale(root: bpy.types.Object) -> float:
+    """Blender units per unit of the capture's world."""
+    return float(np.cbrt(abs(np.prod(np.array(root.scale[:], np.float64)))))
+
+
+def set_root_matrix(root: bpy.types.Object, matrix: np.ndarray) -> None:
+    """Give an empty a matrix [4, 4] of rotation, one scale and translation."""
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    root.rotation_mode = "QUATERNION"
+    root.location = matrix[:3, 3]
+    root.rotation_quaternion = rotmat_to_quat(matrix[:3, :3] / scale)
+    root.scale = (scale, scale, scale)
+
+
+def centers_of(viewmats: np.ndarray) -> np.ndarray:
+    """Camera positions [C, 3]."""
+    return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How large things are drawn, in Blender's units where the empty is not scaled."""
+
+    length: float
+    """Of a camera's drawing."""
+    extent: float
+    """Of all cameras."""
+
+
+def drawing_of(centers: np.ndarray) -> Drawing:
+    """Camera drawings that do not hide each other, of positions [C, 3], C > 0; needs no bpy."""
+    extent = alignment.camera_extent(centers) or 1.0
+    few = centers[np.linspace(0, len(centers) - 1, min(200, len(centers))).astype(int)]
+    distances = np.linalg.norm(few[:, None] - centers[None], axis=2)
+    distances[distances == 0] = np.inf
+    nearest = distances.min(axis=1)
+    nearest = nearest[np.isfinite(nearest)]
+    return Drawing(DISPLAY * float(np.median(nearest)) if len(nearest) else 0.1 * extent, extent)
+
+
+def size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
+    """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
+    if cameras:
+        drawing = drawing_of(np.array([co.local_matrix(ob)[:3, 3] for ob in cameras]))
+        scale = root_scale(root)
+        for data in filter(editable_check.keeps, [ob.data for ob in cameras]):
+            size_drawing(data, drawing, scale)
+        root.empty_display_size = 0.1 * drawing.extent
+
+
+def size_drawing(data: bpy.types.Camera, drawing: Drawing, scale: float) -> None:
+    """The same of one camera, below an empty of a scale."""
+    data.display_size = drawing.length * scale
+    data.clip_start, data.clip_end = (
+        end * drawing.extent * scale for end in (CLIP_START, CLIP_END)
+    )

@@ -1,0 +1,123 @@
+"""A capture that a scene has already, and what its files say otherwise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .. import stored_paths
+from ..capture.folders import same_folder
+from ..core import offset_between, origin_words
+from ..interface.blocks import first_few
+from . import objects as co
+from .capture_transform import noted_origin
+from .lookup import roots_of
+from .reading import ReadCamera
+
+_SAMPLES = 20
+"""Cameras that are looked at to tell whether the files have the same world as before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Present:
+    """A capture that the scene has."""
+
+    root: bpy.types.Object
+    cameras: list[bpy.types.Object]
+    """By image name."""
+    points: bpy.types.Object | None
+
+
+def find_present(scene: bpy.types.Scene, source: Path, into: int) -> Present | None:
+    """A capture that a scene has, and that may be changed.
+
+    Args:
+        scene: It.
+        source: Folder that it was imported from.
+        into: Session number of the empty that is meant; 0: any of that folder.
+    """
+    roots = roots_of(scene)
+    asked = [root for root in roots if root.session_uid == into]
+    for root in chain(asked, (root for root in roots if _is_of(root, source))):
+        cameras, points = co.parts_of(root)
+        found = Present(root=root, cameras=cameras, points=points)
+        if _may_change(found):
+            return found
+    return None
+
+
+def uid_of(there: Present | None) -> int:
+    """Session number of its empty; 0: there is none."""
+    return 0 if there is None else there.root.session_uid
+
+
+def known_origins(scene: bpy.types.Scene, into: int) -> list[tuple[Path | None, np.ndarray]]:
+    """Local origins of the captures of a scene, as `reading.read` takes them."""
+    found: list[tuple[Path | None, np.ndarray]] = []
+    for root in roots_of(scene):
+        source = stored_paths.read(root, stored_paths.SOURCE)
+        folder = None if root.session_uid == into else Path(source)
+        if source or folder is None:
+            found.append((folder, offset_between(noted_origin(root), None)))
+    return sorted(found, key=lambda one: one[0] is not None)
+
+
+def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, ...]:
+    """A sentence where captures of a scene are about different local origins."""
+    own = noted_origin(root)
+    for other in roots_of(scene):
+        apart = offset_between(own, noted_origin(other))
+        if other != root and apart.any():
+            words = (origin_words(value) for value in (offset_between(own, None), apart))
+            at, distance = words
+            return (
+                f"{root.name} is about the local origin {at}, which lies {distance} from that of "
+                f"{other.name}: here both stand near the scene's origin, and not where they are "
+                f"to each other.",
+            )
+    return ()
+
+
+def _is_of(root: bpy.types.Object, source: Path) -> bool:
+    own = stored_paths.read(root, stored_paths.SOURCE)
+    return bool(own) and same_folder(Path(own), source)
+
+
+def _may_change(found: Present) -> bool:
+    """Whether a capture is all of this file, and no override."""
+    obs = [found.root, *found.cameras, *filter(None, [found.points])]
+    blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
+    return all(block.library is None and block.override_library is None for block in blocks)
+
+
+def in_another_world(
+    cameras: Sequence[ReadCamera], there: dict[str, bpy.types.Object]
+) -> tuple[str, ...]:
+    """A sentence where most photos were taken from elsewhere than it was stated before."""
+    known = [one.setup.own for one in cameras if one.setup.own.image in there]
+    some = known[:: max(1, len(known) // _SAMPLES)]
+    moved = 0
+    for own in some:
+        before = np.array(there[own.image].get("gs_viewmat", ()), np.float64)
+        moved += before.shape != (16,) or not np.allclose(before, own.viewmat.ravel(), atol=1e-4)
+    if 2 * moved <= len(some):
+        return ()
+    return (
+        "The files have the photos elsewhere than before. Align to Ground turns the capture anew; "
+        "splats that were trained before may no longer fit.",
+    )
+
+
+def constrained_warning(cameras: list[bpy.types.Object]) -> tuple[str, ...]:
+    """A sentence where something besides its own place says where a camera stands."""
+    names = sorted(ob.name for ob in cameras if not co.is_plain_child(ob))
+    if not names:
+        return ()
+    return (
+        f"Keyframes, drivers or constraints may keep cameras away from where their photos were "
+        f"taken: {first_few(names)}. Clear them, else renders and exports have these cameras as "
+        f"they stand.",
+    )

@@ -1,0 +1,135 @@
+"""Straightened copies of photos in the background: which are wanted, and what happens when they
+are there."""
+
+import os
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..interface.views import redraw_views
+from ..process import poll_timer
+from .backgrounds import KnownImages, file_of, lead_to, straight_background
+from .missing_undistorted import Lack, Lacking
+from .objects import is_camera
+from .undistort_program import task_of
+from .undistort_queue import UndistortQueue
+
+QUEUE = UndistortQueue()
+"""What this Blender has straightened."""
+LACKING = Lacking()
+"""What is still to be straightened, for panels."""
+_PAUSE = 0.05
+"""Seconds between two looks of a script that waits."""
+
+
+def ask(cameras: Iterable[bpy.types.Object]) -> int:
+    """Have the copies made that the backgrounds of cameras lack, the first camera's first; how many
+    they are.
+
+    Backgrounds are led to their copies. Without a window nothing is begun until `wait` is called.
+    Cameras that have lost what the capture says about them are left out.
+    """
+    tasks, astray = [], []
+    for ob in cameras:
+        with suppress(ValueError):
+            found = straight_background(ob)
+            copy = None if found is None else found.lacks()
+            if copy is None:
+                continue
+            if found.file != copy:
+                astray.append((ob, copy))
+            if not copy.is_file():
+                tasks.append(task_of(found.own, copy))
+    if astray:
+        known = KnownImages()
+        for ob, copy in astray:
+            lead_to(ob, copy, known)
+    begin(tasks)
+    return len(tasks)
+
+
+def begin(tasks: Sequence[dict[str, Any]]) -> None:
+    """Have copies made (`straightener.task_of`), the first one first."""
+    if tasks:
+        QUEUE.ask(tasks)
+        poll_timer.ensure()
+    LACKING.expire()
+
+
+def wait() -> None:
+    """Return when all copies that were asked for are there, or cannot be made."""
+    while QUEUE.busy:
+        collect()
+        time.sleep(_PAUSE)
+
+
+def problems_of(lack: Lack) -> list[str]:
+    """Why copies that are lacking could not be made, sentences."""
+    told = (QUEUE.problems.get(str(copy)) for copy in lack.copies)
+    return [*lack.problems, *(problem for problem in told if problem)]
+
+
+def collect() -> bool:
+    """Take in what was made; whether panels have to be drawn anew."""
+    if not QUEUE.busy:
+        return False
+    made = {Path(copy) for copy in QUEUE.poll(_program)}
+    if made:
+        for image in bpy.data.images:
+            if image.source == "FILE" and file_of(image) in made:
+                image.reload()
+        redraw_views()
+    if made or not QUEUE.busy:
+        LACKING.expire()
+    return bool(made) or not QUEUE.busy
+
+
+def _program() -> tuple[list[str], Mapping[str, str]]:
+    """A Blender without a window and without the user's add-ons, which runs `straightener`."""
+    library = find_spec("gscore")
+    assert library is not None and library.origin is not None
+    path = [str(Path(__file__).parents[2]), str(Path(library.origin).parents[1])]
+    code = (
+        f"import sys; sys.path[:0] = {path!r}; "
+        "from addon.cameras.undistort_program import main; main()"
+    )
+    if bpy.app.binary_path:
+        options = ["--background", "--factory-startup", "--python-exit-code", "1"]
+        return [bpy.app.binary_path, *options, "--python-expr", code], {}
+    return [sys.executable, "-c", code], {"PYTHONPATH": os.pathsep.join(path)}
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    """Copies may be missing here, or be of photos that have changed."""
+    LACKING.clear()
+    if not bpy.app.background:
+        ask(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
+
+
+_FOLLOWERS = (
+    poll_timer.Poller(collect, lambda: QUEUE.busy),
+    poll_timer.Poller(LACKING.collect, lambda: LACKING.busy),
+)
+
+
+HANDLERS = {"load_post": _file_loaded}
+
+
+def on_register() -> None:
+    """Follow the beat."""
+    poll_timer.FOLLOWERS.extend(_FOLLOWERS)
+
+
+def on_unregister() -> None:
+    """Follow no more; a copy that is half made is left undone."""
+    for follower in _FOLLOWERS:
+        poll_timer.FOLLOWERS.remove(follower)
+    QUEUE.kill()

@@ -1,0 +1,101 @@
+"""The program that straightens photos: a Blender without a window, which decodes and writes them
+beside the one that is worked in.
+
+It reads tasks from its input, a JSON object a line, and answers each with a line.
+"""
+
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TextIO
+
+import bpy
+import numpy as np
+
+from ..core import Undistortion
+from .objects import PhotoCamera
+from .pictures import levels_of, read_picture
+from .undistort_queue import ANSWER, READY
+from .undistorted_photos import earlier_copies, part_of, remove, undistortion_of
+
+_QUALITY = 95
+"""Of JPEGs, per cent."""
+
+
+def task_of(own: PhotoCamera, copy: Path) -> dict[str, Any]:
+    """A photo, its camera and where its copy belongs, as JSON has it."""
+    return {
+        "copy": str(copy),
+        "image": own.image,
+        "photo": own.photo,
+        "K": own.K.tolist(),
+        "size": [own.width, own.height],
+        "model": own.model,
+        "params": list(own.params),
+        "photo_size": own.photo_size,
+    }
+
+
+def main(lines: Iterable[str] = sys.stdin, out: TextIO = sys.stdout) -> None:
+    """Straighten one photo after the other until the input ends."""
+    print(READY, file=out, flush=True)
+    for line in lines:
+        task = json.loads(line)
+        problem = ""
+        try:
+            straighten(_camera(task), Path(task["copy"]))
+        except (OSError, ValueError, RuntimeError, MemoryError) as error:
+            problem = str(error) or type(error).__name__
+        answer = json.dumps({"copy": task["copy"], "problem": problem})
+        print(f"{ANSWER}{answer}", file=out, flush=True)
+
+
+def straighten(own: PhotoCamera, copy: Path) -> None:
+    """Write the straightened copy of a photo, completely or not at all, and remove earlier ones.
+
+    Raises:
+        ValueError: the photo cannot be decoded, or has another shape than its camera.
+        OSError, RuntimeError: the copy cannot be written.
+    """
+    plan = undistortion_of(own)
+    assert plan is not None
+    pixels = levels_of(read_picture(own.photo, own))
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    part = part_of(copy)
+    try:
+        _write(part, pixels, plan, jpeg=copy.suffix == ".jpg")
+        part.replace(copy)
+    finally:
+        part.unlink(missing_ok=True)
+    remove(earlier_copies(copy))
+
+
+def _camera(task: dict[str, Any]) -> PhotoCamera:
+    return PhotoCamera(
+        image=task["image"],
+        photo=task["photo"],
+        viewmat=np.eye(4),
+        K=np.array(task["K"], np.float64),
+        width=task["size"][0],
+        height=task["size"][1],
+        model=task["model"],
+        params=tuple(task["params"]),
+        photo_size=tuple(task["photo_size"]),
+    )
+
+
+def _write(file: Path, photo: np.ndarray, plan: Undistortion, *, jpeg: bool) -> None:
+    """Straighten [H, W, 4] uint8, and have Blender encode it."""
+    straight = plan.straighten(photo[..., :3] if jpeg else photo)
+    height, width = straight.shape[:2]
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., : straight.shape[2]] = straight[::-1] / np.float32(255)
+    image = bpy.data.images.new(file.name, width, height, alpha=not jpeg)
+    try:
+        image.alpha_mode = "STRAIGHT"
+        image.pixels.foreach_set(rgba.ravel())
+        image.file_format = "JPEG" if jpeg else "PNG"
+        image.save(filepath=str(file), quality=_QUALITY if jpeg else 0)
+    finally:
+        bpy.data.images.remove(image)

@@ -1,0 +1,140 @@
+"""Photos that are straightened by a program beside Blender, one after the other; no bpy."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from ..process.child_program import Process
+
+READY = "ready to straighten"
+"""The first line of the program: a Blender says other things too."""
+ANSWER = "straightened "
+"""Begins an answer of the program."""
+_STARTS = 2
+"""Starts after which a program that never becomes ready is given up."""
+_BUDGET = 0.02
+"""Seconds for reading answers at one beat."""
+
+
+class UndistortQueue:
+    """Copies that are wanted; the program runs as long as there are any."""
+
+    def __init__(self) -> None:
+        """Nothing is wanted yet."""
+        self.done = 0
+        """Copies made since it was last idle."""
+        self.problems: dict[str, str] = {}
+        """Why copies could not be made, by their file."""
+        self._tasks: dict[str, dict[str, Any]] = {}
+        self._current = ""
+        self._process: Process | None = None
+        self._closing = False
+        """Whether the program was told to end: it reads nothing more."""
+        self._starts = 0
+        """Of the program since it was last ready."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is wanted, or the program still ends."""
+        return bool(self._tasks) or self._process is not None
+
+    @property
+    def total(self) -> int:
+        """Copies that were wanted since it was last idle."""
+        return self.done + len(self._tasks)
+
+    def ask(self, tasks: Iterable[dict[str, Any]]) -> None:
+        """Make these copies next, after the one that is being made."""
+        if not self.busy:
+            self.done = 0
+        wanted = {task["copy"]: task for task in tasks}
+        for copy in wanted:
+            self.problems.pop(copy, None)
+        current = {copy: t for copy, t in self._tasks.items() if copy == self._current}
+        self._tasks = {**current, **wanted, **self._tasks}
+
+    def stop(self) -> None:
+        """Forget what is wanted; the copy that is being made stays whole."""
+        self._tasks = {copy: t for copy, t in self._tasks.items() if copy == self._current}
+
+    def poll(self, program: Callable[[], tuple[list[str], Mapping[str, str]]]) -> list[str]:
+        """Take in what the program has told, and hand it the next task; the copies that were made.
+
+        Args:
+            program: Arguments and variables of the program, where it has to be started.
+        """
+        if not self.busy:
+            return []
+        if self._process is None and not self._start(program):
+            return []
+        process = self._process
+        made = [copy for line in process.lines(_BUDGET) if (copy := self._answer(line))]
+        if process.ended:
+            self._ended(process)
+        elif not self._current and not self._closing:
+            self._next(process)
+        return made
+
+    def kill(self) -> None:
+        """End the program at once, and forget what is wanted."""
+        if self._process is not None:
+            self._process.kill(wait=5.0)
+        self._tasks, self._starts = {}, 0
+        self._forget_process()
+
+    def _start(self, program: Callable[[], tuple[list[str], Mapping[str, str]]]) -> bool:
+        """Start the program; whether it runs."""
+        try:
+            arguments, variables = program()
+            self._process = Process(arguments, variables=MappingProxyType(dict(variables)))
+        except OSError as error:
+            self._give_up(f"Blender cannot be started once more: {error}.")
+            return False
+        self._starts += 1
+        return True
+
+    def _next(self, process: Process) -> None:
+        self._current = next(iter(self._tasks), "")
+        if self._current:
+            process.send(json.dumps(self._tasks[self._current]))
+        else:
+            self._closing = True
+            process.end_input()
+
+    def _answer(self, line: str) -> str:
+        """The copy that was made, if the line says so."""
+        if line.startswith((READY, ANSWER)):
+            self._starts = 0
+        if not line.startswith(ANSWER):
+            return ""
+        told = json.loads(line.removeprefix(ANSWER))
+        copy, problem = str(told["copy"]), str(told["problem"])
+        self._tasks.pop(copy, None)
+        self._current = ""
+        if problem:
+            self.problems[copy] = problem
+            return ""
+        self.done += 1
+        return copy
+
+    def _ended(self, process: Process) -> None:
+        """Where it ended in the middle of a photo, that one is left out; where it was never ready,
+        it is started once more."""
+        last = next((line for line in reversed(process.stderr_tail) if line.strip()), "")
+        how = f"(exit code {process.returncode}). {last}".rstrip()
+        if self._starts >= _STARTS:
+            self._give_up(f"The Blender that straightens photos ended before it began {how}")
+        elif self._current and not self._starts:
+            self._tasks.pop(self._current, None)
+            self.problems[self._current] = (
+                f"The Blender that straightens photos ended by itself at {self._current} {how}"
+            )
+        self._forget_process()
+
+    def _forget_process(self) -> None:
+        self._current, self._process, self._closing = "", None, False
+
+    def _give_up(self, problem: str) -> None:
+        self.problems.update(dict.fromkeys(self._tasks, problem))
+        self._tasks, self._starts = {}, 0

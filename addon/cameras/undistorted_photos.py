@@ -1,0 +1,117 @@
+"""Photos of lenses that bend lines, as the pinhole cameras of Blender would have taken them.
+
+Such a camera has the K and the size that a training gives its photo (`Undistortion`); its
+background is a straightened copy of the photo, in a folder of the add-on.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ..core import ColmapCamera, GsError, Undistortion, plan_undistortion
+from ..interface.option_labels import error_words
+from ..paths import own_folder
+from .objects import PhotoCamera
+
+_VERSION = 1
+"""Of what copies look like: another one makes all of them anew."""
+_STEM, _DIGITS = 40, 16
+"""Letters of the photo's name in that of its copy, and of what makes it another than its likes."""
+_JPEG = frozenset({".jpg", ".jpeg"})
+_PART = ".part"
+"""Ends the names of files that are being written."""
+
+
+def lens_of(own: PhotoCamera) -> ColmapCamera:
+    """The camera of a photo as the capture states it."""
+    width, height = own.taken
+    K = own.K
+    params = own.params or (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    return ColmapCamera(
+        model=own.model, width=width, height=height, params=np.array(params, np.float64)
+    )
+
+
+def undistortion_of(own: PhotoCamera) -> Undistortion | None:
+    """The way from a photo to what its camera in Blender sees; None: they are the same.
+
+    Raises:
+        ValueError: the lens bends lines, and cannot be straightened, or the camera is not made for
+            straightened photos.
+    """
+    lens = lens_of(own)
+    if own.photo_size is not None:
+        return Undistortion(camera=lens, width=own.width, height=own.height, K=own.K)
+    if lens.is_pinhole:
+        return None
+    try:
+        plan_undistortion(lens)
+    except GsError as error:
+        raise ValueError(f"{own.image} cannot be straightened. {error_words(error)}") from error
+    raise ValueError(
+        f"The lens of {own.image} bends lines ({own.model}), and its camera was imported without "
+        f"straightening: import the capture's cameras again."
+    )
+
+
+def copies_folder() -> Path:
+    """Where straightened copies lie, whether it is there or not."""
+    return own_folder() / "straight"
+
+
+def copy_of(own: PhotoCamera, photo: Path) -> Path:
+    """The file of a photo's straightened copy, whether it is there or not; another one where the
+    photo or its lens has changed.
+
+    Args:
+        own: The camera, made for straightened photos.
+        photo: The photo, which is there.
+    """
+    lens = [own.model, own.params, own.photo_size, own.K.tolist(), own.width, own.height]
+    stat = photo.stat()
+    which = _digits([_VERSION, str(photo), lens])
+    state = _digits([stat.st_mtime_ns, stat.st_size])
+    # JPEGs stay small; all others may be transparent.
+    ending = ".jpg" if photo.suffix.lower() in _JPEG else ".png"
+    return copies_folder() / f"{photo.stem[:_STEM]}-{which}-{state}{ending}"
+
+
+def earlier_copies(copy: Path) -> list[Path]:
+    """Copies of the same photo through the same lens, from before the photo changed."""
+    which = copy.stem.rsplit("-", 1)[0]
+    likes = (file for file in copies(copy.parent) if file != copy)
+    return [file for file in likes if file.stem.rsplit("-", 1)[0] == which]
+
+
+def copies(folder: Path) -> list[Path]:
+    """All copies that lie in a folder."""
+    files = folder.iterdir() if folder.is_dir() else ()
+    return sorted(file for file in files if file.suffix in (".jpg", ".png") and file.is_file())
+
+
+def part_of(copy: Path) -> Path:
+    """The file of a copy while it is written."""
+    return copy.with_name(f".{copy.name}{_PART}")
+
+
+def left_over(folder: Path) -> list[Path]:
+    """What programs that were ended in the middle of copies have left in their folder."""
+    return sorted(folder.glob(f".*{_PART}"))
+
+
+def size_of(folder: Path) -> tuple[int, int]:
+    """How many copies lie in a folder, and their bytes."""
+    sizes = [file.stat().st_size for file in copies(folder)]
+    return len(sizes), sum(sizes)
+
+
+def remove(files: list[Path]) -> None:
+    """Remove copies."""
+    for file in files:
+        file.unlink(missing_ok=True)
+
+
+def _digits(facts: object) -> str:
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:_DIGITS]

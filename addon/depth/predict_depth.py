@@ -1,0 +1,162 @@
+"""Depth maps from scripts and operators: predict, check, cancel, and the report that is shown."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import preferences
+from ..capture.depth_maps import DepthReport
+from ..paths import absolute, capture_folder, output_folder
+from ..process import poll_timer
+from ..training import facts, lookups, options
+from ..training.launch import follow, launch
+from . import networks
+from .job import DepthJob
+from .registry import JOBS
+
+MAPS, RUN = "MAPS", "RUN"
+"""Reports of a scene: of the maps as they are, of the last training."""
+
+
+def predict(
+    scene: bpy.types.Scene,
+    model: str | Path = "",
+    *,
+    overwrite: bool = False,
+    download: bool = False,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> DepthJob:
+    """Predict the depth maps of the scene's capture with a network, and align them.
+
+    Args:
+        scene: Its `gscore` settings name the capture, its photos and masks.
+        model: ONNX file, or name of a network; empty: that of the preferences.
+        overwrite: Predict all views anew; else those that have no map by this network.
+        download: Fetch a network with a name where it is not on this computer.
+        wait: Return when it has ended.
+        python: The Python that predicts; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    prefs = preferences.get()
+    known = networks.known(str(model) or prefs.depth_network)
+    if known is not None:
+        networks.check_download(known, download)
+        network: Path | str = known.name
+    else:
+        network = absolute(str(model) or prefs.depth_model, "Depth Network")
+        if not network.is_file():
+            raise ValueError(f"There is no depth network {network}; choose an ONNX file.")
+    source = capture_folder(scene)
+    arguments = options.depth_run(
+        scene.gscore,
+        source=source,
+        threads=prefs.threads,
+        model=network,
+        download=download and known is not None,
+        overwrite=overwrite,
+    )
+    _show(scene, MAPS)
+    return _start(arguments, source, wait=wait, python=python)
+
+
+def replaced(scene: bpy.types.Scene) -> list[str]:
+    """What a prediction of all views replaces for good, in sentences.
+
+    Raises:
+        ValueError: there is no capture.
+    """
+    source = capture_folder(scene)
+    found = facts.capture(scene)[0]
+    count = 0 if found is None else found.depths
+    return [f"{count or 'All'} depth maps in {source / options.DEPTHS} are replaced for good."]
+
+
+def check(
+    scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
+) -> DepthJob:
+    """Compare the maps of the scene's capture with its points, as a training would.
+
+    Writes nothing. Arguments and errors as in `predict`.
+    """
+    source = capture_folder(scene)
+    arguments = options.depth_run(scene.gscore, source=source, threads=preferences.get().threads)
+    _show(scene, MAPS)
+    return _start(arguments, source, wait=wait, python=python)
+
+
+def job_of(scene: bpy.types.Scene) -> DepthJob | None:
+    """The last work on the depth maps of a scene's capture, under way or ended."""
+    found = facts.capture(scene)[0]
+    return None if found is None else JOBS.of_source(found.source)
+
+
+def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
+    """What is known of a scene's depth maps by now, by MAPS and RUN; never waits."""
+    known = {}
+    found = facts.capture(scene)[0]
+    if found is not None and found.kind:
+        job = JOBS.of_source(found.source)
+        if job is not None and job.report is not None:
+            known[MAPS] = job.report
+        elif found.depths:
+            known[MAPS] = found.depth_report
+    run = run_report(scene)[0]
+    return known if run is None else known | {RUN: run}
+
+
+def report(scene: bpy.types.Scene) -> DepthReport | None:
+    """The report that the scene's settings choose of those that are there."""
+    known = reports(scene)
+    return known.get(scene.gscore.depth_shown) or next(iter(known.values()), None)
+
+
+def run_report(scene: bpy.types.Scene) -> tuple[DepthReport | None, str]:
+    """The report of the training in the scene's output folder, and a problem.
+
+    (None, "") for none or still unknown.
+    """
+    try:
+        folder = output_folder(scene, preferences.get().output_folder)
+    except ValueError:
+        return None, ""
+    answer = lookups.depth_runs.get(folder)
+    poll_timer.ensure()
+    return answer
+
+
+def sheet(scene: bpy.types.Scene) -> Path:
+    """The contact sheet beside the depth maps of a scene's capture.
+
+    Raises:
+        ValueError: there is none.
+    """
+    path = capture_folder(scene) / options.DEPTHS / "contact_sheet.png"
+    if not path.is_file():
+        raise ValueError(f"There is no {path}; it is made with the maps: press Predict.")
+    return path
+
+
+def _start(
+    arguments: list[str],
+    source: Path,
+    *,
+    wait: bool,
+    python: str | Path | None,
+) -> DepthJob:
+    other = JOBS.of_source(source)
+    if other is not None and other.busy:
+        raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
+    how = {"source": source, "after": other}
+    job = launch(lambda program: DepthJob(program, arguments, **how), python)
+    JOBS.add(job)
+    poll_timer.ensure()
+    follow(lambda: wait and not job.ended)
+    return job
+
+
+def _show(scene: bpy.types.Scene, which: str) -> None:
+    if scene.gscore.depth_shown != which:
+        scene.gscore.depth_shown = which

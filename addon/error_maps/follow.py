@@ -1,0 +1,21 @@
+"""The part of measurings in the beat, and their end with the end of Blender."""
+
+from ..training import lookups
+from ..training.launch import following_verb
+from . import measure_errors
+from .errors_job import ErrorsJob
+from .registry import JOBS
+
+
+def _wanted(job: ErrorsJob) -> bool:
+    return job.wanted
+
+
+def _hurries(job: ErrorsJob) -> bool:
+    return job.filling is not None
+
+
+_FOLLOWING = following_verb(
+    JOBS, lookups.figures.expire, bring_in=measure_errors.bring_in, wanted=_wanted, hurries=_hurries
+)
+on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -1,0 +1,131 @@
+"""Operators that measure where a result is wrong, and show it."""
+
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty
+
+from ..cameras.camera_colors import hide
+from ..cameras.objects import root_of
+from ..capture.figures import measured
+from ..interface.base_operator import BaseOperator
+from ..splats.objects import is_splats, meant
+from ..stored_paths import RUN
+from ..training.verb_job import FAILED
+from ..training.verb_operators import Cancelling
+from . import colors, measure_errors
+from .errors_job import ErrorsJob
+
+
+class _OfRun(BaseOperator):
+    """Works on the active splat object's run."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Splats of a training are active."""
+        if is_splats(ob := meant(context)) and RUN in ob:
+            return True
+        cls.poll_message_set("Select splats that come from a training")
+        return False
+
+
+class MeasureErrors(_OfRun, bpy.types.Operator):
+    """Compare the training's result with all its photos, in the background. Cameras take the colors
+    of their photos' errors, and an object beside the splats shows them in the colors of theirs"""
+
+    bl_idname = "gscore.measure_errors"
+    bl_label = "Measure Errors"
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when it has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start."""
+        job = measure_errors.measure(meant(context), wait=self.wait)
+        if job.status == FAILED:
+            raise ValueError(job.sentence)
+        return job.sentence
+
+
+class StopErrors(Cancelling, bpy.types.Operator):
+    """End the measuring; nothing is shown"""
+
+    bl_idname = "gscore.stop_errors"
+    bl_label = "Stop"
+    none = "Nothing is being measured."
+
+    def job_of(self, scene: bpy.types.Scene) -> ErrorsJob | None:
+        """The measuring of the active object's run."""
+        ob = meant(bpy.context)
+        return measure_errors.job_of(ob) if is_splats(ob) else None
+
+
+class ColorByError(_OfRun, bpy.types.Operator):
+    """Color the cameras by the errors of their photos, or give them their own colors back"""
+
+    bl_idname = "gscore.color_by_error"
+    bl_label = "Color Cameras"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    show: BoolProperty(
+        name="Show",
+        description="Color the cameras; else give them their own colors back",
+        default=True,
+        options={"SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Color, or take the colors away."""
+        ob = meant(context)
+        root = root_of(ob)
+        if root is None:
+            raise ValueError(f"{ob.name} has no cameras here: use Import Cameras first.")
+        if not self.show:
+            hide(root)
+            return ""
+        figures = measured(measure_errors.run_of(ob))
+        if figures is None:
+            raise ValueError("Press Measure Errors first: the training was not measured since.")
+        if not colors.show(root, figures):
+            raise ValueError(f"None of the photos that were measured has a camera in {root.name}.")
+        return ""
+
+
+class ShowErrorMap(_OfRun, bpy.types.Operator):
+    """Show the splats in the colors of their errors, or as they are"""
+
+    bl_idname = "gscore.show_error_map"
+    bl_label = "Color Splats"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    show: BoolProperty(
+        name="Show",
+        description="Show the errors in the place of the splats; else the splats again",
+        default=True,
+        options={"SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Change places."""
+        measure_errors.show_map(meant(context), self.show)
+        return ""
+
+
+class RemoveErrors(_OfRun, bpy.types.Operator):
+    """Remove the splats in the colors of their errors, and those colors of the cameras"""
+
+    bl_idname = "gscore.remove_errors"
+    bl_label = "Remove Errors"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Remove."""
+        measure_errors.remove(meant(context))
+        return ""
+
+
+CLASSES = (MeasureErrors, StopErrors, ColorByError, ShowErrorMap, RemoveErrors)

@@ -1,0 +1,7 @@
+"""The measurings of runs in this Blender session; no bpy."""
+
+from ..training.verb_jobs import VerbJobs
+from .errors_job import ErrorsJob
+
+JOBS: VerbJobs[ErrorsJob] = VerbJobs()
+"""Those of each run."""

@@ -1,0 +1,72 @@
+"""What all operators share: they act, an error is a report, and the scene then stays as it was."""
+
+from collections.abc import Iterable
+
+import bpy
+
+from ..core import GsError
+from . import editable_check
+from .option_labels import error_words
+
+
+class BaseOperator:
+    """Mixed in before bpy.types.Operator; an operator's class is called as its button says."""
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Do it; what to tell the user, or nothing.
+
+        Raises:
+            GsError, ValueError, OSError: it cannot be done; the message is for the user.
+        """
+        raise NotImplementedError
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """What `act` writes to; it is not called unless Blender keeps changes of all of these.
+
+        Raises:
+            ValueError: as `act`.
+        """
+        return ()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Blender calls this."""
+        try:
+            editable_check.check(*self.changes(context))
+            told = self.act(context)
+        except (GsError, ValueError, OSError) as error:
+            return self.refuse(error)
+        if told:
+            self.report({"INFO"}, told)
+        return {"FINISHED"}
+
+    def refuse(self, error: Exception) -> set[str]:
+        """Say why it cannot be done, in the words of panels; what Blender is then to be told."""
+        self.report({"ERROR"}, error_words(error))
+        return {"CANCELLED"}
+
+    def warn(self, sentences: Iterable[str]) -> None:
+        """Show what the user should know besides."""
+        for sentence in sentences:
+            self.report({"WARNING"}, sentence)
+
+
+class OnScene(BaseOperator):
+    """Sets something of the scene."""
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The scene."""
+        return (context.scene,)
+
+
+def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
+    """Select an object and no other, and make it the active one."""
+    make_active_in(context.view_layer, ob)
+
+
+def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
+    """The same in a view layer, which no window has to show."""
+    for other in layer.objects.selected:
+        if other is not None:  # removed, and the layer not yet brought up to date
+            other.select_set(False, view_layer=layer)
+    ob.select_set(True, view_layer=layer)
+    layer.objects.active = ob

@@ -1,0 +1,75 @@
+"""Operators that ask before they do what cannot be taken back, with all that they would do."""
+
+import textwrap
+
+import bpy
+
+from ..core import GsError
+from . import editable_check
+
+WIDTH = 90
+"""Characters of a line in a dialog and in the preferences."""
+_PIXELS = 520
+
+
+def wrapped(
+    layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = WIDTH
+) -> None:
+    """A sentence as several labels, because Blender's labels do not wrap.
+
+    Args:
+        layout: Gets a column.
+        text: The sentence.
+        icon: Before the first line.
+        width: Characters of a line.
+    """
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for number, line in enumerate(textwrap.wrap(text, width) or [""]):
+        column.label(text=line, icon="BLANK1" if number and icon != "NONE" else icon)
+
+
+def letters(context: bpy.types.Context) -> int:
+    """How many letters fit on a line of the region that is drawn."""
+    width = context.region.width if context.region else 260
+    # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
+    scale = context.preferences.system.ui_scale or 1.0  # without a window it is 0
+    return max(int((width / scale - 60) / 6.2), 20)
+
+
+class ConfirmMixin:
+    """Mixed in before `BaseOperator`: shows `question` in a dialog before `execute`; the key Enter
+    alone does nothing."""
+
+    confirm = "OK"
+    """On the button that goes on."""
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """What will be done, in sentences; none: there is nothing to ask.
+
+        Raises:
+            GsError, ValueError, OSError: it cannot be done; the message says why.
+        """
+        raise NotImplementedError
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask."""
+        try:
+            editable_check.check(*self.changes(context))
+            self.lines = self.question(context)
+        except (GsError, ValueError, OSError) as error:
+            return self.refuse(error)
+        if not self.lines:
+            return self.execute(context)
+        return context.window_manager.invoke_props_dialog(
+            self,
+            width=_PIXELS,
+            title=self.bl_label,
+            confirm_text=self.confirm,
+            cancel_default=True,
+        )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The sentences, instead of the operator's properties."""
+        for line in getattr(self, "lines", ()):  # a redo panel has none
+            wrapped(self.layout, line, icon="DOT")

@@ -1,0 +1,118 @@
+"""Datablocks that are only there while something goes on."""
+
+import time
+import uuid
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..process.incremental_tasks import BUDGET
+
+_MARK = "gs_temporary"
+_BATCH = 10
+"""Objects that are removed together. Each takes longer the more there are in the file."""
+Block = bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Collection
+
+
+class Temporary:
+    """One of them, without users; of a collection, all that is in it. It is looked up anew each
+    time: undo, redo and other files take it."""
+
+    def __init__(self, block: Block) -> None:
+        """Take it over."""
+        self._mark = uuid.uuid4().hex
+        self._kind, self._name = type(block), block.name
+        block[_MARK] = self._mark
+
+    def found(self) -> Block | None:
+        """It, if it is there."""
+        block = _all(self._kind).get(self._name)
+        return block if block is not None and block.get(_MARK) == self._mark else None
+
+    def hold(self, block: bpy.types.Collection | bpy.types.Object) -> None:
+        """Mark what was put into it: a file that is saved now has that too."""
+        block[_MARK] = self._mark
+
+    def take(self) -> Block | None:
+        """It, if it is there, which from now on is the caller's."""
+        block = self.found()
+        if block is not None:
+            release(block)
+            for one in _inside(block):
+                release(one)
+        return block
+
+    def dropping(self) -> Iterator[None]:
+        """The same as `drop`, of a collection's objects some a piece."""
+        until = time.perf_counter() + BUDGET
+        while some := _objects(self.found())[:_BATCH]:
+            _remove(some)
+            if time.perf_counter() > until:
+                yield
+                until = time.perf_counter() + BUDGET
+        self.drop()
+
+    def drop(self) -> None:
+        """Remove it; nothing happens once it is another's."""
+        block = self.found()
+        if block is not None:
+            _remove([block, *_inside(block)])
+
+
+def release(block: bpy.types.ID) -> None:
+    """What was put into a collection is the caller's, who has taken it out."""
+    block.pop(_MARK, None)
+
+
+def _all(kind: type) -> bpy.types.bpy_prop_collection:
+    own = {
+        bpy.types.Mesh: bpy.data.meshes,
+        bpy.types.PointCloud: bpy.data.pointclouds,
+        bpy.types.Collection: bpy.data.collections,
+    }
+    return own[kind]
+
+
+def _inside(block: Block) -> list[bpy.types.ID]:
+    groups = block.children_recursive if isinstance(block, bpy.types.Collection) else ()
+    return [*groups, *_objects(block)]
+
+
+def _objects(block: Block | None) -> list[bpy.types.Object]:
+    return list(block.all_objects) if isinstance(block, bpy.types.Collection) else []
+
+
+def _remove(blocks: Iterable[bpy.types.ID]) -> None:
+    """Remove datablocks, and the data and the actions that these alone have."""
+    found = set(blocks)
+    data = {ob.data for ob in found if isinstance(ob, bpy.types.Object) and ob.data is not None}
+    found |= {one for one in data if one.users == 1}
+    moved = [one.animation_data for one in found if getattr(one, "animation_data", None)]
+    uses = Counter(animation.action for animation in moved if animation.action is not None)
+    found |= {action for action, count in uses.items() if action.users == count}
+    if found:
+        bpy.data.batch_remove(list(found))
+
+
+def _marked() -> list[Block]:
+    kinds = (bpy.data.meshes, bpy.data.pointclouds, bpy.data.collections)
+    return [block for own in kinds for block in own if _MARK in block]
+
+
+@persistent
+def _undone(*_: object) -> None:
+    """Remove what undo and redo have brought back: their steps hold what was there meanwhile, as it
+    was then."""
+    for block in [b for b in _marked() if not b.users]:
+        _remove([block, *_inside(block)])
+
+
+@persistent
+def _loaded(*_: object) -> None:
+    """Remove what was under way when the file was saved."""
+    _remove([*_marked(), *(ob for ob in bpy.data.objects if _MARK in ob)])
+
+
+HANDLERS = {"undo_post": _undone, "redo_post": _undone, "load_post": _loaded}

@@ -1,0 +1,225 @@
+"""One stroke on a splat object: what it may paint, what it has painted, how that is kept and shown.
+
+Blender's mesh is written once, at the end of a stroke: until then the live display is given what is
+painted, because to write a mesh has Blender evaluate the object and everything that draws it anew.
+"""
+
+from collections.abc import Iterable
+from functools import partial
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..cameras.render_camera import RenderCamera
+from ..interface.blocks import with_uid
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..render import copies
+from ..render.mesh_copies import HIDDEN, SELECTED, read_marks
+from ..splats import live, objects
+from ..timeline.settings import plays
+from .brush import SELECT, Brush
+from .stroke import Stroke
+from .visible_splats import VisibleSplats, looking
+
+
+def begin_stroke(
+    ob: bpy.types.Object,
+    brush: Brush,
+    view: RenderCamera | None,
+    *,
+    front_only: bool = False,
+    only_selected: bool = False,
+) -> "Pieces[PaintedObject]":
+    """Look which splats a stroke can paint; those that are hidden or filtered out it cannot.
+
+    Args:
+        ob: A splat object in Object Mode, whose matrix is up to date.
+        brush: What is done.
+        view: Where the stroke is painted, its points in pixels from the top left. None: its points
+            are places in Blender's world.
+        front_only: Leave out what lies behind the surface that the view shows.
+        only_selected: Leave out what is not selected.
+
+    Raises:
+        ValueError: Edit Mode, attributes are missing or not finite, a mesh that cannot be written,
+            an uneven scale with `front_only`, `front_only` without a view, or none is selected.
+        GsError: the rasterizer cannot draw the view.
+    """
+    objects.check_writable(ob)
+    if view is None and front_only:
+        raise ValueError("Front Only needs a view: turn it off to paint around places.")
+    marks, count = read_marks(ob.data), len(ob.data.vertices)
+    marks = np.zeros(count, np.uint8) if marks is None else marks
+    may = (marks & HIDDEN) == 0
+    if only_selected:
+        may &= (marks & SELECTED) != 0
+        if not may.any():
+            raise ValueError(f"{ob.name}: select some splats, or turn Only Selected off.")
+    uid, name, follows = ob.data.session_uid, ob.name, live.SESSION.works and not plays(ob)
+    shows_live = ob.gscore.display == "SPLATS" and follows
+    seen = yield from looking(ob, view, drawn=front_only)
+    found = yield from run_in_thread(partial(_within, seen, may, front_only), "Looking for splats")
+    return PaintedObject(uid, name, brush, marks, *found, shows_live=shows_live)
+
+
+def _within(
+    seen: VisibleSplats, may: np.ndarray, front_only: bool, check: Check
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """[N, 4] of `radiance:base`; rows [M] of the splats to paint, of those that may be [N], and
+    their points [M, D]."""
+    base, may = seen.columns[attributes.BASE], may & seen.shown()
+    if seen.view is None:
+        rows = np.flatnonzero(may)
+        means = seen.columns[attributes.POSITION][rows]
+        return base, rows, means @ seen.matrix[:3, :3].T + seen.matrix[:3, 3]
+    at, there = seen.pixels()
+    may &= there
+    check()
+    if front_only and may.any():
+        may &= seen.in_front(at)
+    rows = np.flatnonzero(may)
+    return base, rows, at[rows]
+
+
+class PaintedObject:
+    """Used on the main thread, from the beginning of a stroke to its end or cancellation."""
+
+    def __init__(
+        self,
+        uid: int,
+        name: str,
+        brush: Brush,
+        marks: np.ndarray,
+        base: np.ndarray,
+        rows: np.ndarray,
+        points: np.ndarray,
+        *,
+        shows_live: bool,
+    ) -> None:
+        """Nothing is painted yet.
+
+        Args:
+            uid: Session number of the mesh, of N splats.
+            name: Of the object.
+            brush: What is done.
+            marks: [N], as `read_marks`.
+            base: [N, 4] of `radiance:base`.
+            rows: [M], splats that can be painted.
+            points: [M, D], where the brush finds them.
+            shows_live: Whether the live display is given what is painted.
+        """
+        self._uid, self._name, self._brush = uid, name, brush
+        self._marks, self._before, self._rows = marks, base, rows
+        self._stroke = Stroke(points, brush)
+        self._after = base.copy()
+        self._selected = (marks & SELECTED) != 0
+        self._touched = False
+        self._live = shows_live
+        self._follows = self._live or len(base) <= copies.EDITED_AT_ONCE
+
+    def to(self, point: np.ndarray) -> None:
+        """Go on to a point, [2] pixels of the view or [3] in the world."""
+        reached = self._stroke.to(point)
+        if not len(reached):
+            return
+        self._touched = True
+        rows = self._rows[reached]
+        if self._brush.does == SELECT:
+            self._selected[rows] = not self._brush.inverted
+        else:
+            share = self._stroke.share[reached]
+            self._after[rows] = self._brush.painted(self._before[rows], share)
+
+    def show(self) -> None:
+        """Have viewports show the stroke as far as it is; other displays than the live one, of many
+        splats, at its end."""
+        if self._live:
+            self._show_live()
+        elif self._follows and self._touched:
+            self._write(self._after, self._selected)
+
+    def finish(self) -> int:
+        """Keep the stroke; how many splats it reached.
+
+        Raises:
+            ValueError: other splats have taken their place meanwhile; nothing is changed.
+        """
+        if not self._touched:
+            return 0
+        if self._live:
+            self._show_live()
+        self._write(self._after, self._selected)
+        return int((self._stroke.share > 0).sum())
+
+    def cancel(self) -> None:
+        """Leave everything as it was before the stroke."""
+        written = self._follows and not self._live and self._touched
+        self._after, self._selected = self._before, (self._marks & SELECTED) != 0
+        if self._live:
+            self._show_live()
+        elif written:
+            self._write(self._after, self._selected)
+
+    def _show_live(self) -> None:
+        if self._brush.does == SELECT:
+            chosen = SELECTED * self._selected.astype(np.uint8)
+            copies.SHARED.remark(self._uid, (self._marks & HIDDEN) | chosen)
+        else:
+            copies.SHARED.repaint(self._uid, self._after.copy())
+
+    def _write(self, base: np.ndarray, selected: np.ndarray) -> None:
+        mesh = with_uid(bpy.data.meshes, self._uid)
+        if mesh is None or len(mesh.vertices) != len(base):
+            raise ValueError(
+                f"The splats of {self._name} were replaced while the stroke was painted: paint it "
+                "again."
+            )
+        reached = self._rows[self._stroke.share > 0]  # others may have been changed meanwhile
+        if self._brush.does == SELECT:
+            now = attributes.selected(mesh)
+            now[reached] = selected[reached]
+            attributes.select(mesh, now)
+        else:
+            now = attributes.column(mesh, attributes.BASE, called=self._name)
+            now[reached] = base[reached]
+            kind = mesh.attributes[attributes.BASE].data_type
+            attributes.fill(mesh, attributes.BASE, kind, now.reshape(-1))
+        mesh.update()
+
+
+def paint(
+    ob: bpy.types.Object,
+    points: Iterable[np.ndarray],
+    brush: Brush,
+    view: RenderCamera | None,
+    *,
+    front_only: bool = False,
+    only_selected: bool = False,
+) -> Pieces[int]:
+    """Paint a whole stroke; how many splats it reached. Arguments and errors as `begin_stroke`.
+
+    Args:
+        ob: A splat object.
+        points: The way, each [2] pixels of the view or [3] in the world.
+        brush: What is done.
+        view: Where the stroke is painted.
+        front_only: Leave out what lies behind.
+        only_selected: Leave out what is not selected.
+    """
+    how = {"front_only": front_only, "only_selected": only_selected}
+    painted = yield from begin_stroke(ob, brush, view, **how)
+    for point in points:
+        painted.to(point)
+    return painted.finish()
+
+
+def show_as_kept(ob: bpy.types.Object) -> None:
+    """Have the live display show an object's colours and selection as its mesh has them, at once.
+
+    After undo it would do so by itself, some tenths of a second later.
+    """
+    if ob.mode == "EDIT" or not live.SESSION.works:
+        return
+    copies.SHARED.repaint(ob.data.session_uid, attributes.column(ob.data, attributes.BASE))
+    copies.SHARED.remark(ob.data.session_uid, read_marks(ob.data))

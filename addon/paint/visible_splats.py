@@ -1,0 +1,203 @@
+"""What a view shows of the splats of an object: where they are, which are in front, which colour a
+pixel has."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from .. import attributes, compat
+from ..cameras.camera_math import project
+from ..cameras.render_camera import RenderCamera
+from ..core import Rendered, render
+from ..process.incremental_tasks import Pieces, run_in_thread
+from ..render.viewport import smaller
+from ..splats import filters, objects
+from ..splats.read_chunked import read_chunked
+
+LARGEST = 512
+"""Pixels of the larger side of the picture whose depths say what is in front."""
+_SLACK = 4.0
+"""Widths of that picture's pixels by which a splat in front may lie behind the surface, besides its
+own size: surfaces are slanted."""
+_BLOCK = 1 << 15
+"""Splats looked at at once."""
+_FAINTEST = 0.05
+"""Opacity of a pixel below which nothing is seen there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VisibleSplats:
+    """The splats of an object before a view, copied out of Blender; needs no bpy."""
+
+    name: str
+    """The object's."""
+    view: RenderCamera | None
+    """From where; None: it is looked at in Blender's world."""
+    matrix: np.ndarray
+    """[4, 4] float64 from the object's space to the world."""
+    limits: filters.Filters
+    """What the display shows."""
+    antialias: bool
+    columns: dict[str, np.ndarray]
+    """Attributes of N splats, as `attributes.as_splats` takes them; some may be missing."""
+
+    def shown(self) -> np.ndarray:
+        """[N] bool: which splats the filters let pass."""
+        if not self.limits.leave_out_anything:
+            return np.ones(len(self.columns[attributes.BASE]), bool)
+        return filters.passing(self.columns, self.limits)
+
+    def pixels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the view shows the centers.
+
+        Returns:
+            [N, 2] float32, pixels from the top left, and [N] bool: which of them lie beyond the
+            view's near plane and within its picture.
+        """
+        view, means = self.view, self.columns[attributes.POSITION]
+        K, viewmat = (matrix.astype(np.float32) for matrix in (view.K, self._viewmat))
+        found, there = np.zeros((len(means), 2), np.float32), np.zeros(len(means), bool)
+        for part in _blocks(len(means)):
+            with np.errstate(all="ignore"):  # what lies behind the view is left out
+                at, depths = project(means[part], K, viewmat, orthographic=view.orthographic)
+                inside = depths > view.near
+                for axis, end in enumerate((view.width, view.height)):
+                    inside &= (at[:, axis] >= 0) & (at[:, axis] < end)
+            found[part], there[part] = np.where(inside[:, None], at, 0), inside
+        return found, there
+
+    def in_front(self, at: np.ndarray) -> np.ndarray:
+        """[N] bool: splats whose center does not lie behind the surface that the view shows.
+
+        The surface is where half of the light is blocked by the object's own splats, those that its
+        filters hide apart; the rasterizer says where, on a picture of `LARGEST` pixels. A splat may
+        lie behind it by its own size, its largest standard deviation, and by as much as `_SLACK`
+        pixels of that picture are wide at this depth.
+
+        Args:
+            at: [N, 2], as `pixels` gives it.
+        """
+        view = self.view
+        small = smaller(view, -(-max(view.width, view.height) // LARGEST))
+        surface = self._drawn(small, depths=True).median_depth
+        assert surface is not None
+        means, scales = self.columns[attributes.POSITION], self.columns[attributes.SCALE]
+        row = self._viewmat[2].astype(np.float32)
+        larger = np.float32(np.cbrt(abs(np.linalg.det(self._viewmat[:3, :3]))))
+        found = np.empty(len(means), bool)
+        for part in _blocks(len(means)):
+            before = _looked_up(surface, at[part], view)
+            pixel = (1 if view.orthographic else before) / np.float32(small.K[0, 0])
+            # By axis: the other way is slow.
+            size = larger * np.abs(scales[part].T.copy()).max(axis=0)
+            depths = means[part] @ row[:3] + row[3]
+            # Where the light is never blocked, nothing is behind anything.
+            found[part] = (before <= 0) | (depths <= before + _SLACK * pixel + size)
+        return found
+
+    def color_at(self, point: np.ndarray) -> np.ndarray:
+        """[3] sRGB values that the splats show at a pixel, without what depends on the view.
+
+        Args:
+            point: [2] pixels from the top left, within the view.
+
+        Raises:
+            ValueError: nothing is seen there.
+        """
+        left, top = (int(v) for v in np.floor(point))
+        drawn = self._drawn(self.view, depths=False, window=(left, top, 1, 1))
+        if drawn.alpha[0, 0] < _FAINTEST:
+            raise ValueError(f"There are no splats of {self.name} under the cursor.")
+        return np.clip(drawn.rgb[0, 0] / drawn.alpha[0, 0], 0, 1)
+
+    def _drawn(
+        self,
+        view: RenderCamera,
+        *,
+        depths: bool,
+        window: tuple[int, int, int, int] | None = None,
+    ) -> Rendered:
+        """A picture of the object alone, without what its filters hide."""
+        splats = attributes.as_splats({name: v.copy() for name, v in self.columns.items()})
+        if self.limits.leave_out_anything:
+            splats = splats.subset(self.shown())
+        return render(
+            splats,
+            view.K,
+            view.viewmat @ self.matrix,
+            view.width,
+            view.height,
+            near=view.near,
+            antialias=self.antialias,
+            orthographic=view.orthographic,
+            depths=depths,
+            window=window,
+        )
+
+    @property
+    def _viewmat(self) -> np.ndarray:
+        """[4, 4] float64 from the object's space to the view's."""
+        return self.view.viewmat @ self.matrix
+
+
+def looking(
+    ob: bpy.types.Object, view: RenderCamera | None, *, drawn: bool
+) -> Pieces[VisibleSplats]:
+    """Copy what a view shows of an object in Object Mode.
+
+    Args:
+        ob: A splat object.
+        view: From where, as `VisibleSplats.view`.
+        drawn: Whether pictures are drawn of it, without what depends on the view.
+
+    Raises:
+        ValueError: attributes are missing or not finite, or `drawn`, and the object is scaled
+            unevenly.
+    """
+    matrix, limits = compat.matrix_to_numpy(ob.matrix_world), filters.filters_of(ob)
+    if drawn:
+        objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # refuses a scale that is uneven
+    wanted = {attributes.BASE, attributes.POSITION}
+    if limits.leave_out_anything:
+        wanted.update(filters.LOOKED_AT)
+    if drawn:
+        wanted.update((attributes.SCALE, attributes.ROTATION))
+    name, antialias = ob.name, bool(ob.get(objects.ANTIALIAS, False))
+    columns = yield from read_chunked(ob, sorted(wanted))
+    columns.setdefault(attributes.POSITION, np.zeros((0, 3), np.float32))
+    return VisibleSplats(
+        name=name, view=view, matrix=matrix, limits=limits, antialias=antialias, columns=columns
+    )
+
+
+def _looked_up(picture: np.ndarray, at: np.ndarray, view: RenderCamera) -> np.ndarray:
+    """[B] values of a smaller picture [H, W] of a view at its pixels [B, 2]."""
+    height, width = picture.shape
+    column = np.clip(at[:, 0] * np.float32(width / view.width), 0, width - 1).astype(np.int32)
+    line = np.clip(at[:, 1] * np.float32(height / view.height), 0, height - 1).astype(np.int32)
+    return picture[line, column]
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    """So many splats in parts that stay in a cache, several times faster than all at once."""
+    return (slice(at, at + _BLOCK) for at in range(0, count, _BLOCK))
+
+
+def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Pieces[np.ndarray]:
+    """[3] sRGB values that an object's splats show at a pixel, without what depends on the view.
+
+    Args:
+        ob: A splat object in Object Mode.
+        view: From where.
+        point: [2] pixels from the top left.
+
+    Raises:
+        ValueError: nothing is seen there, or as `looking`.
+    """
+    left, top = (int(v) for v in np.floor(point))
+    if not (0 <= left < view.width and 0 <= top < view.height):
+        raise ValueError("There is no view under the cursor: pick a color within the 3D view.")
+    sight = yield from looking(ob, view, drawn=True)
+    return (yield from run_in_thread(lambda check: sight.color_at(point), "Looking for the color"))

@@ -1,0 +1,114 @@
+"""Where a result is wrong: errors on cameras and splats, and the worst photos."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..cameras.objects import cameras_of, root_of
+from ..capture.figures import Figures
+from ..error_maps import colors, measure_errors
+from ..error_maps.errors_job import ErrorsJob
+from ..process import poll_timer
+from ..splats.objects import is_splats, meant
+from ..stored_paths import RUN
+from ..training import lookups, verb_job
+from .widgets import TabPanel, has_python, sentence
+
+_WORST = 5
+"""Photos in the list."""
+
+
+class ErrorsPanel(TabPanel, bpy.types.Panel):
+    """How far the result is from its photos, and where"""
+
+    bl_idname = "GSCORE_PT_errors"
+    bl_label = "Errors"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Splats of a training are active."""
+        return is_splats(ob := meant(context)) and RUN in ob
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, meant(context)
+        job = measure_errors.job_of(ob)
+        if job is not None and not job.ended:
+            row = layout.row(align=True)
+            told = job.progress
+            text = told.view if told is not None and told.view else "Starting"
+            row.progress(factor=job.share, text=text)
+            row.operator("gscore.stop_errors", text="", icon="SNAP_FACE")
+            if job.busy:
+                return
+        elif job is not None:
+            draw_end(layout, context, job)
+        if has_python(layout, context):
+            layout.operator("gscore.measure_errors", icon="VIEWZOOM")
+        figures, problem = lookups.figures.get(measure_errors.run_of(ob))
+        poll_timer.ensure()  # which takes in what is looked up
+        if problem:
+            sentence(layout, context, problem, icon="ERROR")
+        draw_switches(layout, ob, figures)
+        if figures is not None:
+            draw_worst(layout, ob, figures)
+
+
+def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: ErrorsJob) -> None:
+    """How a measuring ended, and what the colors stand for."""
+    if job.wanted:
+        layout.label(text="Bringing the splats in...", icon="TIME")
+    if job.sentence:
+        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
+        sentence(layout, context, job.sentence, icon=icon)
+    for text in job.warnings[-2:]:
+        sentence(layout, context, text, icon="ERROR")
+    if job.done is not None:
+        text = (
+            "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black "
+            f"for no error, pale yellow where colors are {job.done.error_bright:.0%} off or more, "
+            "grey where no photo looks."
+        )
+        sentence(layout, context, text)
+
+
+def draw_switches(
+    layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures | None
+) -> None:
+    """Which of the colors are shown."""
+    root, maps = root_of(ob), measure_errors.siblings(ob)[1]
+    colored = root is not None and colors.shown(root)
+    if not maps and not colored and figures is None:
+        return
+    row = layout.row(align=True)
+    part = row.row(align=True)
+    part.enabled = root is not None and (colored or figures is not None)
+    cameras = part.operator("gscore.color_by_error", text="Cameras", icon="COLOR", depress=colored)
+    cameras.show = not colored
+    part = row.row(align=True)
+    part.enabled = bool(maps)
+    shown = any(other.visible_get() for other in maps)
+    splats = part.operator("gscore.show_error_map", text="Splats", icon="COLOR", depress=shown)
+    splats.show = not shown
+    row.operator("gscore.remove_errors", text="", icon="X")
+
+
+def draw_worst(layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures) -> None:
+    """The worst photos, with a look through their cameras and the comparison."""
+    root = root_of(ob)
+    cameras = {} if root is None else {c.get("gs_image"): c.name for c in cameras_of(root)}
+    column = layout.column(align=True)
+    for name, psnr in figures.ranked[:_WORST]:
+        row = column.row(align=True)
+        row.label(text=f"{psnr:.1f} dB  {name}")
+        part = row.row(align=True)
+        part.enabled = name in cameras
+        look = part.operator("gscore.use_camera", text="", icon="VIEW_CAMERA")
+        look.camera = name
+        compare = part.operator("gscore.compare_photo", text="", icon="IMAGE_REFERENCE")
+        compare.camera = cameras.get(name, "")
+
+
+CLASSES = (ErrorsPanel,)

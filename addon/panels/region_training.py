@@ -1,0 +1,76 @@
+"""Steering a training from the scene: a region that is trained again."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..region_training import train_region
+from ..region_training.job import RegionJob
+from ..splats.objects import is_splats, meant
+from ..training import verb_job
+from .widgets import TabPanel, has_python, sentence
+
+_WARNINGS_SHOWN = 3
+
+
+class RegionPanel(TabPanel, bpy.types.Panel):
+    """A part of the splats, trained again while all else stands still"""
+
+    bl_idname = "GSCORE_PT_region"
+    bl_label = "Train a Region"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A splat object is active, or what crops one."""
+        return is_splats(meant(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, meant(context)
+        job = train_region.job_of(context.scene)
+        if job is not None:
+            draw_job(layout, context, job)
+            if not job.ended:
+                return
+        if not context.scene.gscore.capture_path.strip():
+            text = "Choose the capture of these splats under Capture."
+            sentence(layout, context, text, icon="INFO")
+            return
+        if ob.gscore.crop_object is None:
+            sentence(layout, context, "Put a crop box around what is to be trained.", icon="INFO")
+            layout.operator("gscore.add_crop_box", icon="CUBE")
+            return
+        if not has_python(layout, context):
+            return
+        layout.prop(context.scene.gscore_steer, "region_steps")
+        layout.operator("gscore.train_region", icon="PLAY")
+
+
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: RegionJob) -> None:
+    """How far a training is, or how it ended."""
+    if not job.ended:
+        row = layout.row(align=True)
+        row.progress(factor=job.share, text=bar_text(job))
+        row.operator("gscore.stop_region", text="", icon="SNAP_FACE")
+        if job.started is not None and job.started.region:
+            sentence(layout, context, job.started.region)
+    elif job.wanted:
+        layout.label(text="Bringing the splats in...", icon="TIME")
+    if job.sentence:
+        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
+        sentence(layout, context, job.sentence, icon=icon)
+    for text in job.warnings[-_WARNINGS_SHOWN:]:
+        sentence(layout, context, text, icon="ERROR")
+
+
+def bar_text(job: RegionJob) -> str:
+    """What stands in the bar."""
+    if job.start is not None:
+        return "Writing the splats"
+    told = job.progress
+    return "Starting" if told is None or not told.splats else f"Step {told.step:,}"
+
+
+CLASSES = (RegionPanel,)

@@ -1,0 +1,182 @@
+"""Operators that paint, save and discard masks, and the panel that helps to paint."""
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+
+from .. import compat
+from ..cameras.lookup import find_camera, find_root
+from ..interface.base_operator import BaseOperator
+from ..interface.images import editor_of, fit
+from ..interface.sidebar import TAB, choose_tab, close_shelf, in_turn, open_sidebar
+from . import masks
+
+_NO_BRUSH = "There is no brush yet; choose one in the image editor, then press Leave Out."
+
+
+class PaintMask(BaseOperator, bpy.types.Operator):
+    """Paint on the photo of the camera what is not to count in training; erased is left out"""
+
+    bl_idname = "gscore.paint_mask"
+    bl_label = "Paint Mask"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    camera: StringProperty(
+        name="Camera",
+        description="Object or photo; empty: the active camera, or the scene's",
+        options={"SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Make the image, and open it in paint mode."""
+        camera = find_camera(context, find_root(context), self.camera)
+        image = masks.make(context.scene, camera)
+        area = editor_of(context, image, new_window=True)
+        if area is None:
+            return f"{image.name} is made; open it in an Image Editor to paint."
+        area.spaces.active.ui_mode = "PAINT"
+        # The mask is saved in the sidebar; neither it nor brushes are to cover the photo.
+        in_turn(area, open_sidebar, choose_tab, close_shelf, fit)
+        if not use_brush(context, hides=True):
+            self.warn([_NO_BRUSH])
+        return ""
+
+
+class _OnMask(BaseOperator):
+    """What operators on a mask share: one that is named, or the one in the image editor."""
+
+    image: StringProperty(
+        name="Image",
+        description="The mask; empty: that of the image editor",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def mask(self, context: bpy.types.Context) -> bpy.types.Image:
+        """The mask that is meant.
+
+        Raises:
+            ValueError: it is none.
+        """
+        found = bpy.data.images.get(self.image) if self.image else shown(context)
+        if not masks.is_mask(found):
+            raise ValueError("This image is no mask of a photo; press Paint Mask first.")
+        return found
+
+
+class SaveMask(_OnMask, bpy.types.Operator):
+    """Save the mask where training looks for it. Hold Alt to forget what was painted instead"""
+
+    bl_idname = "gscore.save_mask"
+    bl_label = "Save Mask"
+    bl_options: ClassVar = {"REGISTER"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """With Alt, discard."""
+        if event.alt:
+            return bpy.ops.gscore.discard_mask("EXEC_DEFAULT", image=self.mask(context).name)
+        return self.execute(context)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Write it."""
+        file = masks.save(context.scene, self.mask(context))
+        if not context.scene.gscore.use_masks:
+            self.warn(["Use Masks is off, so training will not heed it; see Train > Options."])
+        return f"Saved {file}."
+
+
+class DiscardMask(_OnMask, bpy.types.Operator):
+    """Forget what was painted since the mask was saved; its file stays as it is"""
+
+    bl_idname = "gscore.discard_mask"
+    bl_label = "Discard Mask"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Forget it."""
+        image = self.mask(context)
+        name = masks.photo_name(image)
+        masks.discard(image)
+        return f"The painted mask of {name} is gone; its file is as it was."
+
+
+class MaskBrush(_OnMask, bpy.types.Operator):
+    """Have the brush take pixels out of the training, or bring them back"""
+
+    bl_idname = "gscore.mask_brush"
+    bl_label = "Mask Brush"
+    bl_options: ClassVar = {"REGISTER"}
+
+    does: EnumProperty(
+        name="Brush",
+        description="What the brush does",
+        items=(
+            ("HIDE", "Leave Out", "What is painted does not count"),
+            ("SHOW", "Bring Back", "What is painted counts again"),
+        ),
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Set it."""
+        if not use_brush(context, hides=self.does == "HIDE"):
+            raise ValueError(_NO_BRUSH)
+        return ""
+
+
+class MaskPanel(bpy.types.Panel):
+    """Painting a mask on a photo"""
+
+    bl_idname = "GSCORE_PT_mask"
+    bl_label = "Mask of a Photo"
+    bl_space_type = "IMAGE_EDITOR"
+    bl_region_type = "UI"
+    bl_category = TAB
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """A mask is shown."""
+        return masks.is_mask(shown(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        image = shown(context)
+        layout.label(text=masks.photo_name(image), icon="IMAGE_ALPHA")
+        row = layout.row(align=True)
+        row.operator("gscore.mask_brush", text="Leave Out").does = "HIDE"
+        row.operator("gscore.mask_brush", text="Bring Back").does = "SHOW"
+        row = layout.row(align=True)
+        row.operator("gscore.save_mask", icon="FILE_TICK")
+        row.operator("gscore.discard_mask", text="", icon="X")
+        if masks.is_unsaved(image):
+            layout.label(text="Not saved yet", icon="INFO")
+
+
+def shown(context: bpy.types.Context) -> bpy.types.Image | None:
+    """The image of the editor that is drawn or used, else the first that an editor shows."""
+    space = getattr(context, "space_data", None)
+    if space is not None and space.type == "IMAGE_EDITOR":
+        return space.image
+    return next(iter(_images(context)), None)
+
+
+def use_brush(context: bpy.types.Context, *, hides: bool) -> bool:
+    """Have the brush of image painting erase or add alpha; whether there is one.
+
+    Builds of Blender without its assets have none.
+    """
+    brush = compat.tool_settings(context).image_paint.brush
+    if brush is None:
+        return False
+    brush.blend = "ERASE_ALPHA" if hides else "ADD_ALPHA"
+    return True
+
+
+def _images(context: bpy.types.Context) -> Iterable[bpy.types.Image]:
+    areas = (area for window in context.window_manager.windows for area in window.screen.areas)
+    spaces = (area.spaces.active for area in areas if area.type == "IMAGE_EDITOR")
+    return (space.image for space in spaces if masks.is_mask(space.image))
+
+
+CLASSES = (PaintMask, SaveMask, DiscardMask, MaskBrush, MaskPanel)

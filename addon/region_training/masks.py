@@ -1,0 +1,273 @@
+"""Masks painted on photos: an image whose alpha is the mask, and the file that training looks for.
+
+An image holds the colours of the photo, so that one sees what one masks; brushes that erase and add
+alpha paint the mask. Files are grey, and white where pixels count, unless the scene inverts masks.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from .. import stored_paths
+from ..cameras.objects import cameras_of, root_of, stated
+from ..cameras.pictures import levels_of, read_picture
+from ..capture.folders import same_folder
+from ..core import (
+    DataConfig,
+    Folder,
+    atomic_write,
+    gray_png,
+    read_capture,
+    read_header,
+    rgba_png,
+)
+from ..interface import undo
+from ..render.camera_photo import kept_of, mask_folder, mask_place
+from ..training import facts, lookups, start_training
+
+_CAPTURE, _PHOTO, _SAVED = "gs_mask_capture", "gs_mask_photo", "gs_mask_saved"
+_FILE = "gs_mask_file"
+"""Custom properties of an image: the capture's folder, the photo's name in it, what tells whether
+the image is as it was made or saved, and the mask's file."""
+
+
+def is_mask(image: bpy.types.Image | None) -> bool:
+    """Whether an image is a mask of ours."""
+    return image is not None and _PHOTO in image
+
+
+def photo_name(image: bpy.types.Image) -> str:
+    """Name of the photo in the capture that a mask belongs to."""
+    return str(image[_PHOTO])
+
+
+def is_unsaved(image: bpy.types.Image) -> bool:
+    """Whether a mask was painted on since it was made or saved."""
+    return image.is_dirty or image.get(_SAVED, "") != _mark(image)
+
+
+def unsaved_of(root: bpy.types.Object | None) -> list[bpy.types.Image]:
+    """Masks of a capture that were painted and not saved."""
+    if root is None:
+        return []
+    source = Path(stored_paths.read(root, stored_paths.SOURCE))
+    return [image for image in _of_capture(source) if is_unsaved(image)]
+
+
+def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
+    """The image of a camera's mask: the one that is painted already, else made of the mask's file,
+    else one that hides nothing.
+
+    Raises:
+        ValueError: the photo or its mask cannot be read, or a mask of it would not be used.
+    """
+    own, root = stated(camera), root_of(camera)
+    if root is None:
+        raise ValueError(f"{camera.name} is no camera of a capture; import its cameras first.")
+    source = stored_paths.read(root, stored_paths.SOURCE)
+    for image in _of_capture(Path(source)):
+        if photo_name(image) == own.image:
+            return image
+    _check_usable(scene, Path(own.photo))
+    rgba = read_picture(own.photo, own)
+    rgba[..., 3] = 1
+    file = _stated_file(camera, own.image) or _found_file(camera, own.image)
+    if file is not None and file.is_file():
+        mask = read_picture(str(file), own)
+        if mask.shape != rgba.shape:
+            raise ValueError(f"The mask {file} has another size than its photo: mend it first.")
+        rgba[..., 3] = kept_of(mask, scene.gscore.invert_masks)
+    height, width = rgba.shape[:2]
+    image = bpy.data.images.new(f"Mask of {Path(own.image).name}", width, height, alpha=True)
+    image.alpha_mode = "STRAIGHT"
+    image[_CAPTURE], image[_PHOTO] = source, own.image
+    image[_FILE] = str(file or mask_place(camera) / f"{own.image}.png")
+    image.use_fake_user = True  # no file has it until it is saved
+    _settle(image, levels_of(rgba))
+    return image
+
+
+def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
+    """Write a mask where training looks for it, completely or not at all; the file.
+
+    Raises:
+        ValueError: its camera is gone, or the file would be one of the photos.
+        GsError: it cannot be written.
+    """
+    camera = _camera_of(image)
+    place = mask_place(camera)
+    assert place is not None
+    file = _target(camera, place, photo_name(image))
+    width, height = image.size
+    flat = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(flat)
+    pixels = levels_of(flat.reshape(height, width, image.channels)[::-1])
+    levels = pixels[..., -1]
+    atomic_write(file, gray_png(255 - levels if scene.gscore.invert_masks else levels))
+    image[_FILE] = str(file)
+    _settle(image, pixels)
+    lookups.captures.expire()
+    facts.capture(scene)
+    return file
+
+
+def discard(image: bpy.types.Image) -> None:
+    """Forget what was painted; the mask's file, if there is one, stays as it is."""
+    bpy.data.images.remove(image)
+    undo.push("Discard Mask")
+
+
+def _settle(image: bpy.types.Image, pixels: np.ndarray) -> None:
+    """Keep the pixels in the .blend file, and note that they are what was made or saved.
+
+    Args:
+        image: Gets them.
+        pixels: [H, W, 4] uint8, the top row first.
+    """
+    # Blender's own packing compresses them at once, for 0.1 s a megapixel.
+    _pack(image, rgba_png(pixels, packed=False))
+    image.source = "FILE"
+    image.buffers_free()  # they are read from what is packed, and nothing is unsaved
+
+
+def _pack(image: bpy.types.Image, png: bytes) -> None:
+    image.pack(data=png, data_len=len(png))
+    image[_SAVED] = _mark(image)
+
+
+def _mark(image: bpy.types.Image) -> str:
+    """What changes where an image, or the mask's file, becomes another: undo of a save brings the
+    image back, not the file."""
+    packed, file = image.packed_file, Path(str(image.get(_FILE, "")))
+    written = file.stat().st_mtime_ns if file.is_file() else 0
+    return "" if packed is None else f"{packed.size} {written}"
+
+
+def _of_capture(source: Path) -> list[bpy.types.Image]:
+    masks = (image for image in bpy.data.images if is_mask(image) and image.library is None)
+    return [image for image in masks if same_folder(Path(str(image[_CAPTURE])), source)]
+
+
+def _camera_of(image: bpy.types.Image) -> bpy.types.Object:
+    for ob in bpy.data.objects:
+        if ob.get("gs_kind") != "capture":
+            continue
+        if same_folder(
+            Path(stored_paths.read(ob, stored_paths.SOURCE)), Path(str(image[_CAPTURE]))
+        ):
+            named = (c for c in cameras_of(ob) if c.get("gs_image") == image[_PHOTO])
+            if (found := next(named, None)) is not None:
+                return found
+    raise ValueError(
+        f"The camera of {photo_name(image)} is gone from the file; import the cameras of "
+        f"{image[_CAPTURE]} again."
+    )
+
+
+def _check_usable(scene: bpy.types.Scene, photo: Path) -> None:
+    """ValueError where a file of a mask would change what the other photos mean, or be turned."""
+    found, problem = facts.capture(scene)
+    if found is None and not problem:  # else the panel has looked, a moment ago
+        found, _ = facts.refresh(scene)
+    if found is not None and found.alphas and not found.masks:
+        raise ValueError(
+            "The photos' own transparency is their mask, and would not count beside files of "
+            "masks. Change it in the photos."
+        )
+    header = read_header(photo)
+    if header is not None and (header.is_flipped or header.is_sideways):
+        raise ValueError(
+            f"{photo} is stored turned or mirrored, and Blender shows it so: a mask would not fit. "
+            "Store the photos upright."
+        )
+
+
+def _stated_file(camera: bpy.types.Object, name: str) -> Path | None:
+    """The file that the capture itself names for a mask."""
+    source = Path(stored_paths.read(root_of(camera), stored_paths.SOURCE))
+    listed = source.glob("*.json") if source.is_dir() else ()
+    stamps = (file.stat().st_mtime_ns for file in (source, *sorted(listed)) if file.exists())
+    return _stated_masks(source, tuple(stamps)).get(name)
+
+
+@lru_cache(maxsize=4)
+def _stated_masks(source: Path, stamps: tuple[int, ...]) -> dict[str, Path]:
+    """Files of masks by photo, as a capture names them; to read it again takes 0.2 ms a photo.
+
+    Args:
+        source: The capture.
+        stamps: Differ where its folder or its description was changed.
+    """
+    views = read_capture(DataConfig(source=source)).views
+    return {view.name: view.mask for view in views if view.mask is not None}
+
+
+def _found_file(camera: bpy.types.Object, name: str) -> Path | None:
+    """The file of a photo's mask in the folder of masks."""
+    folder = mask_folder(camera)
+    return None if folder is None else Folder(folder).find_mask(name)
+
+
+def _target(camera: bpy.types.Object, place: Path, name: str) -> Path:
+    """Where a mask is written: over the file that it was made of, else `masks/NAME.png`.
+
+    Raises:
+        ValueError: that is no place for a mask.
+    """
+    stated_file, found = _stated_file(camera, name), _found_file(camera, name)
+    file = stated_file or found
+    if file is None or file.suffix.lower() != ".png":
+        if stated_file is not None:
+            raise ValueError(f"The capture names {file} as the mask: no PNG, so it stays as it is.")
+        file = place / f"{name}.png"
+    photos = {Path(stated(c).photo).resolve().parent for c in cameras_of(root_of(camera))}
+    inside = stated_file is not None or place.resolve() in file.resolve().parents
+    if file.resolve().parent in photos or not inside:
+        raise ValueError(f"{file} lies among the photos, where no mask is written; move the masks.")
+    return file
+
+
+def _told(source: Path) -> list[str]:
+    names = [photo_name(image) for image in _of_capture(source) if is_unsaved(image)]
+    if not names:
+        return []
+    some = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    return [f"Painted masks are not saved, and training will not see them: {some}."]
+
+
+@persistent
+def _save_begins(*_: object) -> None:
+    """Let the .blend file have what is painted: Blender keeps what is packed alone. What was packed
+    in haste is made small."""
+    for image in filter(is_mask, bpy.data.images):
+        if image.library is not None:
+            continue
+        if image.is_dirty:
+            image.pack()
+            image[_SAVED] = ""
+        elif image.packed_file is not None and not is_unsaved(image):
+            _make_small(image)
+
+
+def _make_small(image: bpy.types.Image) -> None:
+    width, height = image.size
+    if image.packed_file.size < 4 * width * height:
+        return
+    flat = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(flat)
+    _pack(image, rgba_png(levels_of(flat.reshape(height, width, image.channels)[::-1])))
+
+
+def on_register() -> None:
+    """Have trainings name what is not saved, and .blend files keep it."""
+    start_training.UNSAVED.append(_told)
+    bpy.app.handlers.save_pre.append(_save_begins)
+
+
+def on_unregister() -> None:
+    """Take that back."""
+    bpy.app.handlers.save_pre.remove(_save_begins)
+    start_training.UNSAVED.remove(_told)

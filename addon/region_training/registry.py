@@ -1,0 +1,7 @@
+"""The trainings of regions of this Blender session; no bpy."""
+
+from ..training.verb_jobs import VerbJobs
+from .job import RegionJob
+
+JOBS: VerbJobs[RegionJob] = VerbJobs()
+"""Those of each capture."""

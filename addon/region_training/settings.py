@@ -1,0 +1,33 @@
+"""What a scene says about the regions that it trains."""
+
+import bpy
+
+from ..core import TrainConfig
+from ..training.declared import declared
+
+
+class SteerSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore_steer`."""
+
+    region_steps: declared(
+        TrainConfig(),
+        "iterations",
+        "Steps",
+        default=2000,
+        soft_min=200,
+        soft_max=10_000,
+        description="Training steps for a region, one photo each",
+    )
+
+
+CLASSES = (SteerSettings,)
+
+
+def on_register() -> None:
+    """Make the settings a property of scenes."""
+    bpy.types.Scene.gscore_steer = bpy.props.PointerProperty(type=SteerSettings)
+
+
+def on_unregister() -> None:
+    """Take the property back."""
+    del bpy.types.Scene.gscore_steer

@@ -1,0 +1,199 @@
+"""The training of a region from scripts and operators: begin, and bring in what came out."""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from .. import attributes, preferences
+from ..interface import undo
+from ..interface.option_labels import error_words
+from ..paths import capture_folder, output_folder
+from ..process import poll_timer
+from ..splats import objects, splat_files
+from ..splats.error_maps import is_map
+from ..splats.write_chunked import ChunkedWrite, check_replaceable, replace
+from ..training import guides, options, start_training
+from ..training.launch import begin, follow, launch
+from ..training.results import signature
+from .job import RegionJob
+from .region import region_of
+from .registry import JOBS
+from .start import Start
+
+
+class _Asked:
+    """The scene's options of a training, but for those of a region's."""
+
+    def __init__(self, settings: Any, ob: bpy.types.Object, steps: int) -> None:
+        self._settings = settings
+        self.iterations = steps
+        self.time_budget = self.target_psnr = 0.0
+        self.early_stop = self.sky = False  # a region is trained from splats that are there
+        self.max_splats = max(settings.max_splats, 2 * len(ob.data.vertices))
+        degree = attributes.SH_COUNTS.index(attributes.sh_count(ob.data))
+        self.sh_degree = max(settings.sh_degree, degree)
+        self.antialias = bool(ob.get(objects.ANTIALIAS))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._settings, name)
+
+
+def train_region(
+    scene: bpy.types.Scene,
+    ob: bpy.types.Object,
+    *,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> RegionJob:
+    """Train what lies in an object's crop box again, with all else standing still.
+
+    The object as it is, the box and all results go into a folder of their own beside the scene's
+    output folder, so that earlier runs stay.
+
+    Args:
+        scene: Its settings say how.
+        ob: A splat object with a crop object.
+        wait: Return when it has ended and its splats are there.
+        python: The Python that trains; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+        GsError: the scene's guides cannot be written.
+    """
+    source = capture_folder(scene)
+    if (other := JOBS.of_source(source)) is not None and not (other.ended and not other.wanted):
+        raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
+    if is_map(ob):
+        raise ValueError(f"{ob.name} shows errors, not splats; press Show Splats first.")
+    check_replaceable(ob)  # by what comes
+    objects.catch_up(ob)
+    box = region_of(ob)
+    found = start_training.check_capture(scene)
+    output = _free(output_folder(scene, preferences.get().output_folder))
+    start_file, region_file = output / "start.ply", output / "region.json"
+    asked = _Asked(scene.gscore, ob, scene.gscore_steer.region_steps)
+    line = options.new_run(
+        asked,
+        source=source,
+        output=output,
+        machine=start_training.machine(),
+        depths=found.depths > 0,
+    )
+    line += guides.arguments(scene, output)
+    line += ["--start-splats", str(start_file), "--region", str(region_file)]
+    known = {"source": source, "output": output, "object_uid": ob.session_uid}
+    before = signature(ob)
+    job = launch(lambda program: RegionJob(program, line, **known, before=before), python)
+    job.start = Start(ob, box, splats_file=start_file, region_file=region_file)
+    JOBS.add(job)
+    poll_timer.ensure()
+    follow(lambda: wait and (not job.ended or job.wanted))
+    return job
+
+
+def job_of(scene: bpy.types.Scene) -> RegionJob | None:
+    """The last training of a region of the scene's capture, under way or ended."""
+    try:
+        return JOBS.of_source(capture_folder(scene))
+    except ValueError:
+        return None
+
+
+def proceed(job: RegionJob) -> bool:
+    """Do the next step on the way to a training's start, or on that of its result into the scene;
+    whether panels changed."""
+    if job.start is None:
+        return bring_in(job)
+    try:
+        if job.ended:
+            job.start.drop()
+        elif not job.start.step():
+            return False
+        else:
+            begin(job.python, job.begin)
+    except Exception as error:  # whatever it is, nothing begins without its files
+        job.fail(error_words(error) or type(error).__name__)
+    job.start = None
+    return True
+
+
+def bring_in(job: RegionJob) -> bool:
+    """Do the next step on the way of a result into the scene; whether there was one.
+
+    It takes the place of the splats that it began with, which undo brings back; where these were
+    edited or deleted meanwhile, it becomes an object of its own.
+    """
+    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
+        return False
+    if job.filling is None:
+        loaded = job.loader.take()
+        if loaded is None:
+            return False
+        if loaded.problem:
+            job.wanted = False
+            job.warnings.append(loaded.problem)
+            return True
+        job.filling = ChunkedWrite(loaded)
+    mesh = job.filling.step()
+    if mesh is None:
+        return True
+    job.filling, job.wanted = None, False
+    try:
+        _show(job, mesh)
+    except ValueError as error:
+        bpy.data.meshes.remove(mesh)
+        job.warnings.append(error_words(error))
+    undo.push("Train Region")
+    return True
+
+
+def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
+    found = (ob for ob in bpy.data.objects if ob.session_uid == job.object_uid)
+    ob = next(filter(objects.is_splats, found), None)
+    if ob is None:
+        raise ValueError(f"The splats of the region are gone from the scene; {job.output} has all.")
+    try:
+        check_replaceable(ob)
+    except ValueError as error:
+        raise ValueError(
+            f"The result could not be put into the scene: {error} It lies in {job.output}; Result "
+            f"> Import brings {Path(job.done.path).name} from there as an object of its own."
+        ) from error
+    if signature(ob) != job.before:
+        name = ob.name
+        ob = _beside(ob)
+        job.warnings.append(f"{name} was edited and is kept; the result is {ob.name}.")
+    moved = splat_files.source_matrix_of_data(ob)
+    replace(ob, mesh)
+    if not np.array_equal(moved, np.eye(4)):
+        _stand_in_source(ob, moved)
+
+
+def _stand_in_source(ob: bpy.types.Object, moved: np.ndarray) -> None:
+    """Put an object where splats in its capture's world belong; before, `moved` took its own ones
+    there. Its crop box stays where it is."""
+    box = ob.gscore.crop_object
+    place = None if box is None else box.matrix_world.copy()
+    ob.matrix_world = ob.matrix_world @ Matrix(np.linalg.inv(moved).tolist())
+    bpy.context.view_layer.update()
+    if box is not None:
+        box.matrix_world = place
+
+
+def _beside(ob: bpy.types.Object) -> bpy.types.Object:
+    """A copy of an object, with a mesh of its own."""
+    copy = ob.copy()
+    copy.data = ob.data.copy()
+    for collection in ob.users_collection:
+        collection.objects.link(copy)
+    return copy
+
+
+def _free(beside: Path) -> Path:
+    """The first folder for a region's results that is not there."""
+    numbered = (beside.with_name(f"{beside.name}_region_{n}") for n in itertools.count(1))
+    return next(path for path in numbered if not path.exists())

@@ -1,0 +1,240 @@
+"""The photo of an imported camera, with its mask, as training sees it."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+
+from .. import stored_paths
+from ..cameras.objects import PhotoCamera, cameras_of, is_camera, root_of, stated
+from ..cameras.pictures import Decoded, decode, levels_of
+from ..cameras.undistorted_photos import undistortion_of
+from ..core import Folder, Undistortion, are_mattes, downscale
+from ..interface.blocks import with_uid
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+
+MASKS = "masks"
+"""Folder of masks in a capture, where the capture names no others."""
+
+
+_READING = "Reading the photo"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What a picture is compared with."""
+
+    pixels: np.ndarray
+    """[H, W, 3] float32 sRGB values, the top row first."""
+    weight: np.ndarray | None
+    """[H, W] float32 in [0, 1], how much a pixel counts; None: all alike."""
+
+
+def load_target(
+    camera: bpy.types.Object,
+    width: int,
+    height: int,
+    *,
+    background: tuple[float, float, float],
+    mask_mode: str,
+    invert_masks: bool = False,
+) -> Pieces[Target]:
+    """A camera's photo and mask at another size, scaled as for training.
+
+    Args:
+        camera: Of an imported capture.
+        width: Pixels, at most the photo's.
+        height: Pixels, at most the photo's.
+        background: sRGB values that photos are composited over where their opacity says so.
+        mask_mode: As gscore's option: `auto`, `composite`, `ignore` or `none`. Masks are files of
+            the photos' names in the capture's folder `masks`, else the photos' opacity.
+        invert_masks: Mask files are white where pixels do not count.
+
+    Raises:
+        ValueError: photo or mask cannot be decoded or have other shapes than the camera.
+    """
+    own = stated(camera)
+    place = None if mask_mode == "none" else mask_folder(camera)
+    file, masks = None, []
+    if place is not None:
+        listed = _listed(camera) if mask_mode == "auto" else []
+        file, masks = yield from run_in_thread(
+            partial(_find_masks, place, own.image, listed), _READING
+        )
+    wanted = _Wanted(
+        own=own,
+        size=(width, height),
+        background=background,
+        mode=mask_mode,
+        inverted=invert_masks,
+    )
+    photo = decode(own.photo)
+    yield _READING
+    mask = None
+    if file is not None:
+        mask = decode(file)
+        yield _READING
+    if masks:
+        cut_out = yield from _cut_out(masks, invert_masks)
+        wanted = replace(wanted, mode="composite" if cut_out else "ignore")
+    return (yield from run_in_thread(lambda check: _target(wanted, photo, mask), _READING))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wanted:
+    """What a photo is made to."""
+
+    own: PhotoCamera
+    size: tuple[int, int]
+    background: tuple[float, float, float]
+    mode: str
+    inverted: bool
+
+
+def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
+    """As `load_target`; touches no bpy."""
+    own, (width, height), mode = wanted.own, wanted.size, wanted.mode
+    plan = undistortion_of(own)
+    rgba = photo.arranged(own)
+    opacity = rgba[..., 3]
+    if mask is not None:
+        values = mask.arranged(own)
+        if values.shape != rgba.shape:
+            raise ValueError(
+                f"The mask {mask.path} is {values.shape[1]} x {values.shape[0]} pixels, its photo "
+                f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
+            )
+        opacity = kept_of(values, wanted.inverted)
+    elif mode == "auto":
+        mode = "composite"
+    if plan is not None:
+        cuts_out = mask is None and mode != "none"
+        rgba, opacity = _straightened(rgba[..., :3], opacity, plan, cut_out=cuts_out)
+    if width > rgba.shape[1] or height > rgba.shape[0]:
+        raise ValueError(
+            f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
+            f"{height} are asked for: lower the scene's resolution percentage."
+        )
+    pixels = _scaled(rgba[..., :3], width, height)
+    weight = _scaled(opacity, width, height)
+    if mode == "composite" and opacity.min() < 1:
+        # Averaged with the colours multiplied, so that hidden ones do not bleed in.
+        colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
+        pixels = colors + np.array(wanted.background, np.float32) * (1 - weight[..., None])
+    ignores = mode == "ignore" and opacity.min() < 1
+    return Target(pixels=pixels, weight=weight if ignores else None)
+
+
+def _straightened(
+    colors: np.ndarray, opacity: np.ndarray, plan: Undistortion, *, cut_out: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """A photo [h, w, 3] and what says where it counts [h, w] as a training straightens them.
+
+    Args:
+        colors: In [0, 1].
+        opacity: In [0, 1].
+        plan: The way to what the camera sees.
+        cut_out: The opacity is the photo's own, and not a mask.
+    """
+    photo, mask = levels_of(colors), levels_of(opacity)
+    if cut_out:
+        rgba = plan.straighten(np.dstack([photo, mask])) / np.float32(255)
+        return rgba, rgba[..., 3]
+    straight = plan.straighten(photo)
+    height, width = straight.shape[:2]
+    scale = (mask.shape[1] / plan.camera.width, mask.shape[0] / plan.camera.height)
+    # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
+    yes_or_no = not ((mask > 0) & (mask < 255)).any()
+    kept = plan.remap(mask, (width, height), pixels=scale, nearest=yes_or_no)
+    return straight / np.float32(255), kept / np.float32(255)
+
+
+def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
+    """[H, W] of a mask [H, W, 4], 1 = keep."""
+    opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
+    opacity = _yes_or_no(opacity)
+    return 1 - opacity if inverted else opacity
+
+
+class _Masked(NamedTuple):
+    """A camera of a capture, to be looked up again: undo replaces objects."""
+
+    uid: int
+    """Session number of the object."""
+    image: str
+    file: str = ""
+    """Its mask."""
+
+
+def _listed(camera: bpy.types.Object) -> list[_Masked]:
+    """All cameras of a camera's capture."""
+    root = root_of(camera)
+    found = [] if root is None else cameras_of(root)
+    return [_Masked(ob.session_uid, str(ob.get("gs_image", ""))) for ob in found]
+
+
+def _find_masks(
+    place: Path, image: str, listed: list[_Masked], check: Check
+) -> tuple[str | None, list[_Masked]]:
+    """The mask of an image in a folder, and, where there is one, the cameras that have one too."""
+    folder = Folder(place)
+    file = folder.find_mask(image)
+    if file is None:
+        return None, []
+    found = [one._replace(file=str(folder.find_mask(one.image) or "")) for one in listed]
+    return str(file), [one for one in found if one.file]
+
+
+def _cut_out(masks: list[_Masked], inverted: bool) -> Pieces[bool]:
+    """Whether masks cut a subject out, as training sees that."""
+    asked: list[int] = []
+    blank = np.zeros((8, 8), np.uint8)
+    are_mattes(len(masks), lambda i: (asked.append(i), blank)[1])  # which it will look at
+    levels = {}
+    for done, i in enumerate(asked):
+        one = masks[i]
+        ob = with_uid(bpy.data.objects, one.uid)
+        if not is_camera(ob):
+            raise ValueError(
+                f"The camera of {one.image} was taken away while masks were read: compare again."
+            )
+        levels[i] = yield from run_in_thread(
+            partial(_levels, decode(one.file), stated(ob), inverted),
+            f"Reading masks: {done / len(asked):.0%}",
+        )
+    return are_mattes(len(masks), levels.__getitem__)
+
+
+def _levels(mask: Decoded, own: PhotoCamera, inverted: bool, check: Check) -> np.ndarray:
+    return levels_of(kept_of(mask.arranged(own), inverted))
+
+
+def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
+    """A mask of 0 and one other number as one of 0 and 1, as gscore reads masks."""
+    top = opacity.max()
+    if not ((opacity == 0) | (opacity == top)).all() or (opacity.min() > 1 / 255):
+        return opacity
+    return (opacity > 0).astype(np.float32)
+
+
+def mask_folder(camera: bpy.types.Object) -> Path | None:
+    """The folder of masks of a camera's capture, if it is there."""
+    place = mask_place(camera)
+    return place if place is not None and place.is_dir() else None
+
+
+def mask_place(camera: bpy.types.Object) -> Path | None:
+    """Where masks of a camera's capture belong; None: the camera is of none."""
+    root = root_of(camera)
+    if root is None:
+        return None
+    source = Path(stored_paths.read(root, stored_paths.SOURCE))
+    return (source.parent if source.is_file() else source) / MASKS
+
+
+def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """[height, width, ...] float32 of values in [0, 1], by way of bytes as in training."""
+    return downscale(levels_of(values), width, height) / np.float32(255)

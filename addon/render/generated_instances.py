@@ -1,0 +1,164 @@
+"""Instances that an object makes by other means than its collection, with their faces: by geometry
+nodes, by particles, on its own corners and faces."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..compat import HAS_GEOMETRY_SETS, evaluated_geometry, matrix_to_numpy
+from ..splats.objects import is_splats
+from ..triangles import WITH_FACES, Triangles, triangles_of, triangles_of_mesh
+from .instances import DEEPEST, Path, inside, path_of
+
+Part = tuple[Triangles, np.ndarray]
+"""Faces, and [K, 4, 4] float64 matrices of all their places."""
+
+
+def may_hold_out(ob: bpy.types.Object) -> bool:
+    """Whether an object has faces, or may get some, and is none of ours."""
+    return ob.type in WITH_FACES and not is_splats(ob) and "gs_kind" not in ob
+
+
+def may_grow(ob: bpy.types.Object) -> bool:
+    """Whether an object that is none of ours may make such instances."""
+    ours = is_splats(ob) or "gs_kind" in ob
+    return not ours and (_has_nodes(ob) or always_grows(ob))
+
+
+def always_grows(ob: bpy.types.Object) -> bool:
+    """Whether Blender takes an object for one that makes such instances, whatever comes of it."""
+    return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
+
+
+def has_to_be_walked(ob: bpy.types.Object) -> bool:
+    """Whether the geometry of an evaluated object is found by `walked` alone."""
+    return always_grows(ob) or (_has_nodes(ob) and not HAS_GEOMETRY_SETS)
+
+
+def generated_instances(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:
+    """What the nodes of an evaluated object show besides its own mesh, in its own axes."""
+    return list(_of_object(ob, np.eye(4)[None], depsgraph, 0, itself=False))
+
+
+Walker = tuple[int, Path]
+"""Uid of an object that a depsgraph shows, and the way from it to what makes instances."""
+
+
+def walked(
+    depsgraph: bpy.types.Depsgraph, walkers: set[Walker], elsewhere: set[Walker]
+) -> dict[Walker, list[Part]]:
+    """All instances that some objects make, in the world.
+
+    Args:
+        depsgraph: What shows.
+        walkers: Which objects.
+        elsewhere: What is found in other ways, and is left out.
+    """
+    # The iterator has to be followed to its end, and what it gives does not outlive a step.
+    known: dict[tuple[int, bool], Triangles] = {}
+    places: dict[tuple[Walker, tuple[int, bool]], list[np.ndarray]] = {}
+    owners = {uid for uid, _ in walkers}
+    for instance in depsgraph.object_instances:
+        if not (instance.is_instance and instance.show_self) or instance.parent is None:
+            continue
+        owner = instance.parent.original.session_uid
+        if owner not in owners:
+            continue
+        path = path_of(instance)
+        before = ((owner, path[:length]) for length in reversed(range(len(path))))
+        walker = next((one for one in before if one in walkers), None)
+        ob = instance.object
+        if walker is None or (owner, path) in elsewhere or not _counts(ob, depsgraph):
+            continue
+        # Blender shows instances of texts and the like one after the other under one address.
+        is_mesh = ob.type == "MESH"
+        key = (ob.data.as_pointer() if is_mesh else ob.original.session_uid), is_mesh
+        if key not in known:
+            known[key] = triangles_of(ob)
+        places.setdefault((walker, key), []).append(matrix_to_numpy(instance.matrix_world))
+    found: dict[Walker, list[Part]] = {walker: [] for walker in walkers}
+    for (walker, key), matrices in places.items():
+        if len(known[key].triangles):
+            found[walker].append((known[key], np.array(matrices)))
+    return found
+
+
+def _has_nodes(ob: bpy.types.Object) -> bool:
+    return any(modifier.type == "NODES" for modifier in ob.modifiers)
+
+
+def _counts(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    return may_hold_out(ob) and (depsgraph.mode != "RENDER" or ob.visible_camera)
+
+
+def _of_object(
+    ob: bpy.types.Object,
+    matrices: np.ndarray,
+    depsgraph: bpy.types.Depsgraph,
+    depth: int,
+    *,
+    itself: bool = True,
+) -> Iterator[Part]:
+    """An evaluated object at some places, and what it shows there."""
+    counts = _counts(ob, depsgraph)
+    if counts and itself:
+        yield from _filled(triangles_of(ob), matrices)
+    if depth > DEEPEST or is_splats(ob):
+        return
+    if _has_nodes(ob):
+        geometry = evaluated_geometry(ob)
+        if geometry is not None:
+            # Curves and points have no faces of their own; nodes may have given them some.
+            faces = ob.type not in WITH_FACES
+            yield from _of_geometry(geometry, matrices, depsgraph, depth, faces=faces)
+    if itself and ob.instance_type == "COLLECTION" and ob.instance_collection is not None:
+        yield from _of_collection(ob.instance_collection, matrices, depsgraph, depth)
+
+
+def _of_collection(
+    collection: bpy.types.Collection,
+    matrices: np.ndarray,
+    depsgraph: bpy.types.Depsgraph,
+    depth: int,
+) -> Iterator[Part]:
+    for _, inner, matrix in inside(collection, depsgraph):
+        yield from _of_object(inner, matrices @ matrix, depsgraph, depth + 1)
+
+
+def _of_geometry(
+    geometry: Any,
+    matrices: np.ndarray,
+    depsgraph: bpy.types.Depsgraph,
+    depth: int,
+    *,
+    faces: bool = True,
+) -> Iterator[Part]:
+    """A geometry at some places: its faces, if they are wanted, and its instances."""
+    if faces and geometry.mesh is not None:
+        yield from _filled(triangles_of_mesh(geometry.mesh), matrices)
+    points = geometry.instances_pointcloud()
+    if points is None or depth > DEEPEST:
+        return
+    count = len(points.points)
+    own, which = np.empty((count, 4, 4), np.float32), np.empty(count, np.int32)
+    points.attributes["instance_transform"].data.foreach_get("value", own.ravel())
+    points.attributes[".reference_index"].data.foreach_get("value", which)
+    own = own.transpose(0, 2, 1).astype(np.float64)  # Blender keeps columns
+    for number, shown in enumerate(geometry.instance_references()):
+        there = own[which == number]
+        if not len(there):
+            continue
+        places = (matrices[:, None] @ there[None]).reshape(-1, 4, 4)
+        if isinstance(shown, bpy.types.Object):
+            yield from _of_object(shown, places, depsgraph, depth + 1)
+        elif isinstance(shown, bpy.types.Collection):
+            yield from _of_collection(shown, places, depsgraph, depth + 1)
+        elif shown is not None:
+            yield from _of_geometry(shown, places, depsgraph, depth + 1)
+
+
+def _filled(triangles: Triangles, matrices: np.ndarray) -> Iterator[Part]:
+    if len(triangles.triangles):
+        yield triangles, matrices

@@ -1,0 +1,87 @@
+"""Passes by which the compositor cuts meshes, and the world, where something is held out.
+
+`HOLDOUT` is how much of the light the splats that are held out block by themselves, `BEHIND` how
+much of what lies behind all splats is to go, beyond what the picture's alpha says, and `HELD_DEPTH`
+where those that are held out are. *Depth* is that of the others then. The film's own `MESHES` is
+of meshes that are held out, and `BESIDE` the picture's alpha in the part of a pixel that they
+leave.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from .color import NOTHING
+from .pass_renderer import MESHES, SHARE, Film
+from .shutter_lens import View
+
+HOLDOUT, BEHIND, HELD_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
+BESIDE = "Holdout Beside"
+NAMES = HOLDOUT, BEHIND, HELD_DEPTH, MESHES, BESIDE
+"""Of the passes, in their order."""
+_FULL = 1e-4
+"""Share of a pixel below which nothing behind the splats shows."""
+_PART = 1 / 16
+"""Least part of a pixel that is judged by itself; in means over a lens smaller ones say little."""
+
+Stop = Callable[[], bool]
+
+
+def blocked(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
+    """How much of the light some splats block, [H, W] float32, the bottom row first: `HOLDOUT`, and
+    as `BEHIND` all of them; nothing where none is held out.
+
+    Args:
+        film: What the picture is to be, transparent.
+        view: What stands where.
+        stop: As `Film.shoot`.
+    """
+    if view.model.shares is None:
+        return {}
+    whole = replace(view, model=replace(view.model, shares=None))
+    shown = {HOLDOUT: _only(view, held=True), BEHIND: whole}
+    plain = film.without_depths()
+    return {name: plain.shoot(v, stop)["Combined"][..., 3].copy() for name, v in shown.items()}
+
+
+def depths(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
+    """*Depth* and `HELD_DEPTH`; arguments and result as `blocked`."""
+    if view.model.shares is None:
+        return {}
+    shown = {"Depth": _only(view, held=False), HELD_DEPTH: _only(view, held=True)}
+    return {name: film.shoot(v, stop)["Depth"] for name, v in shown.items()}
+
+
+def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """All passes.
+
+    Args:
+        found: Of `blocked`, or means of such, and of `depths`.
+        shot: Of the film, or means of such.
+    """
+    picture = shot["Combined"]
+    nothing = np.zeros(picture.shape[:2], np.float32)
+    meshes, share = (shot.get(n, nothing).reshape(nothing.shape) for n in (MESHES, SHARE))
+    found = {MESHES: meshes, BESIDE: _beside(picture[..., 3], meshes, share), **found}
+    if HOLDOUT not in found:
+        far = np.full_like(nothing, NOTHING)
+        return {**found, HOLDOUT: nothing, BEHIND: nothing, HELD_DEPTH: far}
+    light, left = 1 - found[BEHIND], 1 - picture[..., 3]
+    kept = np.divide(light, left, out=np.zeros_like(light), where=left > _FULL)
+    return {**found, BEHIND: 1 - np.clip(kept, 0, 1)}
+
+
+def _beside(alpha: np.ndarray, meshes: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Alpha beside the meshes that are held out, in all of the pixel where they leave nothing. They
+    hide what is behind them, so that it is at least what the whole pixel has."""
+    more = (meshes - share * (1 - alpha)) / np.maximum(1 - share, _PART)
+    return np.clip(alpha + more, alpha, np.maximum(alpha, 1))
+
+
+def _only(view: View, *, held: bool) -> View:
+    """What stands where without the splats that are not held out, or those that are."""
+    owners, counts = zip(*view.model.owners, strict=True)
+    cuts = np.repeat([owner is None for owner in owners], counts)
+    splats = view.model.splats.subset(cuts == held)
+    return replace(view, model=replace(view.model, splats=splats, shares=None, owners=()))

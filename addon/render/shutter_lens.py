@@ -1,0 +1,323 @@
+"""What stands before a camera, through which point of its lens and at which moment of a frame."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..cameras.panorama import Panorama, panorama_of
+from ..cameras.render_camera import RenderCamera, render_camera
+from ..compat import matrix_to_numpy
+from ..timeline import frame_sync
+from .compositing_scene import main_scene
+from .holdout_meshes import HoldoutMesh, HoldoutMeshes, same_meshes
+from .mesh_copies import Frozen
+from .mesh_holdout import Hidden, hidden
+from .model import Model, SplatCache
+from .samples import Aperture, Sample, Shutter, samples
+from .scene import NO_SPLATS, Placed, Source, place, sources
+from .stereo import Eye, seen_by
+
+_OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
+"""When the shutter opens, in lengths of the exposure after the frame, by Blender's names."""
+_CURVE_POINTS = 65
+_NARROWEST = 1e-5
+"""Smallest f-stop, as Cycles has it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What one picture shows."""
+
+    model: Model
+    camera: RenderCamera | Panorama
+    held: tuple[HoldoutMesh, ...] = ()
+    """Meshes that hide the splats behind them."""
+
+    @cached_property
+    def hidden(self) -> Hidden | None:
+        """What `held` hides; of panoramas each patch is looked at by itself."""
+        flat = isinstance(self.camera, RenderCamera)
+        return hidden(self.held, self.camera) if self.held and flat else None
+
+    def same(self, other: "View") -> bool:
+        """Whether the other picture is this one."""
+        return (
+            self.model.splats is other.model.splats
+            and self.model.owners == other.model.owners
+            and np.array_equal(self.model.matrix, other.model.matrix)
+            and self.camera.same(other.camera)
+            and same_meshes(self.held, other.held)
+        )
+
+
+class Stage:
+    """Of one frame that is being rendered.
+
+    Args:
+        depsgraph: Of the render.
+        camera: Through which it looks.
+        size: Width and height, pixels.
+        cache: Keeps decoded splats.
+        frame_set: Evaluates the depsgraph at a frame and a fraction of one.
+        eye: Whose picture of a pair it is; None: there is one.
+    """
+
+    def __init__(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        camera: bpy.types.Object,
+        size: tuple[int, int],
+        cache: SplatCache,
+        frame_set: Callable[[int, float], None],
+        eye: Eye | None = None,
+    ) -> None:
+        self._eye = eye
+        self._depsgraph, self._camera, self._size = depsgraph, camera, size
+        self._cache, self._frame_set = cache, frame_set
+        self._frame = float(depsgraph.scene.frame_current_final)
+        opens = depsgraph.view_layer_eval.use_motion_blur
+        self._shutter = shutter_of(depsgraph.scene) if opens else None
+        self._frozen: dict[int, Frozen] = {}
+        self._resting: list[Placed] | None = None
+        """Objects without motion blur, as they are at the frame itself; None: not yet known."""
+        self._resting_held: tuple[HoldoutMesh, ...] | None = None
+        self._own_lens: tuple[RenderCamera | Panorama, Aperture | None] | None = None
+        """Of the frame itself, where the camera has no motion blur."""
+
+    @property
+    def blurs(self) -> bool:
+        """Whether a picture is the mean of several."""
+        camera = self._camera.evaluated_get(self._depsgraph)
+        return self._shutter is not None or has_depth_of_field(camera)
+
+    def view(self) -> View:
+        """What a pinhole in the middle of the lens shows at the frame itself.
+
+        Raises:
+            ValueError: there is nothing to draw, an object cannot be drawn, or the camera is none.
+        """
+        view = self._view()
+        if view is None:
+            if main_scene(self._depsgraph.scene) is None:
+                raise ValueError(NO_SPLATS)
+            return self._empty()  # the meshes of the other scene show alone
+        return view
+
+    def views(self, count: int) -> Iterator[View]:
+        """What shows from as many places of the lens, at as many moments; errors as `view`.
+
+        The scene is at its own frame again once all were taken or the iterator is closed.
+        """
+        if self._shutter is None:
+            yield from self._through(samples(count))
+            return
+        with self._other_moments():
+            yield from self._through(samples(count))
+
+    def shares(self, count: int, rows: np.ndarray) -> np.ndarray | None:
+        """As `Shutter.shares`, of the views."""
+        return None if self._shutter is None else self._shutter.shares(count, rows)
+
+    def _through(self, wanted: list[Sample]) -> Iterator[View]:
+        still = None
+        if self._shutter is None:
+            still = self.view()
+        elif self._resting is None:
+            self.view()  # of the frame itself, for what rests
+        for sample in wanted:
+            if self._shutter is not None:
+                self._go(self._frame + self._shutter.time(sample))
+            view = still or self._view()
+            if view is None:  # objects may be hidden for a part of the exposure
+                view = self._empty()
+            aperture = self._lens()[1]
+            if aperture is not None and isinstance(view.camera, RenderCamera):
+                view = replace(view, camera=through(view.camera, *aperture.point(sample), aperture))
+            yield view
+
+    def _view(self) -> View | None:
+        camera = self._lens()[0]
+        placed = self._placed()
+        if not placed:
+            return None
+        return View(model=self._cache.model(placed), camera=camera, held=self._held())
+
+    def _placed(self) -> list[Placed]:
+        """What shows now, but objects without motion blur as they were when this was asked first:
+        at the frame itself."""
+        found, moving, resting = sources(self._depsgraph), [], []
+        for source in found:
+            rests = self._shutter is not None and not _moves(source.ob, source.shown_by)
+            if rests and self._resting is not None:
+                continue
+            # What a mesh holds is the same all the time; frames of a sequence are not.
+            known = None if self._changes(source) else self._frozen.get(source.uid)
+            one = place(source, known)
+            if not self._changes(source):
+                self._frozen[source.uid] = one.frozen
+            (resting if rests else moving).append(one)
+        if self._resting is None:
+            self._resting = resting
+        return moving + self._resting
+
+    def _held(self) -> tuple[HoldoutMesh, ...]:
+        """What hides splats now; in the same way."""
+        if self._shutter is None:
+            return HoldoutMeshes().of(self._depsgraph)
+        if self._resting_held is None:
+            self._resting_held = HoldoutMeshes().of(
+                self._depsgraph, lambda *owners: not _moves(*owners)
+            )
+        return HoldoutMeshes().of(self._depsgraph, _moves) + self._resting_held
+
+    def _changes(self, source: Source) -> bool:
+        """Whether what an object shows may be something else at another moment of the exposure."""
+        settings = getattr(source.ob, "cycles", None)
+        return source.moment is not None and getattr(settings, "use_deform_motion", True)
+
+    def _lens(self) -> tuple[RenderCamera | Panorama, Aperture | None]:
+        """The pinhole camera in the lens's middle, and the hole."""
+        if self._own_lens is not None:
+            return self._own_lens
+        camera = self._camera.evaluated_get(self._depsgraph)
+        lens = self._pinhole(), aperture_of(camera, self._depsgraph)
+        if self._shutter is None or not _moves(camera):
+            self._own_lens = lens
+        return lens
+
+    def _empty(self) -> View:
+        return View(model=_nothing(), camera=self._lens()[0], held=self._held())
+
+    def _pinhole(self) -> RenderCamera | Panorama:
+        width, height = self._size
+        own = self._camera.evaluated_get(self._depsgraph)
+        if own.type == "CAMERA" and own.data.type == "PANO":
+            return panorama_of(own, self._depsgraph.scene, width=width, height=height)
+        scene = self._depsgraph.scene
+        camera = render_camera(
+            self._camera, scene, depsgraph=self._depsgraph, width=width, height=height
+        )
+        return camera if self._eye is None else seen_by(self._eye, camera, own, scene)
+
+    def _go(self, frame: float) -> None:
+        whole = math.floor(frame)
+        self._frame_set(whole, frame - whole)
+
+    @contextmanager
+    def _other_moments(self) -> Iterator[None]:
+        with frame_sync.left_alone():
+            try:
+                yield
+            finally:
+                self._go(self._frame)
+
+
+def blurs(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
+    """Whether pictures of a scene by a camera are the mean of several."""
+    return has_motion_blur(scene.render) or has_depth_of_field(camera)
+
+
+def _moves(*owners: bpy.types.Object) -> bool:
+    """Whether evaluated objects all have motion blur, by the switches that Cycles keeps."""
+    settings = (getattr(ob, "cycles", None) for ob in owners)
+    return all(getattr(one, "use_motion_blur", True) for one in settings)
+
+
+def shutter_of(scene: bpy.types.Scene) -> Shutter | None:
+    """When light falls in a frame of a scene; None without motion blur."""
+    render = scene.render
+    if not has_motion_blur(render):
+        return None
+    length = float(render.motion_blur_shutter)
+    curve = render.motion_blur_shutter_curve
+    curve.initialize()
+    points = (curve.evaluate(curve.curves[0], x) for x in np.linspace(0, 1, _CURVE_POINTS))
+    return Shutter(
+        opens=_OPENINGS[render.motion_blur_position] * length,
+        length=length,
+        curve=tuple(points),
+        row=_row_of(scene),
+    )
+
+
+def _row_of(scene: bpy.types.Scene) -> float | None:
+    """`Shutter.row` by Cycles' settings; of composites, where Cycles draws the meshes."""
+    main = main_scene(scene)
+    settings = getattr(main or scene, "cycles", None)
+    if settings is None or (main is not None and main.render.engine != "CYCLES"):
+        return None
+    rolls = settings.rolling_shutter_type == "TOP"
+    return float(settings.rolling_shutter_duration) if rolls else None
+
+
+def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
+    """The hole of an evaluated camera, in Cycles' units: its lens is in thousandths of one.
+
+    None where everything is in focus.
+    """
+    if not has_depth_of_field(camera):
+        return None
+    data, dof = camera.data, camera.data.dof
+    length = data.lens * 1e-3 if data.type == "PERSP" else 1.0
+    return Aperture(
+        radius=length / (2 * max(dof.aperture_fstop, _NARROWEST)),
+        distance=max(_focus_distance(camera, dof, depsgraph), data.clip_start),
+        blades=dof.aperture_blades,
+        rotation=dof.aperture_rotation,
+        ratio=max(dof.aperture_ratio, 1e-3),
+    )
+
+
+def has_motion_blur(render: bpy.types.RenderSettings) -> bool:
+    """Whether light falls for a time in a scene's frames."""
+    return render.use_motion_blur and render.motion_blur_shutter > 0
+
+
+def has_depth_of_field(camera: bpy.types.Object) -> bool:
+    """Whether a camera has a lens that blurs what is out of focus; panoramas have none."""
+    data = camera.data
+    return getattr(data, "type", "") in {"PERSP", "ORTHO"} and data.dof.use_dof
+
+
+def _focus_distance(
+    camera: bpy.types.Object, dof: bpy.types.CameraDOFSettings, depsgraph: bpy.types.Depsgraph
+) -> float:
+    if dof.focus_object is None:
+        return dof.focus_distance
+    target = dof.focus_object.original.evaluated_get(depsgraph)
+    matrix = matrix_to_numpy(target.matrix_world)
+    bone = target.pose.bones.get(dof.focus_subtarget) if target.pose is not None else None
+    if bone is not None:
+        matrix = matrix @ matrix_to_numpy(bone.matrix)
+    eye = matrix_to_numpy(camera.matrix_world)
+    axis = eye[:3, 2] / np.linalg.norm(eye[:3, 2])
+    return float(abs(axis @ (eye[:3, 3] - matrix[:3, 3])))
+
+
+def through(camera: RenderCamera, x: float, y: float, aperture: Aperture) -> RenderCamera:
+    """A camera whose light passes beside the lens's middle; what is in focus stays where it is.
+
+    Args:
+        camera: Of the middle.
+        x: To the right, world units.
+        y: Up, world units.
+        aperture: Says what is in focus.
+    """
+    moved = np.eye(4)
+    moved[:2, 3] = -x, y  # camera axes are OpenCV's, whose y points down
+    K = camera.K.copy()
+    if camera.orthographic:
+        moved[:2, 2] = -moved[:2, 3] / aperture.distance  # rays stay parallel, and lean
+    else:
+        K[:2, 2] -= K[[0, 1], [0, 1]] * moved[:2, 3] / aperture.distance
+    return replace(camera, viewmat=moved @ camera.viewmat, K=K)
+
+
+def _nothing() -> Model:
+    return Model(splats=attributes.NO_SPLATS, matrix=np.eye(4), antialias=(), plain=())

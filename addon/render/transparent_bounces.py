@@ -1,0 +1,48 @@
+"""How many splats a ray of Cycles passes before it ends: by Blender's defaults too few."""
+
+from typing import ClassVar
+
+import bpy
+
+from .. import compat
+from ..interface.base_operator import OnScene
+from ..splats.objects import is_splats
+
+ENOUGH = 256
+"""Transparent bounces with which a capture is as bright as it gets. Mean of a picture of plush
+with 8, which Blender has, 32, 64, 128, 256 and 1024 of them: 30, 78, 107, 121, 124 and 124."""
+_SOFT = {"SOFT"} if compat.splat_cloud_type() else {"SOFT", "SPLATS"}
+"""Displays that render as soft splats."""
+
+
+def ends_early(scene: bpy.types.Scene) -> bool:
+    """Whether soft splats come out dark, since rays of Cycles end among them."""
+    if scene.render.engine != "CYCLES" or not hasattr(scene, "cycles"):
+        return False
+    if scene.cycles.transparent_max_bounces >= ENOUGH:
+        return False
+    return any(
+        is_splats(ob) and ob.gscore.display in _SOFT and not ob.hide_render for ob in scene.objects
+    )
+
+
+class SeeThroughSplats(OnScene, bpy.types.Operator):
+    """Let rays of Cycles pass as many soft splats as lie behind each other (Light Paths >
+    Transparent)"""
+
+    bl_idname = "gscore.see_through_splats"
+    bl_label = "Let Rays Pass Splats"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Cycles renders, and its rays end early."""
+        return ends_early(context.scene)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Raise the limit."""
+        context.scene.cycles.transparent_max_bounces = ENOUGH
+        return ""
+
+
+CLASSES = (SeeThroughSplats,)

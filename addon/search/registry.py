@@ -1,7 +1,0 @@
-"""The searches for cameras of this Blender session; no bpy."""
-
-from ..job.verb_jobs import VerbJobs
-from .job import SearchJob
-
-JOBS: VerbJobs[SearchJob] = VerbJobs()
-"""Those of each folder of photos, or video."""

@@ -1,0 +1,141 @@
+"""The training of a sequence from scripts and operators: begin, go on, and what is there."""
+
+from pathlib import Path
+
+import bpy
+
+from .. import preferences
+from ..core import (
+    GUIDES,
+    DataConfig,
+    SequenceFrame,
+    SequenceIndex,
+    choose_frames,
+    find_frames,
+)
+from ..interface.option_labels import error_words
+from ..paths import absolute, output_folder
+from ..process import poll_timer
+from ..training import start_training
+from ..training.guides import left_out
+from ..training.launch import follow, launch
+from . import arguments, guides, registry
+from .job import SequenceJob
+from .registry import JOBS
+
+ONLY_WITHIN = "Only Within ({}) is for single trainings: frames of a sequence are trained whole."
+
+
+def train_sequence(
+    scene: bpy.types.Scene,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> SequenceJob:
+    """Train the frames of the scene's capture, one after the other.
+
+    Args:
+        scene: Its settings say what and how.
+        resume: Go on with the sequence in the output folder.
+        overwrite: Replace it.
+        wait: Return when it has ended.
+        python: The Python that trains; None: as the preferences say.
+
+    Raises:
+        GsError, ValueError: something is missing or in the way; the message says what to do.
+    """
+    source, output = source_of(scene), output_of(scene)
+    if (other := JOBS.of_source(source)) is not None and not other.ended:
+        raise ValueError(f"The frames of {source} are being trained already.")
+    if is_started(output) and not (resume or overwrite):
+        raise ValueError(
+            f"{output} holds a sequence; press Go On to continue it, or Start Over to replace it."
+        )
+    own, machine = scene.gscore_train_sequence, start_training.machine()
+    if resume:
+        line = arguments.resumed_sequence(own, output=output, machine=machine)
+        told, replace_guides = [], lambda: None
+    else:
+        line = arguments.new_sequence(
+            scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
+        )
+        told, replace_guides = guides.arguments(scene, lambda: chosen_frames(scene), output)
+    line += told
+    places = {"source": source, "output": output}
+    job = launch(lambda program: SequenceJob(program, line, **places, begun=replace_guides), python)
+    JOBS.add(job)
+    poll_timer.ensure()
+    follow(lambda: wait and not job.ended)
+    return job
+
+
+def job_of(scene: bpy.types.Scene) -> SequenceJob | None:
+    """The last training of the scene's sequence, under way or ended."""
+    try:
+        return JOBS.of_source(source_of(scene))
+    except ValueError:
+        return None
+
+
+def source_of(scene: bpy.types.Scene) -> Path:
+    """The scene's capture, whose path may hold `{frame:06d}`.
+
+    Raises:
+        ValueError: none is chosen, or it is not there.
+    """
+    source = absolute(scene.gscore.capture_path, "Capture")
+    if "{" not in str(source) and not source.is_dir():
+        raise ValueError(f"There is no folder {source}; choose the one that holds the frames.")
+    return source
+
+
+def output_of(scene: bpy.types.Scene) -> Path:
+    """The folder of the frames' results, beside that of a training.
+
+    Raises:
+        ValueError: it cannot be told.
+    """
+    beside = output_folder(scene, preferences.get().output_folder)
+    return beside.with_name(f"{beside.name}_sequence")
+
+
+def is_started(output: Path) -> bool:
+    """Whether there is something of a sequence in a folder, besides meshes for one."""
+    return output.is_dir() and any(path.name != GUIDES for path in output.iterdir())
+
+
+def chosen_frames(scene: bpy.types.Scene) -> list[SequenceFrame]:
+    """The frames that are to be trained, looked for at once.
+
+    Raises:
+        GsError, ValueError: there are none, or they are chosen in other words than they can be.
+    """
+    found = find_frames(DataConfig(source=source_of(scene), images=scene.gscore.images))
+    return choose_frames(found, scene.gscore_train_sequence.frames.strip() or ":")
+
+
+def not_seen(scene: bpy.types.Scene) -> list[str]:
+    """What of the scene a training of a sequence would not see, in sentences."""
+    within = scene.gscore.train_within
+    lines = [] if within is None else [ONLY_WITHIN.format(within.name)]
+    return lines + left_out(scene)
+
+
+def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
+    """The frames of the scene's capture, as far as is known, or why there are none."""
+    try:
+        source = source_of(scene)
+    except ValueError as error:
+        return None, error_words(error)
+    answer = registry.frames.get((str(source), scene.gscore.images))
+    poll_timer.ensure()
+    return answer
+
+
+def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
+    """What an output folder lists, as far as is known, or why it cannot be read."""
+    answer = registry.trained.get(output)
+    poll_timer.ensure()
+    return answer

@@ -1,0 +1,104 @@
+"""`gscore sfm` beside Blender: its process, how far it is and what came out; no bpy."""
+
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..core import Event, FramesDone, FramesProgress, SfmDone, SfmEstimated, SfmProgress
+from ..process.incremental_tasks import TaskRunner
+from ..training.verb_job import VerbJob
+
+
+class SearchJob(VerbJob):
+    """One search for the cameras of photos or of a video."""
+
+    kept = "Cancelled; what was found is kept, and Find Cameras goes on from there."
+    less = "close other programs, then press Find Cameras again"
+
+    def __init__(
+        self,
+        python: str | Path,
+        arguments: Sequence[str],
+        *,
+        source: Path,
+        capture: Path,
+        scene_uid: int,
+        after: VerbJob | None = None,
+    ) -> None:
+        """Start it.
+
+        Args:
+            python: The Python that has gscore.
+            arguments: Of `gscore`.
+            source: The photos or the video.
+            capture: The capture that is made.
+            scene_uid: Session number of the scene that it was started from.
+            after: As `VerbJob`.
+
+        Raises:
+            OSError: `python` cannot be run.
+        """
+        self.capture, self.scene_uid = capture, scene_uid
+        self.progress: SfmProgress | FramesProgress | None = None
+        self.frames: FramesDone | None = None
+        """What was taken of a video."""
+        self.estimated: SfmEstimated | None = None
+        self.done: SfmDone | None = None
+        self.wanted = False
+        """Whether the cameras have to be brought into the scene."""
+        self.coming: TaskRunner | None = None
+        """They, on their way into it."""
+        self._began = time.monotonic()
+        super().__init__(python, arguments, source=source, after=after)
+
+    @property
+    def share(self) -> float:
+        """Part that is done, 0 to 1: of the search where that is told, else of the phase."""
+        told = self.progress
+        whole = getattr(told, "share", None)
+        if whole is not None and math.isfinite(whole):
+            return whole
+        return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
+
+    @property
+    def left(self) -> float | None:
+        """Seconds left, of the whole search where they are told, else of the phase."""
+        for name in ("left_s", "eta_s"):
+            seconds = getattr(self.progress, name, None)
+            if seconds is not None and math.isfinite(seconds):
+                return seconds
+        return None
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since it began."""
+        return time.monotonic() - self._began
+
+    def take(self, event: Event) -> None:
+        """Take note of an event."""
+        if isinstance(event, SfmProgress | FramesProgress):
+            self.progress = event
+        elif isinstance(event, FramesDone):
+            self.frames = event
+        elif isinstance(event, SfmEstimated):
+            self.estimated = event
+        elif isinstance(event, SfmDone):
+            self.done = event
+
+    def takes(self, other: VerbJob) -> bool:
+        """Cameras that were found are those that were to be found."""
+        self.done = other.done if isinstance(other, SearchJob) else None
+        return self.done is not None
+
+    def finish(self) -> str:
+        """How many photos have a camera."""
+        done = self.done
+        if done is None:
+            return ""
+        self.wanted = True
+        rest = "" if done.registered == done.photos else "; the others are left out"
+        return (
+            f"{done.registered} of {done.photos} photos have a camera{rest}: {done.points:,} "
+            f"points, mean error {done.reprojection_px:.2f} px."
+        )

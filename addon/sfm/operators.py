@@ -1,0 +1,117 @@
+"""Operators of the search for cameras: choose photos or a video, find cameras, cancel."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from ..core import VIDEO_ENDINGS
+from ..interface.base_operator import OnScene
+from ..interface.incremental_operator import IncrementalOperator
+from ..interface.sidebar import choose_tab, in_turn, open_sidebar
+from ..paths import relative
+from ..process.incremental_tasks import Pieces
+from ..training.verb_job import FAILED
+from ..training.verb_operators import Cancelling
+from . import find_cameras
+from .job import SearchJob
+
+
+class ChooseVideo(OnScene, bpy.types.Operator):
+    """Choose a video that was filmed around the subject; sharp frames of it become the photos"""
+
+    bl_idname = "gscore.choose_video"
+    bl_label = "Choose Video"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    filepath: StringProperty(
+        name="Video",
+        description="File of the video",
+        subtype="FILE_PATH",
+        options={"SKIP_SAVE"},
+    )
+    directory: StringProperty(
+        name="Folder", description="Folder of photos", subtype="DIR_PATH", options={"SKIP_SAVE"}
+    )
+    filter_glob: StringProperty(
+        default=";".join(f"*{end}" for end in VIDEO_ENDINGS), options={"HIDDEN"}
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for a file, unless one was dropped."""
+        if self.filepath:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Choose it, and show the panel."""
+        chosen = Path(bpy.path.abspath(self.filepath or self.directory))
+        if not chosen.exists():
+            raise ValueError(f"There is no video {chosen}; choose a file.")
+        context.scene.gscore.capture_path = relative(chosen.absolute())
+        if context.area is not None and context.area.type == "VIEW_3D":  # a file was dropped on it
+            in_turn(context.area, open_sidebar, choose_tab)
+        return ""
+
+
+class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
+    """Find out where each photo was taken, in the background; Blender stays free.
+    Of a video, sharp frames are taken first"""
+
+    bl_idname = "gscore.find_cameras"
+    bl_label = "Find Cameras"
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the cameras are in the scene; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Start; or bring in what was found before."""
+        scene = context.scene
+        where = find_cameras.places(scene)
+        if where.is_there:
+            self.warn((yield from find_cameras.arriving(scene, where.capture)))
+            return "These cameras were found before; they are brought in."
+        job = find_cameras.find(scene, where, wait=self.wait)
+        if not job.ended:
+            return ""
+        if job.status == FAILED:
+            raise ValueError(job.sentence)
+        return job.sentence
+
+
+class CancelSearch(Cancelling, bpy.types.Operator):
+    """End the search; what was found is kept, and Find Cameras goes on from there"""
+
+    bl_idname = "gscore.cancel_search"
+    bl_label = "Cancel"
+    none = "No cameras are being looked for."
+
+    def job_of(self, scene: bpy.types.Scene) -> SearchJob | None:
+        """The search for the scene's photos."""
+        return find_cameras.job_of(scene)
+
+
+CLASSES = [ChooseVideo, FindCameras, CancelSearch]
+
+if hasattr(bpy.types, "FileHandler"):
+
+    class VideoHandler(bpy.types.FileHandler):
+        """Takes videos that are dropped on a 3D view"""
+
+        bl_idname = "GSCORE_FH_video"
+        bl_label = "Video for Splats"
+        bl_import_operator = "gscore.choose_video"
+        bl_file_extensions = ";".join(VIDEO_ENDINGS)
+
+        @classmethod
+        def poll_drop(cls, context: bpy.types.Context) -> bool:
+            """3D views."""
+            return context.area is not None and context.area.type == "VIEW_3D"
+
+    CLASSES.append(VideoHandler)

@@ -1,0 +1,7 @@
+"""The searches for cameras of this Blender session; no bpy."""
+
+from ..training.verb_jobs import VerbJobs
+from .job import SearchJob
+
+JOBS: VerbJobs[SearchJob] = VerbJobs()
+"""Those of each folder of photos, or video."""

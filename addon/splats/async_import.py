@@ -1,0 +1,171 @@
+"""Files on their way to be objects: read in a thread, handed to Blender bit by bit.
+
+Whoever has a window steps it several times a second. The scene, the collection and parents are
+looked up when all is there: undo, or the user, may have taken them meanwhile.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..core import GsError, collected_warnings
+from ..interface.blocks import with_uid
+from ..interface.option_labels import error_words
+from ..nodes import display
+from ..process.background_task import BackgroundTask
+from ..process.incremental_tasks import BUDGET
+from . import objects, splat_files
+from .splat_files import Wanted
+from .write_chunked import ChunkedWrite
+
+Columns = Sequence[tuple[str, str, np.ndarray]]
+"""As `attributes.columns`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Read:
+    """A file that was read."""
+
+    wanted: Wanted
+    count: int
+    columns: tuple[tuple[str, str, np.ndarray], ...]
+    size: float
+    """As `objects.typical_size`."""
+    antialiased: bool
+    origin: np.ndarray | None
+    comments: tuple[str, ...]
+    looked: str
+
+
+class AsyncImport:
+    """One import of some files: all of them, or none."""
+
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        wanted: Sequence[Wanted],
+        *,
+        find: Callable[[Wanted], Wanted] = lambda wanted: wanted,
+        look: Callable[[Columns], str] = lambda columns: "",
+    ) -> None:
+        """Begin to read.
+
+        Args:
+            context: Its scene and collection get the objects.
+            wanted: At least one file.
+            find: Which file is meant, where that has to be looked for; in the thread.
+            look: Notes something of what each file gives a mesh, for `looked`; in the thread.
+        """
+        self.warnings: list[str] = []
+        """What the user should know besides."""
+        self._wanted, self._find, self._look = tuple(wanted), find, look
+        self._scene = context.scene.session_uid
+        self._collection = getattr(context.collection, "session_uid", 0)
+        self._chores = display.builders()
+        self._fillings: list[ChunkedWrite[_Read]] | None = None
+        self._task = BackgroundTask(self._read)
+
+    @property
+    def looked(self) -> list[str]:
+        """What `look` returned for each file; empty before all are read."""
+        return [filling.loaded.looked for filling in self._fillings or ()]
+
+    @property
+    def sentence(self) -> str:
+        """How far it is."""
+        if self._fillings is None:
+            return f"Reading {self._task.last_line or self._wanted[0].path.name}"
+        share = sum(filling.share for filling in self._fillings) / len(self._fillings)
+        return f"Importing {sum(f.loaded.count for f in self._fillings):,} splats: {share:.0%}"
+
+    def step(self) -> list[bpy.types.Object] | None:
+        """Do a small piece; the objects once all are there.
+
+        Raises:
+            ValueError: a file cannot be imported, or the scene is gone; nothing of it is left.
+        """
+        if self._fillings is None:
+            # Not while the thread is reading: each would have to wait for its turn many times.
+            if not self._task.running:
+                self._begin()
+            return None
+        until = time.perf_counter() + BUDGET
+        while self._chores:
+            self._chores.pop(0)()
+            if time.perf_counter() > until:
+                return None
+        for filling in self._fillings:
+            # One that was filled before is looked at again: undo may have taken it.
+            if filling.share < 1 or not filling.fill():
+                filling.fill()
+                return None
+        return self._finish(self._fillings)
+
+    def cancel(self) -> None:
+        """Leave nothing."""
+        self._task.cancel()
+        for filling in self._fillings or ():
+            filling.drop()
+
+    def _begin(self) -> None:
+        if self._task.problem:
+            raise ValueError(error_words(self._task.error) or self._task.problem)
+        read, self.warnings = self._task.result
+        self._fillings = [ChunkedWrite(one) for one in read]
+
+    def _read(self, task: BackgroundTask) -> tuple[list[_Read], list[str]]:
+        """In the thread."""
+        made = []
+        with collected_warnings() as warnings:
+            for asked in self._wanted:
+                task.tell(asked.path.name)
+                wanted = self._find(asked)
+                try:
+                    found = splat_files.read(wanted, task.check)
+                    task.check()
+                    columns = tuple(attributes.columns(found.splats))
+                except MemoryError as error:
+                    raise GsError(
+                        f"{wanted.path} does not fit into memory; close other programs and import "
+                        "it again."
+                    ) from error
+                task.check()
+                made.append(
+                    _Read(
+                        wanted=wanted,
+                        count=len(found.splats),
+                        columns=columns,
+                        size=objects.typical_size(found.splats),
+                        antialiased=found.antialiased,
+                        origin=found.origin,
+                        comments=tuple(found.comments),
+                        looked=self._look(columns),
+                    )
+                )
+        return made, list(warnings)
+
+    # Quoted: see ready.py.
+    def _finish(self, fillings: "list[ChunkedWrite[_Read]]") -> list[bpy.types.Object]:
+        scene = with_uid(bpy.data.scenes, self._scene)
+        if scene is None:
+            self.cancel()
+            raise ValueError("The scene that splats were imported into is gone; import them again.")
+        within = [scene.collection, *scene.collection.children_recursive]
+        collection = with_uid(within, self._collection) or within[0]
+        made = []
+        for filling in fillings:
+            read = filling.loaded
+            mesh = filling.take()
+            mesh.name = read.wanted.path.stem
+            ob = objects.around(mesh, read.size, collection=collection)
+            splat_files.settle(ob, read.wanted, read)
+            if read.wanted.parent and ob.parent is None:
+                self.warnings.append(
+                    f"What {ob.name} was to be put under is gone; it stands by itself."
+                )
+            made.append(ob)
+        return made

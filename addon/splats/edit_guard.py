@@ -1,0 +1,150 @@
+"""Splat objects that must stay as they are while an edit of them is under way."""
+
+from collections.abc import Sequence
+from weakref import WeakSet
+
+import bpy
+from bpy.app.handlers import persistent
+from mathutils import Matrix
+
+from .. import attributes
+from ..interface.blocks import with_uid
+from . import copy_metadata, objects
+
+_HELD: "WeakSet[EditGuard]" = WeakSet()
+
+
+class EditGuard:
+    """An object whose splats are looked at, then changed, with time between for whoever else may
+    change them. It is looked up anew each time: undo replaces objects."""
+
+    def __init__(self, ob: bpy.types.Object) -> None:
+        """Watch it from now on, until `close`; what was done before is to be known to its scene.
+
+        Raises:
+            ValueError: as `objects.check_writable`.
+        """
+        objects.check_writable(ob)
+        self.name = ob.name
+        self.mesh_uid = ob.data.session_uid
+        self.is_changed = False
+        """Whether somebody has changed the splats, or may have."""
+        self._uid, self._count = ob.session_uid, len(ob.data.vertices)
+        self._mode, self._stood = bpy.context.mode, _stands(ob)
+        _HELD.add(self)
+
+    def there(self) -> bpy.types.Object:
+        """The object.
+
+        Raises:
+            ValueError: it is gone, or its splats are others now.
+        """
+        ob = self.found()
+        same = ob is not None and ob.data.session_uid == self.mesh_uid
+        if self.is_changed or not same or len(ob.data.vertices) != self._count:
+            raise ValueError(
+                f"{self.name} was changed while this was under way, so nothing was done: begin "
+                "again."
+            )
+        return ob
+
+    def to_change(self) -> bpy.types.Object:
+        """The object, whose splats are changed now: others that watch them begin again.
+
+        Raises:
+            ValueError: as `there`, or Blender would not keep it now.
+        """
+        return all_to_change([self])[0]
+
+    def check_unmoved(self) -> None:
+        """Raise ValueError where it stands elsewhere than when this was made."""
+        ob = self.there()
+        if _stands(ob) != self._stood:
+            raise ValueError(
+                f"{self.name} was moved while this was under way, so nothing was done: begin again."
+            )
+
+    def check_movable(self) -> None:
+        """Raise ValueError where its splats cannot become others, before anything is read."""
+        copy_metadata.check_movable(self.there().data, self.name)
+
+    def check_points_alone(self) -> None:
+        """The same where there will be more of them or fewer."""
+        copy_metadata.check_points_alone(self.there().data, self.name)
+
+    def copied_mesh(self) -> bpy.types.Mesh:
+        """A copy of its mesh, to be filled and put in its place; it shares memory until then.
+
+        Raises:
+            ValueError: as `there` and `check_movable`.
+        """
+        self.check_movable()
+        return self.there().data.copy()
+
+    def emptied_mesh(self) -> bpy.types.Mesh:
+        """The same without its points, and without vertex groups.
+
+        Raises:
+            ValueError: as `there` and `check_points_alone`.
+        """
+        self.check_points_alone()
+        mesh = self.there().data
+        copy = mesh.copy()
+        copy_metadata.empty(copy)
+        if attributes.has_selection(mesh):
+            attributes.leave_points_unselected(copy)
+        return copy
+
+    def found(self) -> bpy.types.Object | None:
+        """The object, whatever became of it; None: it is gone."""
+        return with_uid(bpy.data.objects, self._uid)
+
+    def close(self) -> None:
+        """Watch no more."""
+        _HELD.discard(self)
+
+    def _check_mode(self) -> None:
+        if bpy.context.mode != self._mode:  # another object's, whose undo steps hold nothing else
+            raise ValueError(
+                f"The mode was changed while this was under way, so nothing was done to "
+                f"{self.name}: begin again in Object Mode."
+            )
+
+
+def _stands(ob: bpy.types.Object) -> tuple[Matrix, Matrix]:
+    """Where an object stands in the world, and before its parent's matrix."""
+    return ob.matrix_world.copy(), ob.matrix_parent_inverse @ ob.matrix_basis
+
+
+def all_to_change(helds: "Sequence[EditGuard]") -> list[bpy.types.Object]:
+    """`EditGuard.to_change` of objects that are changed together, and may share their splats."""
+    obs = [held.there() for held in helds]
+    for held, ob in zip(helds, obs, strict=True):
+        objects.check_writable(ob)
+        held._check_mode()
+    meshes = {held.mesh_uid for held in helds}
+    for other in _HELD:
+        other.is_changed |= other not in helds and other.mesh_uid in meshes
+    return obs
+
+
+@persistent
+def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if not _HELD:
+        return
+    changed = {
+        update.id.original.session_uid
+        for update in depsgraph.updates
+        if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh)
+    }
+    for held in _HELD:
+        held.is_changed |= held.mesh_uid in changed
+
+
+@persistent
+def _undone(*_: object) -> None:
+    for held in _HELD:
+        held.is_changed = True
+
+
+HANDLERS = {"depsgraph_update_post": _changed, "undo_post": _undone, "redo_post": _undone}

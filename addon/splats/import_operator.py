@@ -1,0 +1,43 @@
+"""What operators share that bring files of splats: bit by bit in a window, at once for scripts."""
+
+import bpy
+
+from ..core import GsError, collected_warnings
+from ..interface.base_operator import OnScene
+from ..interface.incremental_operator import IncrementalOperator
+from ..process.incremental_tasks import Pieces, stepped
+from . import splat_files
+from .async_import import AsyncImport
+
+
+class ImportOperator(IncrementalOperator, OnScene):
+    """They say which files, and what becomes of the objects."""
+
+    def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
+        """Which files; ValueError where there is nothing to bring."""
+        raise NotImplementedError
+
+    def show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Take care of the objects, one a file; what to tell the user."""
+        raise NotImplementedError
+
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read in a thread, then hand over."""
+        coming = AsyncImport(context, self.wanted(context))
+        made = yield from stepped(coming)
+        return self.show(context, made, coming.warnings)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Import one or several files; none of them where one cannot be read."""
+        made: list[bpy.types.Object] = []
+        try:
+            with collected_warnings() as warnings:
+                for wanted in self.wanted(context):
+                    made.append(splat_files.import_wanted(context, wanted))
+        except (GsError, ValueError, OSError):
+            for ob in made:
+                bpy.data.meshes.remove(ob.data)
+            raise
+        return self.show(context, made, warnings)

@@ -1,0 +1,53 @@
+"""What can be handed to Blender bit by bit.
+
+Apart, because `typing` remembers the classes that generic ones are made of until Python ends. If
+one of them reached bpy through its module, bpy 4.5 would not be freed, and hang at the end.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from .point_attributes import GROUP, TEXT, Column, blocks
+
+
+class MeshBuffers(Protocol):
+    """Splats as Blender takes them."""
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        ...
+
+    @property
+    def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
+        """As `attributes.columns`; vertex groups and text as `carried.blocks`."""
+        ...
+
+
+ReadyT = TypeVar("ReadyT", bound=MeshBuffers)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Points:
+    """Attributes of points, and nothing besides."""
+
+    count: int
+    """How many."""
+    columns: tuple[tuple[str, str, np.ndarray], ...]
+    """As `MeshBuffers.columns`."""
+
+
+def points_of(table: list[Column]) -> Points:
+    """The points of a table of at least one attribute; sorts the weights of vertex groups."""
+    groups = [column for column in table if column.kind == GROUP]
+    columns = []
+    for column in table:
+        if column.kind == TEXT:
+            columns += blocks(column)
+        elif column.kind != GROUP:
+            columns.append((column.name, column.kind, column.values.reshape(-1)))
+    # After all attributes: Blender gives none the name that a group has.
+    columns += [block for column in groups for block in blocks(column)]
+    return Points(count=len(table[0].values), columns=tuple(columns))

@@ -1,0 +1,60 @@
+"""Blender's own Gaussian splats (5.3): point clouds that become splat objects of this add-on."""
+
+from functools import partial
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..interface import editable_check
+from ..interface.blocks import with_uid
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from . import objects, settings
+from .mesh_buffers import Points
+from .read_chunked import read_chunked
+from .write_chunked import ChunkedWrite, filled
+
+
+def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
+    """Make a splat object of a point cloud, where the cloud stands, which stays, hidden.
+
+    Raises:
+        ValueError: attributes are missing, the cloud is gone meanwhile, or its numbers are not
+            finite; nothing is left then.
+    """
+    name, uid = cloud.name, cloud.session_uid
+    found = yield from read_chunked(cloud)
+    size = yield from run_in_thread(partial(_size, found), f"Looking at {name}")
+    yield from settings.building()
+    [mesh] = yield from filled([ChunkedWrite(_points(found))], partial(_cloud, uid, name))
+    return _stand(mesh, size, _cloud(uid, name))
+
+
+def _cloud(uid: int, name: str) -> bpy.types.Object:
+    cloud = with_uid(bpy.data.objects, uid)
+    if cloud is None:
+        raise ValueError(f"{name} is gone; its splats were not taken over.")
+    return cloud
+
+
+def _size(found: dict[str, np.ndarray], check: Check) -> float:
+    """`objects.typical_size` of attributes."""
+    sizes = found[attributes.SCALE].max(axis=1, initial=0.0)
+    return float(np.median(sizes)) if len(sizes) else 0.0
+
+
+def _stand(mesh: bpy.types.Mesh, size: float, cloud: bpy.types.Object) -> bpy.types.Object:
+    mesh.name = f"{cloud.name} splats"
+    collection = editable_check.taking(cloud.users_collection)[0]
+    made = objects.around(mesh, size, collection=collection, parent=cloud.parent)
+    made.matrix_parent_inverse = cloud.matrix_parent_inverse
+    made.matrix_basis = cloud.matrix_basis
+    cloud.hide_render = True
+    for scene in bpy.data.scenes:
+        objects.hide(cloud, scene)
+    return made
+
+
+def _points(found: dict[str, np.ndarray]) -> Points:
+    columns = tuple((n, attributes.kind_of(n), values.ravel()) for n, values in found.items())
+    return Points(count=len(found[attributes.BASE]), columns=columns)

@@ -1,0 +1,158 @@
+"""Takes splats out of Blender bit by bit, so that no single step is long."""
+
+import time
+from collections.abc import Sequence
+from functools import partial
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..interface.temporary_data import Temporary
+from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
+from . import objects, point_attributes, string_attributes, vertex_groups
+from .point_attributes import TEXT, Column
+
+
+class ChunkedRead:
+    """The splats of an object as they are when this is made, whatever is done to it meanwhile.
+
+    They are read from a copy of its mesh, or point cloud, which shares the memory of all that is
+    not changed.
+    """
+
+    def __init__(self, ob: bpy.types.Object, names: Sequence[str] | None = None) -> None:
+        """Take the copy.
+
+        Args:
+            ob: With splats of its own, in any mode.
+            names: Attributes of vectors that are wanted; None: all of splats.
+
+        Raises:
+            ValueError: attributes are missing, or as `objects.catch_up`.
+        """
+        objects.catch_up(ob)
+        if ob.mode == "EDIT":
+            ob.update_from_editmode()
+        self._groups = [group.name for group in ob.vertex_groups]
+        copy = ob.data.copy()
+        self._temporary, self._of, self._data = Temporary(copy), ob.name, ob.data.name
+        try:  # of the copy: in Edit Mode attributes are out of reach
+            known = attributes.names(copy, called=self._data)
+            self._names = known if names is None else [n for n in names if n in known]
+            for one in self._names:
+                attributes.check_vectors(copy, one, called=self._data)
+        except ValueError:
+            self.drop()
+            raise
+
+    def read(self) -> Pieces[dict[str, np.ndarray]]:
+        """Read them; what `attributes.as_splats` takes, where all are wanted.
+
+        Raises:
+            ValueError: the copy is gone, or holds numbers that are not finite.
+        """
+        copy = self._copy()
+        kinds = {name: copy.attributes[name].data_type for name in self._names}
+        found = yield from self._read(kinds, [])
+        yield from run_in_thread(partial(_check_finite, found, self._data), self._sentence(1.0))
+        return {column.name: column.values for column in found}
+
+    def table(self, *, whole: bool = True) -> Pieces[list[Column]]:
+        """Read all attributes, those of others among them, and what is selected and hidden.
+
+        Args:
+            whole: Read vertex groups and text too, each of which takes a second of a million
+                splats.
+
+        Raises:
+            ValueError: the copy is gone; or as `carried.kinds`.
+        """
+        copy = self._copy()
+        try:
+            marks, kinds = point_attributes.marks(copy), point_attributes.kinds(copy, whole=whole)
+        except ValueError:
+            self.drop()
+            raise
+        return (yield from self._read(kinds, self._groups if whole else [])) + marks
+
+    def _read(self, kinds: dict[str, str], groups: list[str]) -> Pieces[list[Column]]:
+        try:
+            count = attributes.point_count(self._copy())
+            # First: with an attribute Blender removes the group of its name.
+            own = (yield from self._weights(groups, count)) if groups else []
+            columns = yield from run_in_thread(partial(_made, kinds, count), self._sentence(0.0))
+            until = time.perf_counter() + BUDGET
+            for done, (name, kind, values) in enumerate(columns):
+                if time.perf_counter() > until:
+                    yield self._sentence(done / len(columns))
+                    until = time.perf_counter() + BUDGET
+                copy = self._copy()
+                if kind == TEXT:
+                    yield from self._text(name, values)
+                    copy = self._copy()
+                else:
+                    point_attributes.copy_values(copy, name, values)
+                if name != attributes.POSITION:  # a little at a time: all at once takes long
+                    copy.attributes.remove(copy.attributes[name])
+            return columns + own
+        finally:
+            self.drop()
+
+    def _weights(self, groups: list[str], count: int) -> Pieces[list[Column]]:
+        made = yield from run_in_thread(
+            lambda check: vertex_groups.made(groups, count), self._sentence(0.0)
+        )
+        until = time.perf_counter() + BUDGET
+        for begin in range(0, count, vertex_groups.BLOCK):
+            if time.perf_counter() > until:
+                yield f"Reading vertex groups of {self._of}: {begin / count:.0%}"
+                until = time.perf_counter() + BUDGET
+            vertex_groups.read(self._copy(), begin, made)
+        return point_attributes.of_groups(groups, made)
+
+    def _text(self, name: str, values: np.ndarray) -> Pieces[None]:
+        known: dict[bytes, bytes] = {}
+        until = time.perf_counter() + BUDGET
+        for begin in range(0, len(values), string_attributes.BLOCK):
+            if time.perf_counter() > until:
+                yield f"Reading {name} of {self._of}: {begin / len(values):.0%}"
+                until = time.perf_counter() + BUDGET
+            string_attributes.read(self._copy(), name, begin, values, known)
+
+    def drop(self) -> None:
+        """Remove the copy."""
+        self._temporary.drop()
+
+    def _sentence(self, share: float) -> str:
+        return f"Reading splats of {self._of}: {share:.0%}"
+
+    def _copy(self) -> bpy.types.Mesh | bpy.types.PointCloud:
+        copy = self._temporary.found()
+        if copy is None:
+            raise ValueError(f"{self._of} was taken away before its splats were read: begin again.")
+        return copy
+
+
+def _made(kinds: dict[str, str], count: int, check: Check) -> list[Column]:
+    """Memory for attributes of so many points, written to: the system gives a page of it out then,
+    which for a million splats takes longer than to copy them."""
+    made = []
+    for name, kind in kinds.items():
+        check()
+        made.append(Column(name, kind, point_attributes.empty_values(kind, count)))
+        made[-1].values.fill(0)
+    return made
+
+
+def _check_finite(columns: list[Column], called: str, check: Check) -> None:
+    for name, _, values in columns:
+        check()
+        attributes.check_finite(values, name, called)
+
+
+def read_chunked(
+    ob: bpy.types.Object, names: Sequence[str] | None = None
+) -> Pieces[dict[str, np.ndarray]]:
+    """The splats of an object at the first piece; arguments and errors as `ChunkedRead`."""
+    return (yield from ChunkedRead(ob, names).read())

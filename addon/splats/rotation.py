@@ -1,0 +1,129 @@
+"""Shapes and colors of splats turned, mirrored and scaled, places as they are; no bpy."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .. import attributes
+from ..core import Splats, transform_splats
+from ..process.incremental_tasks import Check
+from . import point_attributes
+from .point_attributes import Column
+
+Rows = slice | np.ndarray
+_BLOCK = 1 << 12
+"""Splats turned at once: their coefficients fit a cache."""
+
+
+class _Linear(NamedTuple):
+    """What a turn does, as matrices: on attributes as they lie, a third of the time of reading,
+    transforming and writing splats. They are what becomes of unit splats."""
+
+    quats: np.ndarray
+    """[4, 4] float32"""
+    factor: np.float32
+    """Of scales."""
+    harmonics: np.ndarray
+    """[K, K] float32, of coefficients."""
+
+
+def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[Column]:
+    """Turn quaternions, scales and SH coefficients; all else, and splats that no turn changes, stay
+    to the bit.
+
+    Args:
+        table: Attributes of N points, those of splats among them; what is turned is turned in
+            place.
+        turns: [P, 3, 3], linear parts of similarities.
+        numbers: [N] int, the turn of each splat; negative: none.
+
+    Returns:
+        What was turned.
+
+    Raises:
+        ValueError: a turn stretches; nothing is changed.
+    """
+    found = point_attributes.of_splats(table)
+    names = [n for n in found if n not in (attributes.BASE, attributes.POSITION)]
+    names.sort(key=lambda name: name != attributes.ROTATION)  # then scales, then coefficients
+    columns = [found[name] for name in names]
+    steps: list[tuple[np.ndarray, _Linear]] = []
+    for number, turn in enumerate(turns):
+        chosen = numbers == number
+        if chosen.any() and not np.array_equal(turn, np.eye(3)):
+            steps.append((np.flatnonzero(chosen), _linear(turn, len(names) - 2)))
+    for rows, linear in steps:
+        at = _range(rows)
+        columns[0][at] = columns[0][at] @ linear.quats.T
+        columns[1][at] *= linear.factor
+        _turn_harmonics(columns[2:], rows, linear.harmonics)
+    return [column for column in table if column.name in names]
+
+
+def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> list[Column]:
+    """Move, turn and scale the splats of a table in place; what was changed of it.
+
+    Args:
+        table: As `turned`.
+        matrix: [4, 4], a similarity.
+        name: What messages shall call the splats.
+        check: Called now and then.
+
+    Raises:
+        ValueError: numbers are not finite.
+    """
+    columns = point_attributes.of_splats(table)
+    for one, values in columns.items():
+        attributes.check_finite(values, one, name)
+    check()
+    changed = turned(table, matrix[None, :3, :3], np.zeros(len(columns[attributes.BASE]), np.int32))
+    for column in table:
+        if column.name == attributes.POSITION:
+            places = column.values.astype(np.float64)
+            column.values[:] = places @ matrix[:3, :3].T + matrix[:3, 3]
+            changed.append(column)
+    return changed
+
+
+def _linear(turn: np.ndarray, count: int) -> _Linear:
+    """Of a turn, for so many SH coefficients."""
+    units = max(count, 4)
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    quats = np.zeros((units, 4), np.float32)
+    quats[:4] = np.eye(4)
+    made = transform_splats(
+        Splats(
+            means=np.zeros((units, 3), np.float32),
+            quats=quats,
+            scales=np.zeros((units, 3), np.float32),
+            opacities=np.zeros(units, np.float32),
+            sh0=np.zeros((units, 1, 3), np.float32),
+            shN=np.repeat(np.eye(units, count, dtype=np.float32)[..., None], 3, axis=2),
+        ),
+        matrix,
+    )
+    return _Linear(made.quats[:4].T, np.exp(made.scales[0, 0]), made.shN[:count, :, 0].T)
+
+
+def _turn_harmonics(columns: list[np.ndarray], rows: np.ndarray, turn: np.ndarray) -> None:
+    """Turn coefficients [N, 3] in place, band by band: those of one do not become another's."""
+    band = 1
+    while (end := (band + 1) ** 2 - 1) <= len(columns):
+        own = slice(band * band - 1, end)
+        for values in np.array_split(rows, max(len(rows) // _BLOCK, 1)):
+            _turn_band(columns[own], _range(values), turn[own, own])
+        band += 1
+
+
+def _turn_band(columns: list[np.ndarray], rows: Rows, turn: np.ndarray) -> None:
+    old = np.stack([values[rows].reshape(-1) for values in columns])
+    for values, new in zip(columns, turn @ old, strict=True):
+        values[rows] = new.reshape(-1, 3)
+
+
+def _range(rows: np.ndarray) -> Rows:
+    """The same rows as a slice where they follow each other: it copies nothing."""
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows

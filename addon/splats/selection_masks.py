@@ -1,0 +1,77 @@
+"""Which splats are alike, faint, small or near, as masks; needs no bpy."""
+
+import numpy as np
+
+from ..core import Splats, cluster_sizes, reached_from, sh0_to_rgb
+
+_BLOCK = 1 << 14
+"""Splats that are looked at at once: what is computed of them stays in the cache."""
+SET, ADD, TAKE, COMMON = "SET", "ADD", "TAKE", "COMMON"
+
+
+def combined(before: np.ndarray, found: np.ndarray, mode: str) -> np.ndarray:
+    """[N] bool: a selection [N] after what was found [N] is put to it.
+
+    Args:
+        before: What was selected.
+        found: What is meant.
+        mode: SET for what was found alone, ADD, TAKE away, or what is COMMON to both.
+    """
+    if mode == ADD:
+        return before | found
+    if mode == TAKE:
+        return before & ~found
+    return before & found if mode == COMMON else found
+
+
+def between(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """[N] bool: values [N] between two limits, which belong to it; `high` 0: no limit."""
+    keep = values >= np.float32(low)
+    return keep & (values <= np.float32(high)) if high > 0 else keep
+
+
+def similar_color(base: np.ndarray, color: np.ndarray, tolerance: float) -> np.ndarray:
+    """[N] bool: splats whose colour is near another.
+
+    Args:
+        base: [N, 4] of `radiance:base`.
+        color: [3] sRGB values.
+        tolerance: Largest distance in sRGB values; black and white are sqrt(3) apart.
+    """
+    found, color = np.empty(len(base), bool), np.asarray(color, np.float32)
+    for at in range(0, len(base), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        x, y, z = (colors(base[part]) - color).T
+        found[part] = x * x + y * y + z * z <= np.float32(tolerance) ** 2
+    return found
+
+
+def colors(base: np.ndarray) -> np.ndarray:
+    """[N, 3] float32 sRGB values of `radiance:base` [N, 4], without the view-dependent part."""
+    return np.maximum(sh0_to_rgb(base[:, :3]), 0).astype(np.float32)
+
+
+def flooded(
+    means: np.ndarray, base: np.ndarray, seeds: np.ndarray, gap: float, tolerance: float
+) -> np.ndarray:
+    """[N] bool: what hangs together with the seeds and has their colour.
+
+    Args:
+        means: [N, 3].
+        base: [N, 4] of `radiance:base`.
+        seeds: [N] bool; they belong to it.
+        gap: Side of the cells of `gscore.edit.reached_from`, units of `means`.
+        tolerance: As `similar_color`, from the seeds' mean colour; 0: any colour.
+    """
+    if tolerance <= 0 or not seeds.any():
+        return reached_from(means, seeds, gap)
+    allowed = similar_color(base, colors(base[seeds]).mean(axis=0), tolerance) | seeds
+    found = np.zeros(len(means), bool)
+    found[allowed] = reached_from(means[allowed], seeds[allowed], gap)
+    return found
+
+
+def floaters(splats: Splats, gap: float, few: int) -> np.ndarray:
+    """[N] bool: splats that hang together with fewer than `few`, themselves among them; `gap` as a
+    share of the model's size (`gscore.edit.cluster_sizes`)."""
+    return cluster_sizes(splats, gap) < few

@@ -1,0 +1,265 @@
+"""Files of splats into the scene and out of it, in Blender's world or in that of the photos."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..cameras.capture_transform import ORIGIN, note_origin, noted_origin, origin_of
+from ..cameras.objects import local_matrix, root_of
+from ..compat import matrix_to_numpy
+from ..core import (
+    UP_NOTE,
+    SplatFile,
+    is_lod_file,
+    offset_between,
+    read_lod,
+    stated_up,
+)
+from ..process.incremental_tasks import Check
+from . import conversion, objects
+from .filters import crop_matrix, is_cropped
+from .objects import ANTIALIAS
+
+UP_AXES = {
+    "-Y": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
+    "Y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
+    "Z": np.eye(4),
+    "-Z": np.diag([1.0, -1, -1, 1]),
+    "X": np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
+    "-X": np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]]),
+}
+"""[4, 4] that turns the named axis of a file to Blender's +Z."""
+MOST_AT_ONCE = 1_000_000
+"""Splats of the level that is read where none is chosen: as many as Blender edits at ease."""
+SOURCE, BLENDER = "SOURCE", "BLENDER"
+FROM_FILE = "FILE"
+"""In place of an axis: the one that the file states; -Y where it states none."""
+_USUAL_UP = "-Y"
+_BLENDER_NOTE = f"{UP_NOTE}Z"
+"""The comment of a PLY whose splats stand in Blender's world."""
+_IMPORT_MATRIX = "gs_import_matrix"
+_NOISE = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """A file that is to be imported, and where its splats go: needs no bpy to be read."""
+
+    path: Path
+    level: int | None
+    to_unit: np.ndarray | None
+    """[4, 4] from the file to the unit box of what is read of it; None: all."""
+    crop: str
+    """Name of the crop object that says so."""
+    parent: int
+    """Session number of the object that becomes the parent; 0: none."""
+    basis: tuple[Matrix, Matrix] | None
+    """Where the object of a crop stands: its matrix and that of its parent's inverse."""
+    origin: np.ndarray | None
+    """[3] the local origin of the capture that the parent belongs to; None: it has none."""
+    stored: tuple[float, ...]
+    """What is remembered of that object's import; empty: nothing."""
+    up: str
+    by: conversion.Other
+    """Reads formats that Blender's Python lacks a package for."""
+
+
+def import_splats(
+    context: bpy.types.Context,
+    path: str | Path,
+    *,
+    parent: bpy.types.Object | None = None,
+    up: str = FROM_FILE,
+    level: int | None = None,
+    cropped: bpy.types.Object | None = None,
+) -> bpy.types.Object:
+    """Read a file of splats of any format, or a part of levels of detail, as a new splat object.
+
+    Args:
+        context: Its collection gets the object.
+        path: The file.
+        parent: The empty of the capture that the splats were trained from; its alignment applies.
+        up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`, or
+            `FROM_FILE`. The turn is the object's; the data stay in the file's world. What the file
+            says to be exported in Blender's world lands there, under a parent too.
+        level: Of a file of levels of detail, the one to read, 0 the finest; None: the finest of
+            `MOST_AT_ONCE` splats at most.
+        cropped: A splat object of the file, with a crop object: of the file's finest level, or of
+            `level`, what lies in the box around that is read, and put where this object stands.
+
+    Raises:
+        GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
+        ValueError: there is no such level, or nothing in the box.
+    """
+    return import_wanted(context, want(path, parent=parent, up=up, level=level, cropped=cropped))
+
+
+def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Object:
+    """As `import_splats`, of what `want` returns."""
+    found = read(wanted)
+    ob = objects.create(found.splats, wanted.path.stem, collection=context.collection)
+    settle(ob, wanted, found)
+    return ob
+
+
+def want(
+    path: str | Path,
+    *,
+    parent: bpy.types.Object | None = None,
+    up: str = FROM_FILE,
+    level: int | None = None,
+    cropped: bpy.types.Object | None = None,
+) -> Wanted:
+    """What `import_splats` is asked for, so that another thread can `read` it.
+
+    Raises:
+        ValueError: `cropped` has no crop object, or the file no levels of detail.
+    """
+    path = Path(bpy.path.abspath(str(path)))
+    if (level is not None or cropped is not None) and not is_lod_file(path):
+        raise ValueError(f"{path} has no levels of detail; gscore lod makes them.")
+    to_unit, crop, basis, stored = None, "", None, ()
+    if cropped is not None:
+        if not is_cropped(cropped):
+            raise ValueError(f"{cropped.name} has no crop object; add a crop box first.")
+        parent, crop = cropped.parent, cropped.gscore.crop_object.name
+        to_unit = crop_matrix(cropped, cropped.gscore.crop_object)
+        basis = cropped.matrix_basis.copy(), cropped.matrix_parent_inverse.copy()
+        stored = tuple(cropped.get(_IMPORT_MATRIX, ()))
+    return Wanted(
+        path=path,
+        level=level,
+        to_unit=to_unit,
+        crop=crop,
+        parent=0 if parent is None else parent.session_uid,
+        basis=basis,
+        origin=origin_of(parent),
+        stored=stored,
+        up=up,
+        by=conversion.other(),
+    )
+
+
+def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
+    """What is imported; in any thread. `check` raises where it is no longer wanted.
+
+    Raises:
+        As `import_splats`.
+    """
+    if not is_lod_file(wanted.path):
+        found = conversion.read(wanted.path, wanted.by, check)
+        return found if _BLENDER_NOTE in found.comments else found.of_capture(wanted.origin)
+    if wanted.to_unit is None:
+        return read_lod(wanted.path, wanted.level, most=MOST_AT_ONCE)
+    found = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)
+    if not len(found.splats):
+        raise ValueError(f"No splat of {wanted.path} lies in {wanted.crop}.")
+    return found
+
+
+class Said(Protocol):
+    """What a file says of its splats."""
+
+    @property
+    def antialiased(self) -> bool: ...
+    @property
+    def origin(self) -> np.ndarray | None: ...
+    @property
+    def comments(self) -> Sequence[str]: ...
+
+
+def settle(ob: bpy.types.Object, wanted: Wanted, said: Said) -> None:
+    """Put the object of a file where it was wanted; under no parent where that is gone."""
+    if said.antialiased:
+        ob[ANTIALIAS] = True
+    uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
+    ob.parent = uids.get(wanted.parent)
+    if wanted.basis is not None:
+        ob.matrix_basis, ob.matrix_parent_inverse = wanted.basis
+        if wanted.stored:
+            ob[_IMPORT_MATRIX] = list(wanted.stored)
+        note_origin(ob, said.origin)
+        return
+    is_of_blender = wanted.up == FROM_FILE and _BLENDER_NOTE in said.comments
+    if not is_of_blender:
+        stand(ob, said.origin)
+    if ob.parent is None:
+        stated = stated_up(said.comments) if wanted.up == FROM_FILE else wanted.up
+        turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
+    elif is_of_blender:
+        ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
+
+
+def stand(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
+    """Put an object where splats about a local origin belong, which it has now: among its capture,
+    or where it stood with those about another one."""
+    root, before = root_of(ob), origin
+    if root is not None:
+        before = noted_origin(root)
+    if ORIGIN in ob:
+        before = noted_origin(ob)
+    shift = offset_between(origin, before)
+    if shift.any():
+        ob.matrix_basis = ob.matrix_basis @ Matrix.Translation(shift)
+    note_origin(ob, origin)
+
+
+def turn_up(ob: bpy.types.Object, up: str) -> None:
+    """Turn an object so that an axis of its data, a key of `UP_AXES`, points up."""
+    place(ob, UP_AXES[up])
+
+
+def place(ob: bpy.types.Object, matrix: np.ndarray) -> None:
+    """Put an object without a capture where its data stand upright, by a similarity [4, 4].
+
+    It is remembered, so that an export takes it back.
+    """
+    ob.matrix_basis = Matrix(matrix.tolist())
+    # As Blender keeps it, so that an object that was not moved goes back exactly.
+    ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
+
+
+def note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
+    """The comment that says which axis of an export points up, so that it lands in place when it is
+    imported again; nothing in the world of photos, which their capture's alignment turns."""
+    if world == BLENDER:
+        return (_BLENDER_NOTE,)
+    if root_of(ob) is not None:
+        return ()
+    matrix = source_matrix(ob)
+    named = (up for up, turn in UP_AXES.items() if np.allclose(matrix, turn, atol=1e-5))
+    return tuple(f"{UP_NOTE}{up}" for up in named if up != _USUAL_UP)
+
+
+def source_matrix(ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] float64 from the world of the object's photos, or of its file, to Blender's.
+
+    Raises:
+        ValueError: the capture's empty is scaled to nothing.
+    """
+    root = root_of(ob)
+    if root is None:
+        stored = ob.get(_IMPORT_MATRIX)
+        return np.eye(4) if stored is None else np.array(stored, np.float64).reshape(4, 4)
+    matrix = matrix_to_numpy(root.matrix_world)
+    if not abs(np.linalg.det(matrix[:3, :3])) > 1e-30:
+        raise ValueError(f"{root.name} is scaled to nothing; reset its alignment.")
+    return matrix
+
+
+def source_matrix_of_data(ob: bpy.types.Object) -> np.ndarray:
+    """[4, 4] float64 from the object's data to its source's world: how far it was moved there.
+
+    The identity to the bit where it was not moved, so that its numbers leave as they came.
+    """
+    root = root_of(ob)
+    if root is not None and ob.parent == root and ob.parent_type == "OBJECT" and not ob.constraints:
+        matrix = local_matrix(ob)
+    else:
+        matrix = np.linalg.inv(source_matrix(ob)) @ matrix_to_numpy(ob.matrix_world)
+    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < _NOISE else matrix

@@ -1,0 +1,146 @@
+"""Hands splats to Blender bit by bit, so that no single step is long, however many there are.
+
+A mesh that nothing shows is filled attribute by attribute over several beats, and then takes the
+place of the old one at once.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Generic
+
+import bpy
+
+from .. import attributes
+from ..interface.temporary_data import Temporary
+from ..process.incremental_tasks import BUDGET, Pieces
+from . import copy_metadata, objects, string_attributes, vertex_groups
+from .mesh_buffers import ReadyT
+from .point_attributes import GROUP, TEXT
+
+
+def _new() -> bpy.types.Mesh:
+    return bpy.data.meshes.new("splats")
+
+
+class ChunkedWrite(Generic[ReadyT]):
+    """A mesh on its way. Where undo, or another file, takes it, it is begun anew."""
+
+    # Quoted: see ready.py.
+    def __init__(self, loaded: ReadyT, make: "Callable[[], bpy.types.Mesh]" = _new) -> None:
+        """Begin.
+
+        Args:
+            loaded: What fills it.
+            make: Makes the mesh, which lacks points if it has not as many.
+        """
+        self.loaded = loaded
+        self._make = make
+        self._temporary: Temporary | None = None
+        self._next = 0
+
+    def step(self) -> bpy.types.Mesh | None:
+        """Fill some more; the mesh once it is complete, which then is the caller's."""
+        return self.take() if self.fill() else None
+
+    @property
+    def share(self) -> float:
+        """How much of it is filled, 0 to 1."""
+        return self._next / max(len(self.loaded.columns), 1)
+
+    def fill(self) -> bool:
+        """Fill some more; whether it is complete."""
+        mesh = self._mesh()
+        until = time.perf_counter() + BUDGET
+        while self._next < len(self.loaded.columns):
+            name, kind, values = self.loaded.columns[self._next]
+            if kind == GROUP:
+                vertex_groups.write(mesh, name, values)
+            else:
+                if name not in mesh.attributes:
+                    attributes.declare(mesh, name, kind)
+                    if time.perf_counter() > until:
+                        return False
+                if kind == TEXT:
+                    string_attributes.write(mesh, name, values)
+                else:
+                    attributes.fill(mesh, name, kind, values)
+            self._next += 1
+            if time.perf_counter() > until:
+                return False
+        return True
+
+    def take(self) -> bpy.types.Mesh:
+        """The complete mesh, which from now on is the caller's."""
+        mesh = self._mesh()
+        self._temporary.take()
+        mesh.update()
+        return mesh
+
+    def drop(self) -> None:
+        """Remove what was filled so far; nothing happens once it is the caller's."""
+        if self._temporary is not None:
+            self._temporary.drop()
+
+    def _mesh(self) -> bpy.types.Mesh:
+        mesh = None if self._temporary is None else self._temporary.found()
+        if mesh is None:
+            mesh = self._make()
+            if missing := self.loaded.count - len(mesh.vertices):
+                attributes.add_points(mesh, missing)
+            self._temporary, self._next = Temporary(mesh), 0
+        return mesh
+
+
+# Quoted: see ready.py.
+def filled(
+    fillings: "Sequence[ChunkedWrite[Any]]", check: Callable[[], object] = lambda: None
+) -> Pieces[list[bpy.types.Mesh]]:
+    """Meshes that were filled, which are the caller's; where this fails, none is left.
+
+    Args:
+        fillings: All of them are complete at the same moment, right before this returns.
+        check: Called at that moment; may raise.
+    """
+    try:
+        while not all(filling.fill() for filling in fillings):
+            share = sum(filling.share for filling in fillings) / len(fillings)
+            yield f"Handing splats to Blender: {share:.0%}"
+        check()
+        return [filling.take() for filling in fillings]
+    finally:
+        for filling in fillings:
+            filling.drop()
+
+
+def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    """Let a mesh that was made from nothing take the place of an object's own, for all objects that
+    share it; what users have put on that stays.
+
+    Raises:
+        ValueError: the object's mesh is being edited, is linked, or has what would be lost.
+    """
+    check_replaceable(ob)
+    copy_metadata.hand_over(ob.data, mesh)
+    swap(ob, mesh)
+
+
+def check_replaceable(ob: bpy.types.Object) -> None:
+    """Raise ValueError unless another mesh can take the place of an object's own now, with nothing
+    lost but its points."""
+    objects.check_writable(ob)
+    copy_metadata.check_replaceable(ob.data, ob.name)
+
+
+def swap(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
+    """Let a mesh take the place of an object's own, which goes, its name, and its mark as an asset,
+    for all that share it; which of its attributes and vertex groups are active and which are locked
+    stays."""
+    old = ob.data
+    name = old.name
+    copy_metadata.copy_asset_mark(old, mesh)
+    mesh.use_fake_user = old.use_fake_user
+    attributes.copy_active(mesh, old)
+    with vertex_groups.settings_kept(ob):
+        old.user_remap(mesh)
+    bpy.data.meshes.remove(old)
+    mesh.name = name

@@ -1,7 +1,0 @@
-"""The trainings of regions of this Blender session; no bpy."""
-
-from ..job.verb_jobs import VerbJobs
-from .job import RegionJob
-
-JOBS: VerbJobs[RegionJob] = VerbJobs()
-"""Those of each capture."""

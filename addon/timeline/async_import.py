@@ -1,0 +1,76 @@
+"""A folder of frames on its way to be an object that plays them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+
+from ..splats import splat_files
+from ..splats.async_import import AsyncImport
+from ..splats.splat_files import Wanted
+from . import mesh
+from .frames import Series, find_series
+from .importing import let_play
+
+
+class SequenceComing:
+    """One import of a sequence: the frames are found and the first is read in a thread, then handed
+    to Blender bit by bit."""
+
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        folder: Path,
+        *,
+        called: str,
+        start: int,
+        parent: bpy.types.Object | None,
+        up: str,
+    ) -> None:
+        """Begin to look.
+
+        Args:
+            As `importing.import_sequence`.
+        """
+        self._folder, self._called, self._start = folder, called, start
+        self._series: Series | None = None
+        wanted = splat_files.want(folder, parent=parent, up=up)
+        self._arrival = AsyncImport(context, [wanted], find=self._first, look=mesh.mark_of)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the user should know besides."""
+        return self._arrival.warnings
+
+    @property
+    def series(self) -> Series:
+        """The frames, once the object is there."""
+        assert self._series is not None
+        return self._series
+
+    @property
+    def sentence(self) -> str:
+        """How far it is."""
+        return self._arrival.sentence
+
+    def step(self) -> list[bpy.types.Object] | None:
+        """Do a small piece; the one object once it is there.
+
+        Raises:
+            ValueError: there are no frames, or the first cannot be imported; nothing of it is left.
+        """
+        made = self._arrival.step()
+        for ob, mark in zip(made or (), self._arrival.looked, strict=False):
+            ob.name = ob.data.name = self._folder.name
+            mesh.note(ob.data, self.series.files[0], mark)
+            let_play(ob, self._folder, called=self._called, start=self._start)
+        return made
+
+    def cancel(self) -> None:
+        """Leave nothing."""
+        self._arrival.cancel()
+
+    def _first(self, wanted: Wanted) -> Wanted:
+        """In the thread."""
+        self._series = find_series(self._folder, self._called)
+        return replace(wanted, path=self._series.files[0].path)

@@ -1,0 +1,338 @@
+"""Keeps the meshes of sequence objects on the frame that they show, and notices when one is edited.
+
+Scripts and renders of other engines get the right frame at once. Where Blender has a window the
+mesh follows bit by bit, while nothing plays; until then only our renderers show the frame.
+"""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..core import GsError
+from ..interface.blocks import with_uid
+from ..interface.option_labels import error_words
+from ..interface.views import redraw_views
+from ..process import poll_timer
+from ..process.background_task import BackgroundTask
+from ..splats import live, objects
+from ..splats.write_chunked import ChunkedWrite
+from ..training.loader import Loaded
+from . import mesh, settings
+from .frame_at import Moment, moment_of
+from .library import LIBRARY, Frame
+from .settings import is_sequence, plays
+
+TAKE_FRAMES: set[str] = set()
+"""Render engines that take frames from memory, and need no mesh."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Coming:
+    """A mesh on its way to an object."""
+
+    owner: int
+    """Session number of the object."""
+    frame: Frame
+    task: BackgroundTask
+    """Makes its columns, and their mark."""
+    filling: ChunkedWrite | None = None
+
+
+@dataclass
+class _State:
+    """Of the session."""
+
+    coming: _Coming | None = None
+    refused: str = ""
+    """`FrameFile.label` of the last frame that has no room in a mesh."""
+    told: set[str] = field(default_factory=set)
+    """Problems that the console was told of."""
+    problems: dict[int, str] = field(default_factory=dict)
+    """Why meshes do not follow, by the session number of their object."""
+    left_alone: int = 0
+    """How many renderers look at several moments of a frame."""
+
+
+_state = _State()
+
+
+def problem_of(ob: bpy.types.Object) -> str:
+    """Why an object's mesh does not follow; empty where it does."""
+    return _state.problems.get(ob.session_uid, "")
+
+
+def bring(scene: bpy.types.Scene) -> None:
+    """Put the frames that a scene shows now into the meshes of its objects, at once."""
+    for ob in _players(scene):
+        try:
+            _bring_one(ob, scene)
+        except (GsError, ValueError) as error:
+            _tell(ob, error_words(error))
+
+
+def catch_up(ob: bpy.types.Object) -> None:
+    """Put the frame that an object shows now into its mesh, at once; what is edited stays.
+
+    Raises:
+        GsError, ValueError: the frame cannot be read, or the mesh cannot be written.
+    """
+    if ob.type != "MESH" or not plays(ob) or ob.mode == "EDIT":
+        return
+    note_edits([ob])
+    if not plays(ob):
+        return
+    coming = _state.coming
+    if coming is not None and coming.owner == ob.session_uid:
+        _drop_coming()
+    _bring_one(ob, bpy.context.scene)
+
+
+def _drop_coming() -> None:
+    if _state.coming is not None and _state.coming.filling is not None:
+        _state.coming.filling.drop()
+    _state.coming = None
+
+
+@contextmanager
+def left_alone() -> Iterator[None]:
+    """Leave meshes as they are, while a renderer that needs none looks at moments of a frame."""
+    _state.left_alone += 1
+    try:
+        yield
+    finally:
+        _state.left_alone -= 1
+
+
+def note_edits(obs: list[bpy.types.Object]) -> None:
+    """Let objects whose mesh was edited stand still, and those play whose edits were undone."""
+    for ob in obs:
+        if not is_sequence(ob) or not ob.is_editable or ob.mode == "EDIT":
+            continue
+        edited = mesh.was_edited(ob)
+        if ob.gscore_sequence.edited != edited:
+            ob.gscore_sequence.edited = edited
+
+
+def settings_changed(ob: bpy.types.Object) -> None:
+    """Show what an object's settings say now."""
+    for scene in bpy.data.scenes:
+        if bpy.app.background and scene.objects.get(ob.name) is ob:
+            bring(scene)
+    redraw_views()
+    poll_timer.ensure()
+
+
+def _players(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    return [ob for ob in scene.objects if ob.type == "MESH" and plays(ob)]
+
+
+def _bring_one(ob: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    moment = moment_of(ob, scene.frame_current_final, wait=True)
+    if moment is None:
+        return
+    if not _is_there(ob, moment):
+        mesh.fill_at_once(ob, moment.frame())
+    _state.problems.pop(ob.session_uid, None)
+
+
+def _is_there(ob: bpy.types.Object, moment: Moment) -> bool:
+    return mesh.holds(ob) == moment.holds
+
+
+def _tell(ob: bpy.types.Object, problem: str) -> None:
+    _state.problems[ob.session_uid] = problem
+    if problem not in _state.told:
+        _state.told.add(problem)
+        _log.warning("%s", problem)
+
+
+def _behind() -> Iterator[tuple[bpy.types.Object, Moment]]:
+    """Objects whose mesh has yet to follow, and what they show; not while they play live."""
+    for scene in _scenes():
+        for ob in _players(scene):
+            moment = moment_of(ob, scene.frame_current_final)
+            if moment is None or not _may_follow(ob):
+                continue
+            done = _is_there(ob, moment) or moment.failed() or moment.holds == _state.refused
+            if not done:
+                yield ob, moment
+
+
+def _may_follow(ob: bpy.types.Object) -> bool:
+    return bool(ob.is_editable and ob.data.is_editable and ob.mode != "EDIT")
+
+
+def _scenes() -> list[bpy.types.Scene]:
+    windows = bpy.context.window_manager.windows
+    return list({window.scene.name: window.scene for window in windows}.values()) or [
+        bpy.context.scene
+    ]
+
+
+def _playing() -> bool:
+    return any(w.screen.is_animation_playing for w in bpy.context.window_manager.windows)
+
+
+def _needs_mesh(ob: bpy.types.Object) -> bool:
+    """Whether what shows of an object is its mesh, even while it plays."""
+    return ob.gscore.display != "SPLATS" or not live.SESSION.works
+
+
+def _collect() -> bool:
+    """Do a small piece; whether panels have to be drawn anew."""
+    came = LIBRARY.take_news()
+    if came:
+        redraw_views()
+    if bpy.app.is_job_running("RENDER"):
+        return came
+    if _state.coming is not None:
+        return _go_on() or came
+    playing = _playing()
+    for ob, moment in _behind():
+        if (not playing or _needs_mesh(ob)) and _begin(ob, moment):
+            break
+    return came
+
+
+def _begin(ob: bpy.types.Object, moment: Moment) -> bool:
+    """Begin with the mesh of an object, if its frame is in memory."""
+    frame = moment.ready()
+    if frame is not None:
+        _state.coming = _Coming(ob.session_uid, frame, BackgroundTask(lambda _: _prepared(frame)))
+    return frame is not None
+
+
+def _prepared(frame: Frame) -> tuple[tuple[tuple[str, str, np.ndarray], ...], str]:
+    columns = tuple(frame.columns())
+    return columns, mesh.mark_of(columns)
+
+
+def _go_on() -> bool:
+    """Do the next step with the mesh that is on its way; whether it has come."""
+    coming = _state.coming
+    if coming.filling is None:
+        if coming.task.running:
+            return False
+        if coming.task.problem:
+            _state.coming, _state.refused = None, coming.frame.file.label
+            return False
+        coming.filling = ChunkedWrite(
+            Loaded(
+                path=coming.frame.file.path,
+                final=True,
+                count=len(coming.frame.vertices),
+                columns=coming.task.result[0],
+            )
+        )
+    made = coming.filling.step()
+    if made is None:
+        return False
+    _state.coming = None
+    ob = with_uid(bpy.data.objects, coming.owner)
+    if ob is None or not plays(ob) or not _may_follow(ob):
+        bpy.data.meshes.remove(made)
+        return False
+    mesh.note(made, coming.frame.file, coming.task.result[1])
+    try:
+        mesh.exchange(ob, made)
+    except ValueError as error:
+        bpy.data.meshes.remove(made)
+        _state.refused = coming.frame.file.label
+        _tell(ob, error_words(error))
+        return True
+    _state.problems.pop(ob.session_uid, None)
+    return True
+
+
+def _waits() -> bool:
+    if _state.coming is not None or LIBRARY.busy or LIBRARY.fresh:
+        return True
+    return not bpy.app.is_job_running("RENDER") and next(_behind(), None) is not None
+
+
+def _hurries() -> bool:
+    return _state.coming is not None or LIBRARY.busy
+
+
+_FOLLOWER = poll_timer.Poller(_collect, _waits, _hurries)
+
+
+@persistent
+def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
+    if _state.left_alone:
+        return
+    if _at_once(scene):
+        bring(scene)
+    elif not bpy.app.is_job_running("RENDER") and _players(scene):  # else another thread draws
+        poll_timer.ensure()
+
+
+@persistent
+def _render_begins(scene: bpy.types.Scene, *_: object) -> None:
+    if scene.render.engine not in TAKE_FRAMES:
+        bring(scene)
+
+
+def _at_once(scene: bpy.types.Scene) -> bool:
+    """Whether somebody is about to look at meshes: a script, or a render of another engine."""
+    renders = bpy.app.is_job_running("RENDER") and scene.render.engine not in TAKE_FRAMES
+    return bpy.app.background or renders
+
+
+@persistent
+def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed: a mesh perhaps, by others than us."""
+    changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, bpy.types.Mesh)}
+    if changed:
+        note_edits([ob for ob in scene.objects if ob.type == "MESH" and ob.data in changed])
+
+
+@persistent
+def _undone(*_: object) -> None:
+    """Meshes are as they were, of other frames perhaps."""
+    obs = [ob for ob in bpy.data.objects if ob.type == "MESH" and is_sequence(ob)]
+    if obs:
+        note_edits(obs)
+        poll_timer.ensure()
+
+
+@persistent
+def _file_loaded(*_: object) -> None:
+    _state.coming, _state.refused = None, ""
+    _state.told.clear()
+    _state.problems.clear()
+    LIBRARY.clear()
+    if any(_players(scene) for scene in bpy.data.scenes):
+        poll_timer.ensure()
+
+
+HANDLERS = {
+    "frame_change_post": _frame_changed,
+    "render_pre": _render_begins,
+    "depsgraph_update_post": _changed,
+    "undo_post": _undone,
+    "redo_post": _undone,
+    "load_post": _file_loaded,
+}
+
+
+def on_register() -> None:
+    """Follow the timeline."""
+    settings.CHANGED.append(settings_changed)
+    objects.CATCH_UP.append(catch_up)
+    poll_timer.FOLLOWERS.append(_FOLLOWER)
+
+
+def on_unregister() -> None:
+    """Follow no more, and let go of all frames."""
+    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    objects.CATCH_UP.remove(catch_up)
+    settings.CHANGED.remove(settings_changed)
+    _drop_coming()
+    LIBRARY.close()

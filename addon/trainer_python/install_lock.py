@@ -1,0 +1,88 @@
+"""One Blender at a time makes the environment, and clears away what one that was killed left; no
+bpy."""
+
+import os
+import re
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..core import FolderLock, GsError
+
+_NEW, _OLD = "new", "old"
+_RENAME_TRIES = 5
+
+
+@contextmanager
+def turn(target: Path) -> Iterator[None]:
+    """Hold the place of an environment, with nothing beside it that an earlier one left.
+
+    An earlier environment that was moved aside, with none in its place, is put back. The system
+    ends the hold with the process, so that whoever holds the place knows that nobody works on
+    what lies beside it.
+
+    Raises:
+        GsError: another process holds it, or the folder cannot be written or put in order.
+    """
+    lock = FolderLock(target.parent, f"{target.name}.lock", "Make Environment")
+    try:
+        lock.take()
+    except GsError as error:
+        if (process := lock.holder()) is None:
+            raise
+        number = f" (process {process})" if process else ""
+        raise GsError(
+            f"Another Blender{number} is making the environment in {target.parent}; wait until it "
+            "is done, then press Check."
+        ) from error
+    try:
+        _mend(target)
+        yield
+    finally:
+        lock.release()
+
+
+def partial(target: Path) -> Path:
+    """A name for an environment that is not complete yet."""
+    return target.with_name(f"{target.name}.{secrets.token_hex(4)}.{_NEW}")
+
+
+def rename_away(target: Path) -> Path:
+    """A name for the earlier one until the new one is in its place."""
+    return target.with_name(f"{target.name}.{secrets.token_hex(4)}.{_OLD}")
+
+
+def rename(old: Path, new: Path) -> None:
+    """Virus scanners of Windows hold new files for a moment."""
+    for left in range(_RENAME_TRIES - 1, -1, -1):
+        try:
+            os.replace(old, new)  # noqa: PTH105 - also of folders
+            return
+        except PermissionError:
+            if not left:
+                raise
+            time.sleep(0.5)
+
+
+def _mend(target: Path) -> None:
+    name = re.compile(rf"{re.escape(target.name)}\.[0-9a-f]{{8}}\.({_NEW}|{_OLD})")
+    left = [path for path in target.parent.iterdir() if name.fullmatch(path.name)]
+    earlier = [path for path in left if path.suffix == f".{_OLD}"]
+    if earlier and not target.exists():
+        try:
+            rename(max(earlier, key=_age), target)
+        except OSError as error:
+            raise GsError(
+                f"The earlier environment in {target.parent} cannot be put back "
+                f"({error.strerror}); rename its folder to {target.name} yourself, then press "
+                "Make Environment again."
+            ) from error
+    for path in left:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _age(path: Path) -> float:
+    return path.stat().st_mtime

@@ -1,0 +1,306 @@
+"""Makes the add-on's own environment for training; no bpy.
+
+Only ever called because the user pressed a button. The environment is built under a temporary name
+and takes its place when it is complete, so that a failure leaves an earlier one as it was. Two
+Blenders take turns (`turn.py`).
+"""
+
+import os
+import platform
+import re
+import shutil
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from ..core import GsError
+from ..process.background_task import BackgroundTask
+from ..process.child_program import Process
+from . import install_lock, pins
+from .environment import check, python_in
+
+NEEDED_BYTES = 3_000_000_000
+"""Free space wanted: torch and its company unpacked, and the downloads meanwhile."""
+OFFLINE = (
+    "Blender does not allow add-ons to go online; switch on Preferences > System > Network > Allow "
+    "Online Access, then press Make Environment again."
+)
+_OLDEST = (3, 11)
+_NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
+
+
+class SetupError(Exception):
+    """The environment cannot be made; the message says why and what to do."""
+
+
+def make(
+    target: Path,
+    wheel: Path,
+    task: BackgroundTask,
+    *,
+    online: bool,
+    base: Path | None = None,
+    cpu: bool = True,
+) -> Path:
+    """Make the environment `target` with gscore from `wheel` and all that training needs.
+
+    What is installed is what `pins` lists, to the version and, but for torch without CUDA, to the
+    byte.
+
+    Args:
+        target: Folder of the environment; replaced if it is there.
+        wheel: gscore for this system.
+        task: Told the progress; may cancel.
+        online: Whether Blender allows add-ons to go online.
+        base: The Python to build on; None: Blender's own, or one that is installed.
+        cpu: Prefer torch without CUDA.
+
+    Returns:
+        The environment's Python.
+
+    Raises:
+        SetupError: no network, no space, no venv, a package that does not install; or another
+            Blender makes it.
+        Cancelled: as the task was asked to.
+    """
+    if not online:
+        raise SetupError(OFFLINE)
+    try:
+        with install_lock.turn(target):
+            _make(target, wheel, task, base=base, cpu=cpu)
+    except GsError as error:
+        raise SetupError(str(error)) from error
+    task.tell("Done")
+    return python_in(target)
+
+
+def _make(target: Path, wheel: Path, task: BackgroundTask, *, base: Path | None, cpu: bool) -> None:
+    _check_space(target)
+    partial = install_lock.partial(target)
+    try:
+        _make_venv(partial, base or usable_base(), task)
+        python = python_in(partial)
+        for step in steps(python, wheel, cpu=cpu):
+            task.tell(step.words)
+            _run(step.arguments, task, step.variables)
+        task.tell("Checking")
+        verdict = check(python, task)
+        if not verdict.good:
+            raise SetupError(f"The new environment does not work: {verdict.sentence}")
+        task.check()
+        _put_in_place(partial, target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One call of pip."""
+
+    words: str
+    """What is shown meanwhile."""
+    arguments: list[str]
+    variables: Mapping[str, str] = field(default_factory=dict)
+    """Of its environment, besides those of every process."""
+
+
+def steps(python: Path, wheel: Path, *, cpu: bool) -> list[Step]:
+    """The calls of pip that fill an environment, in order.
+
+    None resolves anything: each list is complete. A package comes from one place alone. With
+    hashes that place is pip's own setting, the registry or a mirror of it, for a hash says what it
+    may be. Without, it is the one index of the list, whatever pip was set up for.
+    """
+    lists = [
+        ("Updating pip", pins.pip(), []),
+        ("Downloading torch, the largest of the packages", pins.torch(cpu=cpu), _PROGRESS),
+        ("Downloading the other packages", pins.rest(), _PROGRESS),
+    ]
+    calls = [_install(python, words, pinned, more) for words, pinned, more in lists]
+    own = [*_pip(python), "--no-deps", "--no-index", str(wheel)]
+    return [*calls, Step("Installing gscore", own)]
+
+
+def _install(python: Path, words: str, pinned: pins.Pins, more: list[str]) -> Step:
+    what = [*more, "--no-deps", "--only-binary", ":all:", "-r", str(pinned.file)]
+    if pinned.hashed:
+        return Step(words, [*_pip(python), "--require-hashes", *what])
+    # Neither files nor variables that set pip up may add a second place.
+    alone = {"PIP_CONFIG_FILE": os.devnull}
+    return Step(words, [*_pip(python, "--isolated"), "--index-url", pinned.index, *what], alone)
+
+
+def contents(wheel: Path, target: Path, *, cpu: bool) -> list[str]:
+    """What `make` would install, how large, and from where, in sentences.
+
+    Raises:
+        SetupError: the packages are not made for this system.
+    """
+    torch, rest = pins.torch(cpu=cpu), pins.rest()
+    if not rest.megabytes:
+        raise SetupError(
+            f"The packages for training are not made for this system ({pins.system()}); choose a "
+            "Python that has gscore and torch in the add-on's preferences."
+        )
+    size = f"about {torch.megabytes} MB, " if torch.megabytes else ""
+    registry = f"{pins.REGISTRY}, or the mirror that pip is set up for"
+    others = ", ".join(rest.packages)
+    checked = "each file checked against the hash that this extension brings"
+    how = checked if torch.hashed else "that index alone, which gives the hash"
+    where = registry if torch.index == pins.REGISTRY else torch.index
+    return [
+        f"A Python environment is made in {target}; an earlier one there is replaced at the end. "
+        f"It takes {NEEDED_BYTES / 1e9:.0f} GB of the disk meanwhile.",
+        f"gscore, from this extension: {wheel.name}.",
+        f"{', '.join(torch.packages)}: {size}from {where}, {how}.",
+        f"About {rest.megabytes + pins.pip().megabytes} MB from {registry}, {checked}: "
+        f"{', '.join(pins.pip().packages)}, {others}.",
+    ]
+
+
+def find_wheel(folders: Iterable[Path], version: str) -> Path | None:
+    """gscore's wheel for this system among the files of some folders."""
+    names = {"x86_64": ("x86_64", "amd64"), "arm64": ("arm64", "aarch64", "universal2")}
+    machine = platform.machine().lower()
+    machines = next((n for n in names.values() if machine in n), (machine,))
+    system = {"win32": "win", "darwin": "macosx"}.get(sys.platform, "linux")
+    for folder in folders:
+        for path in sorted(folder.glob(f"gscore-{version}[-+]*.whl")):
+            tag = path.stem.rsplit("-", 1)[-1].lower()
+            if system in tag and any(m in tag for m in machines):
+                return path
+    return None
+
+
+def usable_base() -> Path:
+    """A Python to build the environment on: the one that runs here, or an installed one.
+
+    Raises:
+        SetupError: none of version 3.11 or later is at hand.
+    """
+    if sys.version_info >= _OLDEST and "python" in Path(sys.executable).name.lower():
+        return Path(sys.executable)
+    for name in ("python3.13", "python3.12", "python3.11", "python3.14"):
+        if found := shutil.which(name):
+            return Path(found)
+    raise SetupError(
+        "No Python 3.11 or later was found to build on; install one from python.org, then press "
+        "Make Environment again."
+    )
+
+
+_PROGRESS = ["--progress-bar", "raw"]
+
+
+def _pip(python: Path, *more: str) -> list[str]:
+    options = ("--no-input", "--disable-pip-version-check", *more)
+    return [str(python), "-m", "pip", *options, "install"]
+
+
+def _make_venv(folder: Path, base: Path, task: BackgroundTask) -> None:
+    task.tell(f"Making an environment with {base}")
+    try:
+        _run([base, "-m", "venv", folder], task)
+    except SetupError as error:
+        text = str(error)
+        if "ensurepip" in text or "No module named venv" in text:
+            raise SetupError(
+                f"{base} has no working venv module; on Debian and Ubuntu install the package "
+                "python3-venv, then press Make Environment again."
+            ) from error
+        raise
+
+
+def _check_space(target: Path) -> None:
+    folder = next(p for p in (target, *target.parents) if p.exists())
+    free = shutil.disk_usage(folder).free
+    if free < NEEDED_BYTES:
+        raise SetupError(
+            f"The environment needs about {NEEDED_BYTES / 1e9:.0f} GB, but {folder} has only "
+            f"{free / 1e9:.1f} GB free; free some space, then press Make Environment again."
+        )
+
+
+def _run(
+    arguments: Sequence[str | Path],
+    task: BackgroundTask,
+    variables: Mapping[str, str] = _NO_VARIABLES,
+) -> None:
+    """Run a program to its end, its lines told; SetupError with its reason if it fails."""
+    try:
+        process = Process([str(a) for a in arguments], variables=variables)
+    except OSError as error:
+        raise SetupError(f"{arguments[0]} cannot be run: {error.strerror or error}.") from error
+    said: list[str] = []
+    try:
+        while not process.ended:
+            task.check()
+            for line in process.lines(0.05):
+                said.append(line)
+                if shown := _readable(line):
+                    task.tell(shown)
+            time.sleep(0.05)
+    finally:
+        process.kill(wait=5.0)
+    if process.returncode:
+        raise SetupError(_reason([*said, *process.stderr_tail]))
+
+
+def _readable(line: str) -> str:
+    """A line of pip as people want it; empty if there is nothing in it."""
+    if match := re.fullmatch(r"Progress (\d+) of (\d+)", line.strip()):
+        done, total = int(match[1]), int(match[2])
+        return f"Downloading: {done / 1e6:.0f} of {total / 1e6:.0f} MB" if total > 5e6 else ""
+    return line.strip()[:160]
+
+
+def _reason(lines: list[str]) -> str:
+    """The sentence for a failed pip or venv."""
+    text = "\n".join(lines)
+    if re.search(r"No space left on device|Errno 28|not enough space on the disk", text):
+        return "The disk is full; free some space, then press Make Environment again."
+    network = (
+        r"NewConnectionError|ConnectionError|Temporary failure in name resolution|timed out"
+        r"|getaddrinfo failed|Network is unreachable|Max retries exceeded|ProxyError|SSLError"
+    )
+    if re.search(network, text):
+        return (
+            "The package registry cannot be reached; check the network and proxy of this "
+            "computer, then press Make Environment again."
+        )
+    if "DO NOT MATCH THE HASHES" in text:
+        return (
+            "A downloaded package is not the one that this extension was made with (its hash "
+            "differs), so nothing was installed; try again on another network, and report it if "
+            "that does not help."
+        )
+    errors = [line.strip() for line in lines if "ERROR" in line or line.startswith("Error")]
+    last = errors[-1] if errors else next((x for x in reversed(lines) if x.strip()), "no reason")
+    return f"The environment could not be made: {last[:300]}"
+
+
+def _put_in_place(partial: Path, target: Path) -> None:
+    """Rename, with the earlier environment moved aside until the new one is there.
+
+    Only the scripts of a virtual environment know where it lies, and those are not used: its
+    Python finds the rest by itself.
+    """
+    aside = install_lock.rename_away(target)
+    try:
+        if target.exists():
+            install_lock.rename(target, aside)
+        try:
+            install_lock.rename(partial, target)
+        except OSError:
+            if aside.exists():
+                install_lock.rename(aside, target)
+            raise
+    except OSError as error:
+        raise SetupError(
+            f"{target} cannot be replaced ({error.strerror}); stop trainings that use it, then "
+            "press Make Environment again."
+        ) from error
+    shutil.rmtree(aside, ignore_errors=True)

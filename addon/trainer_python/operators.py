@@ -1,0 +1,92 @@
+"""Operators of the Python that trains: find or check one, make one."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+from .. import preferences
+from ..interface.base_operator import BaseOperator
+from ..interface.confirm_operator import ConfirmMixin
+from ..process import poll_timer
+from .setup import CURRENT, contents
+
+
+class CheckTrainer(BaseOperator, bpy.types.Operator):
+    """Ask the chosen Python whether it can train; without one, look for one that can"""
+
+    bl_idname = "gscore.check_trainer"
+    bl_label = "Check"
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the answer is there; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Ask."""
+        prefs = preferences.get()
+        if not self.wait:
+            CURRENT.start_check(prefs)
+            poll_timer.ensure()
+            return ""
+        verdict = CURRENT.check(prefs)
+        if not verdict.good:
+            raise ValueError(verdict.sentence)
+        return verdict.sentence
+
+
+class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
+    """Make a private Python environment for training: downloads torch and its company"""
+
+    bl_idname = "gscore.make_environment"
+    bl_label = "Make Environment"
+
+    wheel: StringProperty(
+        name="Wheel",
+        description="gscore to install; empty: the one in the extension",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when it is made; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    confirm = "Download and Install"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name what will be installed."""
+        wheel = Path(self.wheel) if self.wheel else None
+        return contents(preferences.get(), wheel=wheel)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start."""
+        wheel = Path(self.wheel) if self.wheel else None
+        if self.wait:
+            CURRENT.make(preferences.get(), wheel=wheel)
+        else:
+            CURRENT.start_make(preferences.get(), wheel=wheel)
+        poll_timer.ensure()
+        return ""
+
+
+class CancelSetup(BaseOperator, bpy.types.Operator):
+    """End the check, or the making of an environment; one that was there before stays"""
+
+    bl_idname = "gscore.cancel_setup"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Something is under way."""
+        return CURRENT.busy()
+
+    def act(self, context: bpy.types.Context) -> str:
+        """End it."""
+        CURRENT.cancel()
+        return ""
+
+
+CLASSES = (CheckTrainer, MakeEnvironment, CancelSetup)

@@ -1,0 +1,43 @@
+"""The Python that trains, in the add-on's preferences."""
+
+import bpy
+
+from ..interface.confirm_operator import wrapped
+from ..preferences import SECTIONS, Preferences
+from . import installer
+from .setup import CURRENT
+
+
+def draw_trainer(layout: bpy.types.UILayout, prefs: Preferences) -> None:
+    """The Python that trains: choose, check, make, and what came of it."""
+    box = layout.box()
+    row = box.row(align=True)
+    row.prop(prefs, "python_path", placeholder="The add-on's own environment, or one found") if (
+        "placeholder" in row.bl_rna.functions["prop"].parameters
+    ) else row.prop(prefs, "python_path")
+    row.operator("gscore.check_trainer", text="Check" if prefs.python_path else "Find")
+    row = box.row()
+    row.operator("gscore.make_environment", icon="IMPORT")
+    row.prop(prefs, "torch_source", text="")
+    if not bpy.app.online_access:
+        wrapped(box, installer.OFFLINE, icon="INTERNET_OFFLINE")
+    for line in CURRENT.progress():
+        row = box.row()
+        row.label(text=line, icon="TIME")
+        row.operator("gscore.cancel_setup", text="", icon="X")
+    if CURRENT.make_problem:
+        wrapped(box, CURRENT.make_problem, icon="ERROR")
+    if CURRENT.verdict is not None:
+        wrapped(
+            box, CURRENT.verdict.sentence, icon="CHECKMARK" if CURRENT.verdict.good else "ERROR"
+        )
+
+
+def on_register() -> None:
+    """Draw it."""
+    SECTIONS.append(draw_trainer)
+
+
+def on_unregister() -> None:
+    """Draw it no more."""
+    SECTIONS.remove(draw_trainer)

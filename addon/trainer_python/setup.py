@@ -1,0 +1,221 @@
+"""The Python for training as the preferences want it: found, checked and made beside Blender."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .. import preferences
+from ..core import __version__
+from ..paths import own_folder
+from ..process import poll_timer
+from ..process.background_task import BackgroundTask
+from . import environment, installer
+from .environment import Verdict
+
+
+def private_folder() -> Path:
+    """Folder of the add-on's own environment, whether it is there or not."""
+    return own_folder() / "trainer"
+
+
+def bundled_wheel() -> Path | None:
+    """gscore's wheel in the extension, for this system."""
+    root = Path(__file__).parents[2]
+    return installer.find_wheel([root / "wheels", root / "dist"], __version__)
+
+
+def trainer_python(prefs: Any) -> Path:
+    """The Python that trains: the chosen one, the add-on's own, or one that was found.
+
+    Raises:
+        ValueError: there is none, or the chosen one is not there.
+    """
+    if prefs.python_path.strip():
+        python = environment.chosen_python(bpy.path.abspath(prefs.python_path))
+        if python.is_file():
+            return python
+        raise ValueError(
+            f"There is no Python {python}; choose another in the add-on's preferences, or clear "
+            "the field and press Make Environment."
+        )
+    for python in (environment.python_in(private_folder()), Path(prefs.found_python or "/-")):
+        if python.is_file():
+            return python
+    raise ValueError(
+        "No Python for training is set up; press Find or Make Environment in the add-on's "
+        "preferences."
+    )
+
+
+def contents(prefs: Any, *, wheel: Path | None = None) -> list[str]:
+    """What `start_make` would install, how large, and from where, in sentences.
+
+    Raises:
+        ValueError: as `start_make`, or nothing is made for this system.
+    """
+    wheel = _wheel(wheel)
+    if not bpy.app.online_access:
+        raise ValueError(installer.OFFLINE)
+    try:
+        return installer.contents(wheel, private_folder(), cpu=prefs.torch_source == "CPU")
+    except installer.SetupError as error:
+        raise ValueError(str(error)) from error
+
+
+def _wheel(chosen: Path | None) -> Path:
+    wheel = chosen or bundled_wheel()
+    if wheel is None:
+        raise ValueError(
+            f"This copy of the add-on holds no gscore {__version__} for this system; install the "
+            "extension from its zip file, or choose a Python that has gscore."
+        )
+    return wheel
+
+
+class Setup:
+    """What is under way about the Python that trains, and what was found."""
+
+    def __init__(self) -> None:
+        self._checking: BackgroundTask | None = None
+        self._making: BackgroundTask | None = None
+        self.verdict: Verdict | None = None
+        """What a check found of the Python that is chosen now; None: it was not checked."""
+        self._chosen = ""
+        """Which Python is checked."""
+        self.make_problem = ""
+        """Why the last environment was not made."""
+
+    def start_check(self, prefs: Any) -> BackgroundTask:
+        """Look for a Python that can train, or check the chosen one; does not wait."""
+        chosen = bpy.path.abspath(prefs.python_path) if prefs.python_path.strip() else ""
+        if self._checking is not None and self._checking.running:
+            if chosen == self._chosen:
+                return self._checking
+            self._checking.cancel()
+        private, self._chosen = private_folder(), chosen
+        self._checking = BackgroundTask(
+            lambda task: environment.find(task, chosen=chosen, private=private)
+        )
+        return self._checking
+
+    def chosen(self, prefs: Any) -> None:
+        """Forget what was found of another Python. A user is told of the one that is chosen now; a
+        script calls `check` where it wants to know."""
+        self.verdict = None
+        if prefs.python_path.strip() and not bpy.app.background:
+            self.start_check(prefs)
+            poll_timer.ensure()
+
+    def check(self, prefs: Any) -> Verdict:
+        """As `start_check`, and wait; for scripts.
+
+        Raises:
+            ValueError: the check itself failed.
+        """
+        task = self.start_check(prefs)
+        task.wait(10 * environment.CHECK_TIMEOUT)
+        self.collect(prefs)
+        if task.result is None:
+            raise ValueError(task.problem)
+        return task.result
+
+    def start_make(self, prefs: Any, *, wheel: Path | None = None) -> BackgroundTask:
+        """Make the add-on's own environment; does not wait.
+
+        Args:
+            prefs: The preferences.
+            wheel: gscore to install; None: the one in the extension.
+
+        Raises:
+            ValueError: there is no wheel, or it cannot go online.
+        """
+        if self._making is not None and self._making.running:
+            return self._making
+        wheel, online = _wheel(wheel), bpy.app.online_access
+        if not online:
+            raise ValueError(installer.OFFLINE)
+        target, cpu = private_folder(), prefs.torch_source == "CPU"
+        self.make_problem = ""
+        self._making = BackgroundTask(
+            lambda task: installer.make(target, wheel, task, online=online, cpu=cpu)
+        )
+        return self._making
+
+    def make(self, prefs: Any, *, wheel: Path | None = None) -> Path:
+        """As `start_make`, and wait; returns the environment's Python.
+
+        Raises:
+            ValueError: as `start_make`, or it could not be made; the message says why.
+        """
+        task = self.start_make(prefs, wheel=wheel)
+        while not task.wait(3600):
+            pass
+        self.collect(prefs)
+        if task.result is None:
+            raise ValueError(task.problem)
+        return task.result
+
+    def collect(self, prefs: Any) -> bool:
+        """Take in what has ended; whether anything did. Called in Blender's main thread."""
+        changed = False
+        if self._checking is not None and not self._checking.running:
+            task, self._checking, changed = self._checking, None, True
+            if task.result is not None:
+                self.verdict = task.result
+                if self.verdict.good and not prefs.python_path.strip():
+                    prefs.found_python = self.verdict.python
+        if self._making is not None and not self._making.running:
+            task, self._making, changed = self._making, None, True
+            self.make_problem = task.problem
+            if not task.problem:
+                self.start_check(prefs)
+        return changed
+
+    def progress(self) -> list[str]:
+        """What is under way, one line each."""
+        return [
+            t.last_line or "Checking"
+            for t in (self._checking, self._making)
+            if t is not None and t.running
+        ]
+
+    def making(self) -> bool:
+        """Whether an environment is being made."""
+        return self._making is not None and self._making.running
+
+    def busy(self) -> bool:
+        """Whether anything is under way or waits for `collect`."""
+        return self._checking is not None or self._making is not None
+
+    def cancel(self) -> None:
+        """End whatever is under way; an environment that was there before stays."""
+        for task in (self._checking, self._making):
+            if task is not None:
+                task.cancel()
+
+    def shut_down(self) -> None:
+        """End whatever is under way and wait for it shortly, because the add-on is switched off."""
+        self.cancel()
+        for task in (self._checking, self._making):
+            if task is not None:
+                task.wait(5.0)
+        self._checking = self._making = self.verdict = None
+
+
+CURRENT = Setup()
+"""That of this Blender session."""
+_FOLLOWER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURRENT.busy)
+
+
+def on_register() -> None:
+    """Take in what checks find."""
+    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    preferences.PYTHON_CHOSEN.append(CURRENT.chosen)
+
+
+def on_unregister() -> None:
+    """End what is under way."""
+    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    preferences.PYTHON_CHOSEN.remove(CURRENT.chosen)
+    CURRENT.shut_down()

@@ -1,0 +1,64 @@
+"""The captures that a scene knows: chosen, chosen before, or imported; and how one is chosen."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import StringProperty
+
+from .. import stored_paths
+from ..cameras.lookup import roots_of
+from ..capture.folders import means_capture
+from ..interface.base_operator import OnScene
+from ..paths import absolute, relative
+from ..run_links import holders
+
+
+def known(scene: bpy.types.Scene) -> list[Path]:
+    """Folders of the captures that a scene has chosen or imported, by name, none twice."""
+    found: list[Path] = []
+    # A folder comes before those in it.
+    for path in sorted(_all(scene), key=lambda path: len(path.parts)):
+        if not any(means_capture(path, other) for other in found):
+            found.append(path)
+    return sorted(found, key=lambda path: (path.name.lower(), str(path)))
+
+
+def label(path: Path, among: list[Path]) -> str:
+    """What a capture is called among others: its folder's name, with what tells it from those of
+    the same name."""
+    alike = [other for other in among if other.name == path.name]
+    return path.name if len(alike) < 2 else f"{path.name} ({path.parent})"
+
+
+def _all(scene: bpy.types.Scene) -> Iterator[Path]:
+    for holder in holders(scene):
+        if holder.capture_path.strip():
+            try:
+                yield absolute(holder.capture_path, "Capture")
+            except ValueError:
+                continue  # it lies beside a file that is not saved
+    for root in roots_of(scene):
+        if text := stored_paths.read(root, stored_paths.SOURCE):
+            yield Path(text)
+
+
+class ChooseCapture(OnScene, bpy.types.Operator):
+    """Choose a capture that this scene knows; its output, splats and test view come with it"""
+
+    bl_idname = "gscore.choose_capture"
+    bl_label = "Choose Capture"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    path: StringProperty(name="Capture", description="Its folder", options={"SKIP_SAVE"})
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Choose it."""
+        if not self.path.strip():
+            raise ValueError("No capture is named; choose one in the panel.")
+        context.scene.gscore.capture_path = relative(absolute(self.path, "Capture"))
+        return ""
+
+
+CLASSES = (ChooseCapture,)

@@ -1,0 +1,179 @@
+"""Shows in the open file what a training leaves on the disk: splats and a picture."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .. import preferences, run_links
+from ..cameras.objects import note_moves
+from ..capture.folders import same_folder
+from ..interface import editable_check, undo
+from ..interface.option_labels import error_words
+from ..nodes import display as display_nodes
+from ..paths import absolute, output_folder
+from ..splats.error_maps import drop_maps
+from ..splats.objects import hide_points
+from ..splats.splat_files import stand
+from ..splats.write_chunked import ChunkedWrite, replace
+from . import registry, run_state
+from .loader import Loaded
+from .results import (
+    Place,
+    capture_of,
+    is_own,
+    note_filled,
+    result_object,
+    shown_object,
+)
+from .training_job import Job
+
+
+def place_of(job: Job) -> Place | None:
+    """Where the open file shows what a job makes: its own scene first, then any of that output."""
+    own = [scene for scene in bpy.data.scenes if editable_check.keeps(scene)]
+    scenes = sorted(own, key=lambda scene: scene.session_uid != job.scene_uid)
+    for scene in scenes:
+        for holder in run_links.holders(scene):
+            if _leads_to(scene, holder, job):
+                return Place(scene, holder)
+    return None
+
+
+def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
+    """Whether a holder's results are those of a job."""
+    try:
+        if holder == scene.gscore:
+            folder = output_folder(scene, preferences.get().output_folder)
+        else:
+            folder = absolute(holder.output_path, "Output")
+    except ValueError:
+        return False
+    mine = same_folder(folder, job.output)
+    return mine and any(run_links.holds(holder, source) for source in job.sources)
+
+
+def waits(job: Job) -> bool:
+    """Whether there is something to wait for: a running trainer, or splats to be shown here."""
+    if not job.state.ended or job.loader.busy:
+        return True
+    return job.result_wanted and place_of(job) is not None
+
+
+def write_splats() -> bool:
+    """Whether splats are on their way, or what shows them, so that the next beat should come
+    soon."""
+    return any(job.filling is not None or job.chores for job in registry.jobs())
+
+
+def update(job: Job) -> bool:
+    """Do the next small thing for a job: show its picture or its splats; whether it did.
+
+    Nothing is touched while Blender renders, which reads the same data in another thread.
+    """
+    if bpy.app.is_job_running("RENDER"):
+        return False
+    place = place_of(job)
+    if place is None:
+        job.live_seconds = 0.0
+        return False
+    if job.chores:
+        job.chores.pop(0)()
+        return True
+    prefs = preferences.get()
+    job.live_seconds = prefs.live_seconds if place.scene.gscore.live_splats else 0.0
+    job.live_most = prefs.live_most
+    preview = job.state.preview
+    if preview is not None and preview.path != job.preview_shown:
+        job.preview_shown = preview.path
+        show_picture(place.holder, Path(preview.path), f"Test View of {job.source.name}")
+        return True
+    return _remove_discarded(job, place) or _update_splats(job, place)
+
+
+def show_picture(holder: Any, path: Path, name: str) -> bpy.types.Image:
+    """Show a picture as a capture's test view, in every image editor that shows it."""
+    image = holder.preview
+    if image is None:
+        # `images.load` looks into the file, which may take a tenth of a second the first time.
+        image = bpy.data.images.new(name, 1, 1)
+        image.source = "FILE"
+        holder.preview = image
+    image.filepath = str(path)
+    image.reload()
+    return image
+
+
+def _remove_discarded(job: Job, place: Place) -> bool:
+    """Take back the live splats of a run that was discarded; whether there were any."""
+    ob = shown_object(place.holder, job.output, job.sources)
+    over = job.state.status == run_state.DISCARDED and not job.resumed
+    if not over or ob is None or not is_own(ob, job) or ob.mode != "OBJECT":
+        return False
+    mesh = ob.data
+    bpy.data.objects.remove(ob)
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+    if (root := capture_of(place.scene, job.source)) is not None:
+        hide_points(place.scene, root, hidden=False)
+    undo.push("Discard Training")
+    return True
+
+
+def _update_splats(job: Job, place: Place) -> bool:
+    """Do the next step on the way of splats from a file to the scene; whether there was one."""
+    result = job.state.result
+    if job.result_wanted and not job.result_requested and result is not None:
+        job.result_requested = True
+        job.loader.request(result, final=True)
+    ob = place.holder.result
+    if ob is not None and ob.mode != "OBJECT":
+        return False  # what the user edits stays; splats wait
+    if job.filling is None:
+        loaded = job.take_loaded()
+        if loaded is None:
+            return False
+        if loaded.problem:
+            _give_up(job, loaded, loaded.problem)
+            return True
+        job.filling = ChunkedWrite(loaded)
+        if ob is None:
+            job.chores = display_nodes.builders()  # another file may be open than at the start
+            return True
+    filling = job.filling
+    if not filling.loaded.final and (job.result_requested or not place.scene.gscore.live_splats):
+        filling.drop()  # late
+        job.filling = None
+        return True
+    mesh = filling.step()
+    if mesh is None:
+        return True
+    job.filling = None
+    try:
+        before = place.holder.result
+        ob = result_object(place, job, filling.loaded)
+        replace(ob, mesh)
+        stand(ob, filling.loaded.origin)
+        note_filled(ob, job, filling.loaded)
+        job.result_wanted = job.result_wanted and not filling.loaded.final
+        if (root := capture_of(place.scene, job.source)) is not None:
+            if filling.loaded.final:
+                note_moves(root, filling.loaded.moves)
+            if ob != before:
+                hide_points(place.scene, root)
+        if filling.loaded.final:
+            drop_maps(ob)  # of what it showed before
+        if filling.loaded.final or ob != before:
+            undo.push("Training Result" if filling.loaded.final else "Live Splats")
+    except ValueError as error:
+        bpy.data.meshes.remove(mesh)
+        _give_up(job, filling.loaded, error_words(error))
+    return True
+
+
+def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
+    """Say why splats are not shown; a result is not tried again."""
+    job.state.warn(problem)
+    if loaded.final:
+        job.result_wanted = False
+        job.state.sentence += " The splats could not be shown."

@@ -1,0 +1,85 @@
+"""The run that an output folder holds already: how far it is, whose and from when; no bpy."""
+
+import time
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..core import RunInfo, find_capture, read_run
+from ..interface.option_labels import panel_words
+
+_BEGINNING = 65_536
+"""Bytes of a file that tell it from others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EarlierRun:
+    """A run on the disk."""
+
+    info: RunInfo
+    """Its problem is in the words of panels."""
+    trained: float
+    """When its newest file was written, seconds since the epoch."""
+    content: str
+    """`content` of its splats; empty where there are none."""
+    foreign: bool
+    """Whether it is known to be of another capture than the one that is chosen."""
+
+    @property
+    def words(self) -> str:
+        """Folder, steps and date."""
+        steps = f"{self.info.steps:,} steps" if self.info.checkpoint else "no checkpoint"
+        date = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.trained))
+        return f"{self.info.path} ({steps}, written {date})"
+
+    @property
+    def foreign_words(self) -> str:
+        """Why a run of another capture is left alone, and what to do."""
+        whose = "" if self.info.data is None else f", {self.info.data.source}"
+        return (
+            f"The output folder holds the run of another capture{whose}: {self.words}. Choose that "
+            "capture again, or another output folder."
+        )
+
+
+def read_existing_run(folder: Path, capture: Path | None) -> EarlierRun | None:
+    """What an output folder holds, or None if no training has written there.
+
+    Args:
+        folder: The output folder.
+        capture: The path that is chosen for the capture; None: none is.
+    """
+    info = read_run(folder)
+    if info is None:
+        return None
+    return EarlierRun(
+        info=replace(info, problem=panel_words(info.problem)),
+        trained=_written(info),
+        content="" if info.splats is None else content(info.splats),
+        foreign=_is_foreign(info, capture),
+    )
+
+
+def content(path: Path) -> str:
+    """Tells a file of splats from another, by its size and its beginning; empty if there is none.
+
+    Copies of a folder keep it, unlike dates.
+    """
+    try:
+        with path.open("rb") as file:
+            return f"{path.stat().st_size}-{zlib.crc32(file.read(_BEGINNING)):08x}"
+    except OSError:
+        return ""
+
+
+def _written(info: RunInfo) -> float:
+    files = [info.path / "config.json", info.checkpoint, info.splats]
+    times = [file.stat().st_mtime for file in files if file is not None and file.is_file()]
+    return max(times, default=info.path.stat().st_mtime)
+
+
+def _is_foreign(info: RunInfo, capture: Path | None) -> bool:
+    """Certain only where the run's own capture is still in its place: else it may have moved."""
+    if capture is None or info.data is None or not info.data.source.exists():
+        return False
+    return find_capture(capture).resolve() != info.data.source.resolve()

@@ -1,0 +1,56 @@
+"""What panels show of a scene's folders, without waiting for a disk."""
+
+import bpy
+
+from .. import preferences
+from ..capture.inspection import ShownFacts
+from ..core import Estimate
+from ..interface.option_labels import error_words
+from ..paths import absolute, output_folder
+from ..process import poll_timer
+from . import forecast, lookups
+from .existing_run import EarlierRun
+
+
+def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
+    """What the scene's capture holds, and a problem; (None, "") while it is looked up."""
+    settings = scene.gscore
+    if not settings.capture_path.strip():
+        return None, ""
+    try:
+        path = absolute(settings.capture_path, "Capture")
+    except ValueError as error:
+        return None, error_words(error)
+    answer = lookups.captures.get((str(path), settings.images))
+    poll_timer.ensure()
+    return answer
+
+
+def refresh(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
+    """As `capture`, but looks now and waits; for scripts and before a training."""
+    path = absolute(scene.gscore.capture_path, "Capture")
+    return lookups.captures.wait((str(path), scene.gscore.images))
+
+
+def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
+    """What the training that the settings ask for would take; (None, "") while not known."""
+    found = capture(scene)[0]
+    if found is None or not found.can_train:
+        return None, ""
+    asked = forecast.question(scene.gscore, found, threads=preferences.get().threads)
+    answer = lookups.forecasts.get(asked)
+    poll_timer.ensure()
+    return answer
+
+
+def run(scene: bpy.types.Scene) -> tuple[EarlierRun | None, str]:
+    """The run in the scene's output folder; (None, "") for none or still unknown."""
+    text = scene.gscore.capture_path
+    try:
+        chosen = absolute(text, "Capture") if text.strip() else None
+        folder = output_folder(scene, preferences.get().output_folder)
+    except ValueError:
+        return None, ""  # the panel says what is missing where the capture is chosen
+    answer = lookups.runs.get((folder, chosen))
+    poll_timer.ensure()
+    return answer

@@ -1,0 +1,128 @@
+"""What a training of a scene's settings would take: time and memory; no bpy."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..core import (
+    PRESETS,
+    CaptureFacts,
+    Estimate,
+    Strategy,
+    TrainConfig,
+    cap_by_photos,
+    estimate,
+    expected_points,
+    target_size,
+)
+from .options import AS_PRESET, BY_WIDTH, Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """What is asked; equal ones have the same answer as long as as much memory is free."""
+
+    train: TrainConfig
+    sizes: tuple[tuple[tuple[int, int], int], ...]
+    """Sizes of photos as trained on, pixels, and how many photos have each."""
+    points: int
+    masks: bool
+    subject: bool
+    """Whether these are opacity, as far as that is known without decoding a photo."""
+    depths: bool
+
+
+def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Question:
+    """What the scene's settings ask of its capture."""
+    data, train = PRESETS[settings.preset](Path())
+    resolution = data.resolution
+    if settings.resolution == BY_WIDTH:
+        resolution = settings.width
+    elif settings.resolution != AS_PRESET:
+        resolution = float(settings.resolution)
+    train = replace(
+        train,
+        iterations=settings.iterations,
+        max_splats=settings.max_splats,
+        sh_degree=settings.sh_degree,
+        strategy=Strategy(settings.strategy),
+        time_budget=settings.time_budget,
+        threads=threads,
+        # A number that somebody chose is meant, as for `gscore train`.
+        steps_a_photo=train.steps_a_photo if settings.iterations == train.iterations else 0,
+        splats_a_photo=train.splats_a_photo if settings.max_splats == train.max_splats else 0,
+    )
+    # Alpha is most often a matte, of which more steps are taken; photos are not decoded here.
+    subject = settings.use_masks and bool(facts.alphas)
+    photos = sum(facts.sizes.values())
+    if settings.eval:
+        photos -= -(-photos // settings.test_every)
+    sizes: dict[tuple[int, int], int] = {}
+    for (width, height), count in facts.sizes.items():
+        size = target_size(width, height, resolution, max_width=data.max_width)
+        sizes[size] = sizes.get(size, 0) + count
+    return Question(
+        train=cap_by_photos(
+            train,
+            photos=photos,
+            points=facts.points,
+            mask_mode="composite" if subject else "none",
+        )[0],
+        sizes=tuple(sorted(sizes.items())),
+        points=expected_points(train, facts.points),
+        masks=settings.use_masks and bool(facts.masks or facts.alphas),
+        subject=subject,
+        depths=bool(facts.depths) and settings.depth_mode != "off",
+    )
+
+
+def answer(asked: Question) -> Estimate:
+    """What it takes. The first answer of a session draws some pictures to time this machine.
+
+    Raises:
+        GsError: the native library is missing.
+    """
+    sizes = [size for size, count in asked.sizes for _ in range(count)]
+    return estimate(
+        asked.train,
+        sizes,
+        points=asked.points,
+        masks=asked.masks,
+        subject=asked.subject,
+        depths=asked.depths,
+    )
+
+
+def words(found: Estimate) -> str:
+    """Time and memory as a sentence or two."""
+    text = f"About {duration(found.seconds)} of training and {memory(found.peak_bytes)} of memory."
+    return text if found.photos_kept else text + " Photos are read again and again to save some."
+
+
+def warning(found: Estimate) -> str:
+    """Why it will not run, and what would; empty where it fits."""
+    if found.fits or found.free_bytes is None:
+        return ""
+    ways = []
+    if found.fitting_splats:
+        ways.append(f"at most {found.fitting_splats:,} splats")
+    if found.fitting_width:
+        ways.append(f"photos {found.fitting_width} px wide")
+    fits = " or ".join(ways) + " would fit; else close" if ways else "Close"
+    return (
+        f"Too large for this computer: {memory(found.peak_bytes)} are needed, "
+        f"{memory(found.free_bytes)} are free. {fits[0].upper()}{fits[1:]} other programs."
+    )
+
+
+def duration(seconds: float) -> str:
+    """Seconds, minutes or hours, as coarse as an estimate is."""
+    if seconds < 90:
+        return f"{max(5 * round(seconds / 5), 5)} s"
+    if seconds < 90 * 60:
+        return f"{round(seconds / 60)} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def memory(size: int) -> str:
+    """Megabytes or gigabytes."""
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{round(size / 1e7) * 10} MB"

@@ -1,0 +1,45 @@
+"""Operators of the meshes that guide a training."""
+
+from typing import ClassVar
+
+import bpy
+from bpy.props import EnumProperty
+
+from ..interface.base_operator import OnScene
+from . import guides
+
+
+class AddGuides(OnScene, bpy.types.Operator):
+    """Put the selected objects among those that guide the training, in a collection of their own"""
+
+    bl_idname = "gscore.add_guides"
+    bl_label = "Add Selected"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    role: EnumProperty(
+        name="Role",
+        description="What the training makes of them",
+        items=(
+            ("surface", "Splats Lie On", "Splats are to lie on them"),
+            ("free", "Nothing Before", "Nothing is to stand between the photos and them"),
+        ),
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Something is selected."""
+        if context.selected_objects:
+            return True
+        cls.poll_message_set("Select the meshes first")
+        return False
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Link them."""
+        obs = [ob for ob in context.selected_objects if guides.may_guide(ob)]
+        if not obs:
+            raise ValueError("None of the selected objects is a mesh, or becomes one.")
+        collection = guides.add_to_guides(context.scene, self.role, obs)
+        return f"{len(obs)} of the selected objects are in {collection.name}."
+
+
+CLASSES = (AddGuides,)

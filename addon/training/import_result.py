@@ -1,0 +1,44 @@
+"""Brings the splats of an earlier run into a file that does not show them."""
+
+from typing import ClassVar
+
+import bpy
+
+from ..interface.base_operator import make_active
+from ..splats import framed, splat_files
+from ..splats.import_operator import ImportOperator
+from . import results, start_training
+
+
+class ImportResult(ImportOperator, bpy.types.Operator):
+    """Bring the splats of the run in the output folder into this file, where the capture stands"""
+
+    bl_idname = "gscore.import_result"
+    bl_label = "Show Trained Splats"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
+        """Those of the run."""
+        # As it is now: the panel may name another meanwhile.
+        self._source, self._run = start_training.run_of(context.scene)
+        info = self._run.info
+        if info.splats is None:
+            raise ValueError(f"{info.path} holds no splats yet: go on with its training.")
+        return [
+            splat_files.want(info.splats, parent=results.capture_of(context.scene, self._source))
+        ]
+
+    def show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Take the object for the result of the training."""
+        self.warn(warnings)
+        ob = results.adopt(context.scene, made[0], self._run, self._source)
+        if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
+            make_active(context, ob)
+            context.view_layer.update()
+            framed.turn_views(context.scene, ob)
+        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
+
+
+CLASSES = (ImportResult,)

@@ -1,0 +1,137 @@
+"""Reads splat files in a thread and prepares them for Blender, which need not wait; no bpy."""
+
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from .. import attributes
+from ..cameras import alignment
+from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splat_file
+from ..interface.option_labels import error_words
+from ..process import threads
+from .existing_run import content
+
+_GROUND_POINTS = 20_000
+"""Splats among which the ground is looked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loaded:
+    """A file that was read, or why it was not."""
+
+    path: Path
+    final: bool
+    """Whether this is the result and not a snapshot."""
+    problem: str = ""
+    count: int = 0
+    """Number of splats."""
+    origin: np.ndarray | None = None
+    """[3] their local origin; None: there is none."""
+    content: str = ""
+    """`earlier.content` of a result; empty for snapshots."""
+    columns: tuple[tuple[str, str, np.ndarray], ...] = ()
+    """`attributes.columns`; empty if there is a problem."""
+    typical_size: float = 0.0
+    """Median of the largest standard deviations, world units."""
+    upright: np.ndarray | None = None
+    """[4, 4] that puts up and ground right, found from the cameras of the run; None: not known."""
+    moves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Degrees and world units that the run moved its cameras, by image name; of a result."""
+
+
+class Loader:
+    """Reads one file after the other; of the snapshots that wait only the latest counts."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[Path, int, bool]] = deque(maxlen=1)
+        self._ready: deque[Loaded] = deque(maxlen=1)
+        self._lock = threading.Lock()
+        self._busy = False
+
+    @property
+    def busy(self) -> bool:
+        """Whether a file is being read or waits to be."""
+        with self._lock:
+            return self._busy
+
+    def request(self, path: Path, *, most: int = 0, final: bool = False) -> None:
+        """Read a splat file soon.
+
+        Args:
+            path: The PLY.
+            most: Keep at most this many splats, evenly chosen, and without view-dependent colour:
+                a quick look while training goes on; 0: everything.
+            final: Handed back in `LoadedPhotos.final`.
+        """
+        with self._lock:
+            self._waiting.append((path, most, final))
+            if self._busy:
+                return
+            self._busy = True
+        threads.start(self._work, "gscore-loader")
+
+    def take(self) -> Loaded | None:
+        """The last file that was read since the last call."""
+        with self._lock:
+            return self._ready.popleft() if self._ready else None
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._busy = False
+                    return
+                path, most, final = self._waiting.popleft()
+            loaded = _load(path, most, final)
+            with self._lock:
+                self._ready.append(loaded)
+
+
+def _load(path: Path, most: int, final: bool) -> Loaded:
+    try:
+        found = read_splat_file(path)
+        splats = found.splats
+        if most:
+            splats = _quick_look(splats, most)
+        sizes = splats.scales.max(axis=1)
+        return Loaded(
+            path=path,
+            final=final,
+            count=len(splats),
+            origin=found.origin,
+            content=content(path) if final else "",
+            columns=tuple(attributes.columns(splats)),
+            typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
+            upright=_upright(path, splats, found.origin),
+            moves=read_moves(path.with_name(POSES_FILE)) if final else {},
+        )
+    except GsError as error:
+        return Loaded(path=path, final=final, problem=error_words(error))
+    except MemoryError:
+        problem = f"{path} does not fit into memory; close other programs and import it again."
+        return Loaded(path=path, final=final, problem=problem)
+
+
+def _upright(path: Path, splats: Splats, origin: np.ndarray | None) -> np.ndarray | None:
+    """By the cameras.json of the run that a PLY belongs to, if it can be read."""
+    for folder in (path.parent, path.parent.parent):
+        if (folder / "cameras.json").is_file():
+            try:
+                cameras = read_cameras(folder / "cameras.json").of_splats(origin)
+            except GsError:
+                return None
+            every = max(1, len(splats) // _GROUND_POINTS)
+            points = splats.means[::every].astype(np.float64)
+            return alignment.align(cameras.viewmats, points, cameras.up).matrix
+    return None
+
+
+def _quick_look(splats: Splats, most: int) -> Splats:
+    """At most `most` splats, evenly chosen, of SH degree 0."""
+    every = max(1, -(-len(splats) // most))
+    chosen = splats.subset(np.arange(0, len(splats), every))
+    return replace(chosen, shN=np.zeros((len(chosen), 0, 3), np.float32))

@@ -1,0 +1,55 @@
+"""What panels show of folders on a disk, found in threads and kept; no bpy.
+
+What gscore says in them is in the words of panels: whoever shows an answer, or refuses because of
+one, has it as it is.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from ..capture.depth_maps import DepthReport, read_run_report
+from ..capture.figures import Figures, measured
+from ..capture.inspection import ShownFacts, inspect
+from ..core import Estimate
+from ..interface.lookup import Lookup
+from ..interface.option_labels import panel_words
+from . import existing_run, forecast
+from .networks import networks_here
+
+
+def _inspected(key: tuple[str, str]) -> ShownFacts:
+    facts = inspect(key[0], images=key[1])
+    problems = (replace(one, text=panel_words(one.text)) for one in facts.problems)
+    return replace(facts, problems=tuple(problems))
+
+
+def _report(output: Path) -> DepthReport | None:
+    report = read_run_report(output)
+    return None if report is None else replace(report, why=panel_words(report.why))
+
+
+captures: Lookup[tuple[str, str], ShownFacts] = Lookup(_inspected, max_age=600.0)
+"""What a capture holds, by its path and the name of its photo folder."""
+runs: Lookup[tuple[Path, Path | None], existing_run.EarlierRun | None] = Lookup(
+    lambda key: existing_run.read_existing_run(*key), max_age=3.0
+)
+"""What an output folder holds already, by its path and the chosen capture's."""
+depth_runs: Lookup[Path, DepthReport | None] = Lookup(_report, max_age=10.0)
+"""What became of the depth maps in the training in an output folder."""
+figures: Lookup[Path, Figures | None] = Lookup(measured, max_age=10.0)
+"""How well a run meets all its photos, by its folder, where that was measured."""
+forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)
+"""What a training would take."""
+networks: Lookup[str, frozenset[str]] = Lookup(networks_here, max_age=300.0)
+"""Names of the depth networks that are on this computer, by the Python that predicts."""
+_ALL = (captures, runs, depth_runs, figures, forecasts, networks)
+
+
+def collect() -> bool:
+    """Take in what was found; whether that was anything new."""
+    return sum(found.collect() for found in _ALL) > 0  # any() would stop at the first
+
+
+def busy() -> bool:
+    """Whether something is being looked up."""
+    return any(found.busy for found in _ALL)

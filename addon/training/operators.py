@@ -1,0 +1,288 @@
+"""Operators of the training and of its Python."""
+
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, StringProperty
+
+from ..interface.base_operator import BaseOperator, OnScene, make_active
+from ..interface.confirm_operator import ConfirmMixin
+from ..interface.images import show_image
+from ..process import poll_timer
+from . import facts, registry, run_state, start_training
+from .options import BY_WIDTH
+from .training_job import Job
+
+
+class _OnJob(BaseOperator):
+    """What operators on a training share: the scene's own, or one named by its id."""
+
+    job_id: StringProperty(
+        name="Training",
+        description="Which training; empty: the one of this scene",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    allowed: ClassVar[tuple[str, ...]] = (run_state.STARTING, run_state.RUNNING, run_state.PAUSED)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if any(job.state.status in cls.allowed for job in registry.jobs()):
+            return True
+        cls.poll_message_set("No training is in the state for this")
+        return False
+
+    def job(self, context: bpy.types.Context) -> Job | None:
+        """The training that is meant."""
+        return registry.by_id(self.job_id) if self.job_id else start_training.job_of(context.scene)
+
+    def act(self, context: bpy.types.Context) -> str:
+        job = self.job(context)
+        if job is None or job.state.status not in self.allowed:
+            raise ValueError("This scene has no training in the state for this.")
+        self.ask(job)
+        poll_timer.redraw()
+        return ""
+
+    def ask(self, job: Job) -> None:
+        raise NotImplementedError
+
+
+class Train(ConfirmMixin, OnScene, bpy.types.Operator):
+    """Train splats from the capture in the background; Blender stays free"""
+
+    bl_idname = "gscore.train"
+    bl_label = "Train"
+    bl_options: ClassVar = {"REGISTER"}
+
+    overwrite: BoolProperty(
+        name="Start Over",
+        description="Replace another run in the output folder",
+        options={"SKIP_SAVE"},
+    )
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the training has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    confirm = "Start Over"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name what an earlier run loses, and what the training would not see."""
+        lines = start_training.replaced(context.scene) if self.overwrite else []
+        self.confirm = "Start Over" if lines else "Train Without"
+        return lines + start_training.unsaved(context.scene)
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start."""
+        self.warn(start_training.unsaved(context.scene))
+        return _told(start_training.train(context.scene, overwrite=self.overwrite, wait=self.wait))
+
+
+class FitTraining(OnScene, bpy.types.Operator):
+    """Take the number of splats, or the width of the photos, that fits into the free memory"""
+
+    bl_idname = "gscore.fit_training"
+    bl_label = "Fit into Memory"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    which: EnumProperty(
+        name="Change",
+        description="What to make smaller",
+        items=(
+            ("SPLATS", "Splats", "Fewer splats"),
+            ("WIDTH", "Photos", "Smaller photos"),
+        ),
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Change the settings."""
+        settings = context.scene.gscore
+        found, problem = facts.forecast_of(context.scene)
+        splats = self.which == "SPLATS"
+        value = 0 if found is None else found.fitting_splats if splats else found.fitting_width
+        if not value:
+            raise ValueError(problem or "There is nothing to make smaller; see the panel.")
+        if splats:
+            settings.max_splats = value
+        else:
+            settings.resolution, settings.width = BY_WIDTH, value
+        return ""
+
+
+class ResumeTraining(OnScene, bpy.types.Operator):
+    """Go on with the run in the output folder from its last checkpoint"""
+
+    bl_idname = "gscore.resume_training"
+    bl_label = "Resume"
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the training has ended; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start."""
+        return _told(start_training.resume(context.scene, wait=self.wait))
+
+
+class PauseTraining(_OnJob, bpy.types.Operator):
+    """Let the trainer wait: it keeps its memory, and Blender gets all cores"""
+
+    bl_idname = "gscore.pause_training"
+    bl_label = "Pause"
+    allowed = (run_state.STARTING, run_state.RUNNING)
+
+    def ask(self, job: Job) -> None:
+        """Ask."""
+        job.pause()
+
+
+class ContinueTraining(_OnJob, bpy.types.Operator):
+    """Let a waiting trainer go on"""
+
+    bl_idname = "gscore.continue_training"
+    bl_label = "Continue"
+    allowed = (run_state.PAUSED,)
+
+    def ask(self, job: Job) -> None:
+        """Ask."""
+        job.unpause()
+
+
+class StopTraining(_OnJob, bpy.types.Operator):
+    """Write a checkpoint and the splats as they are, and end; Resume goes on from there"""
+
+    bl_idname = "gscore.stop_training"
+    bl_label = "Stop"
+
+    def ask(self, job: Job) -> None:
+        """Ask."""
+        job.stop()
+
+
+class FollowTraining(OnScene, bpy.types.Operator):
+    """Choose the capture and the output folder of this training, so that its splats come here"""
+
+    bl_idname = "gscore.follow_training"
+    bl_label = "Follow Training"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    job_id: StringProperty(name="Training", description="Which one", options={"HIDDEN"})
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Choose them."""
+        job = registry.by_id(self.job_id)
+        if job is None:
+            raise ValueError("This training is gone; press Show Trained Splats under Train.")
+        start_training.follow(context.scene, job)
+        return f"This scene shows the training of {job.source.name}."
+
+
+class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
+    """End at once and remove what this run wrote; a resumed run keeps its last checkpoint"""
+
+    bl_idname = "gscore.discard_training"
+    bl_label = "Discard"
+    allowed = (run_state.STARTING, run_state.RUNNING, run_state.PAUSED, run_state.STOPPING)
+
+    confirm = "Discard"
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Name the run, because nothing brings it back."""
+        job = self.job(context)
+        if job is None:
+            return []
+        what = "since its last checkpoint" if job.resumed else "with its files and splats"
+        return [f"The training of {job.source} into {job.output} ends and is lost, {what}."]
+
+    def ask(self, job: Job) -> None:
+        """End it."""
+        start_training.discard(job)
+
+
+class UpdateSplats(_OnJob, bpy.types.Operator):
+    """Show the splats as they are now in the viewport"""
+
+    bl_idname = "gscore.update_splats"
+    bl_label = "Update Splats"
+    allowed = (run_state.RUNNING, run_state.PAUSED)
+
+    def ask(self, job: Job) -> None:
+        """Ask for them."""
+        job.snapshot()
+
+
+class ShowTestView(BaseOperator, bpy.types.Operator):
+    """Show the picture of the test view in an image editor, in a new window if there is none"""
+
+    bl_idname = "gscore.show_test_view"
+    bl_label = "Show Test View"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """There is a picture."""
+        return context.scene.gscore.preview is not None
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Show it."""
+        if not show_image(context, context.scene.gscore.preview, new_window=True):
+            raise ValueError("There is no window to show a picture in.")
+        return ""
+
+
+class SelectResult(BaseOperator, bpy.types.Operator):
+    """Make the splats of the training the active object"""
+
+    bl_idname = "gscore.select_result"
+    bl_label = "Select Result"
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Select."""
+        ob = context.scene.gscore.result
+        if ob is None or context.view_layer.objects.get(ob.name) is None:
+            raise ValueError("This scene shows no splats of a training; train some first.")
+        make_active(context, ob)
+        return ""
+
+
+class ShowReport(BaseOperator, bpy.types.Operator):
+    """Open the report of the training in the web browser: curves, pictures, numbers"""
+
+    bl_idname = "gscore.show_report"
+    bl_label = "Show Report"
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Open it."""
+        bpy.ops.wm.url_open(url=start_training.report_of(context.scene).as_uri())
+        return ""
+
+
+def _told(job: Job) -> str:
+    """How a training that was waited for has ended; nothing of one that goes on.
+
+    Raises:
+        ValueError: it failed.
+    """
+    if job.state.status == run_state.FAILED:
+        raise ValueError(job.state.sentence)
+    return job.state.sentence if job.state.ended else ""
+
+
+CLASSES = (
+    Train,
+    FitTraining,
+    ResumeTraining,
+    PauseTraining,
+    ContinueTraining,
+    StopTraining,
+    FollowTraining,
+    DiscardTraining,
+    UpdateSplats,
+    ShowTestView,
+    SelectResult,
+    ShowReport,
+)

@@ -1,0 +1,238 @@
+"""Settings of a scene: the capture, how to train it, and what came out."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from .. import compat, run_links
+from ..core import PRESETS, Background, Strategy, Switch
+from . import facts
+from .declared import declared
+from .options import AS_PRESET, BY_WIDTH
+
+_DATA, _TRAIN = PRESETS["normal"](Path())
+
+_STRATEGIES = {
+    Strategy.DEFAULT: ("Grow by Gradient", "Splats are added where the picture is still wrong"),
+    Strategy.MCMC: ("Relocate", "Splats without effect move to where they are needed (MCMC)"),
+}
+_BACKGROUNDS = {
+    Background.AUTO: ("By Itself", "Changing colors for photos with opacity, else black"),
+    Background.BLACK: ("Black", "Black lies behind the splats"),
+    Background.WHITE: ("White", "White lies behind the splats"),
+    Background.RANDOM: ("Changing", "Another color at each step, so that nothing hides in it"),
+}
+_DEPTH_MODES = {
+    Switch.AUTO: ("By Itself", "Where views are few; dense captures do not need it"),
+    Switch.ON: ("Always", "Wherever there are depth maps"),
+    Switch.OFF: ("Never", "Train from the photos alone"),
+}
+_DEPTH_REPORTS = (
+    ("MAPS", "Maps", "The maps as they are now, and how they agree with the SfM points"),
+    ("RUN", "Training", "What the training in the output folder made of the maps"),
+)
+_RESOLUTIONS = (
+    (AS_PRESET, "As the Preset Says", "Photos are scaled down to the width of the preset"),
+    ("1", "Full", "Photos as they are"),
+    ("2", "Half", "Half the width and height"),
+    ("4", "A Quarter", "A quarter of the width and height"),
+    ("8", "An Eighth", "An eighth of the width and height"),
+    (BY_WIDTH, "Width", "Scaled to a width in pixels"),
+)
+_MASK_MODES = (
+    ("auto", "By Itself", "Opacity of the photos if they have any, else the masks folder"),
+    ("composite", "Opacity", "Masks are opacity: splats appear only where the mask is white"),
+    ("ignore", "Leave Out", "What is black in the mask does not count"),
+)
+
+
+def _may_bound(_: bpy.types.PropertyGroup, ob: bpy.types.Object) -> bool:
+    return ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
+
+
+def preset_items() -> list[tuple[str, str, str]]:
+    """Presets as an enum: gscore's names, and what each is for."""
+    return [(name, name.capitalize(), purpose_of(name)) for name in PRESETS]
+
+
+def purpose_of(preset: str) -> str:
+    """The beginning of gscore's own sentence about a preset, without a full stop. Its end says how
+    long a usual capture takes; the panel has an estimate of this one on this computer."""
+    return (PRESETS[preset].__doc__ or "").partition(", ")[0].strip()
+
+
+def _items(kinds: Any, texts: dict[Any, tuple[str, str]]) -> list[tuple[str, str, str]]:
+    return [(str(kind), *texts.get(kind, (str(kind), str(kind)))) for kind in kinds]
+
+
+def apply_preset(settings: "SceneSettings") -> None:
+    """Fill in the numbers of the chosen preset."""
+    _, train = PRESETS[settings.preset](Path())
+    settings.iterations = train.iterations
+    settings.max_splats = train.max_splats
+    settings.sh_degree = train.sh_degree
+    settings.resolution = AS_PRESET
+
+
+def _capture_chosen(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    """Output, splats and test view follow the capture."""
+    run_links.follow_capture(settings)
+    _capture_changed(settings, context)
+
+
+def _capture_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    """Look into the capture, so that the panel knows when it draws."""
+    facts.capture(settings.id_data)
+
+
+def _preset_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
+    apply_preset(settings)
+
+
+class SceneSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore`; names are those of gscore's options where there is one."""
+
+    capture_path: StringProperty(
+        name="Capture",
+        description="Folder of photos, with or without a COLMAP model of their cameras; or a video",
+        subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
+        update=_capture_chosen,
+    )
+    output_path: StringProperty(
+        name="Output",
+        description="Folder for the results of the training; empty: chosen when training starts",
+        subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="How much effort to spend; fills in the numbers below",
+        items=preset_items(),
+        default="normal",
+        update=_preset_changed,
+    )
+    iterations: declared(_TRAIN, "iterations", "Steps", soft_min=100, soft_max=30_000)
+    max_splats: declared(_TRAIN, "max_splats", "Most Splats", soft_min=10_000, soft_max=2_000_000)
+    sh_degree: declared(_TRAIN, "sh_degree", "Color Degree")
+    resolution: EnumProperty(
+        name="Photo Size",
+        description="Size at which photos are trained; half the width takes a quarter of the time",
+        items=_RESOLUTIONS,
+        default=AS_PRESET,
+    )
+    width: IntProperty(
+        name="Photo Width",
+        description="Width at which photos are trained, pixels",
+        default=_DATA.max_width,
+        min=9,
+        soft_min=200,
+        soft_max=3200,
+        subtype="PIXEL",
+    )
+    eval: declared(_DATA, "eval", "Hold Test Views Out", default=True)
+    test_every: IntProperty(
+        name="Every n-th View",
+        description="Every n-th photo by name is a test view, unless the capture names its own",
+        default=_DATA.test_every,
+        min=2,
+        soft_max=50,
+    )
+    use_masks: BoolProperty(
+        name="Use Masks",
+        description="Heed the photos' opacity or the masks folder of the capture",
+        default=True,
+    )
+    mask_mode: declared(_DATA, "mask_mode", "Masks Mean", items=_MASK_MODES)
+    invert_masks: declared(_DATA, "invert_masks", "Invert Masks")
+    depth_mode: declared(_TRAIN, "depth_mode", "Use Depth", items=_items(Switch, _DEPTH_MODES))
+    depth_shown: EnumProperty(
+        name="Report",
+        description="Which report on the depth maps is shown",
+        items=_DEPTH_REPORTS,
+        default="RUN",
+    )
+    images: declared(_DATA, "images", "Photo Folder", update=_capture_changed)
+    strategy: declared(_TRAIN, "strategy", "Strategy", items=_items(Strategy, _STRATEGIES))
+    background: declared(_TRAIN, "background", "Background", items=_items(Background, _BACKGROUNDS))
+    antialias: declared(_TRAIN, "antialias", "Anti-Aliasing")
+    sky: declared(_TRAIN, "sky", "Sky")
+    finest: declared(_TRAIN, "finest", "Finest Detail")
+    free_space: declared(_TRAIN, "free_space", "Free Space")
+    seed: declared(_TRAIN, "seed", "Seed")
+    time_budget: declared(
+        _TRAIN,
+        "time_budget",
+        "Time Budget",
+        soft_max=7200.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )
+    target_psnr: declared(_TRAIN, "target_psnr", "Target PSNR", soft_max=40.0)
+    early_stop: declared(_TRAIN, "early_stop", "Stop When Nothing Improves")
+    guide_surface: PointerProperty(
+        name="Splats Lie On",
+        description="Collection of meshes that splats are to lie on: walls, floors, a scan. What "
+        "shows in the viewport counts, with modifiers",
+        type=bpy.types.Collection,
+    )
+    guide_free: PointerProperty(
+        name="Nothing Before",
+        description="Collection of meshes before which nothing stands, as seen from any photo: "
+        "splats there are taken out. What shows in the viewport counts, with modifiers",
+        type=bpy.types.Collection,
+    )
+    train_within: PointerProperty(
+        name="Only Within",
+        description="Object whose bounds hold what matters, a crop box or an empty: photos count "
+        "only where they look at it. Import the cameras first, and put it around the subject",
+        type=bpy.types.Object,
+        poll=_may_bound,
+    )
+    live_splats: BoolProperty(
+        name="Live Splats",
+        description="Show the splats in the viewport while they are trained",
+        default=True,
+    )
+    result: PointerProperty(
+        name="Result",
+        description="Object that shows the splats of the training",
+        type=bpy.types.Object,
+    )
+    preview: PointerProperty(
+        name="Test View",
+        description="Picture of a test view as the splats show it now",
+        type=bpy.types.Image,
+    )
+    outcome_of: StringProperty(
+        name="Outcome Of",
+        description="Capture that Output, Result and Test View belong to",
+        options={"HIDDEN"},
+    )
+    outcomes: CollectionProperty(
+        name="Outcomes",
+        description="Output, Result and Test View of the captures that are not chosen",
+        type=run_links.RunLinks,
+    )
+
+
+CLASSES = (SceneSettings,)
+
+
+def on_register() -> None:
+    """Give scenes their settings."""
+    bpy.types.Scene.gscore = PointerProperty(type=SceneSettings)
+
+
+def on_unregister() -> None:
+    """Take them back."""
+    del bpy.types.Scene.gscore

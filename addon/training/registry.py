@@ -1,0 +1,42 @@
+"""The trainings of this Blender session, whichever file is open; no bpy."""
+
+from pathlib import Path
+
+from ..capture.folders import same_folder
+from .training_job import Job
+
+_jobs: dict[str, Job] = {}
+
+
+def add(job: Job) -> None:
+    """Keep a job; an earlier one of the same folder, which has ended, is forgotten."""
+    for other in [j for j in _jobs.values() if same_folder(j.output, job.output)]:
+        del _jobs[other.id]
+    _jobs[job.id] = job
+
+
+def remove(job: Job) -> None:
+    """Forget a job."""
+    _jobs.pop(job.id, None)
+
+
+def jobs() -> list[Job]:
+    """All jobs, the oldest first."""
+    return list(_jobs.values())
+
+
+def by_id(job_id: str) -> Job | None:
+    """The job with this id."""
+    return _jobs.get(job_id)
+
+
+def by_output(output: Path) -> Job | None:
+    """The job that trains or trained into a folder."""
+    return next((job for job in _jobs.values() if same_folder(job.output, output)), None)
+
+
+def leave_all() -> None:
+    """Let go of all: each writes a checkpoint and ends."""
+    for job in jobs():
+        job.leave()
+    _jobs.clear()

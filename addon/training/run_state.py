@@ -1,0 +1,273 @@
+"""What is known about a run, built from the events of its trainer; no bpy."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, get_origin
+
+from ..core import (
+    Done,
+    Eval,
+    Event,
+    Failed,
+    Preview,
+    Progress,
+    Saved,
+    Snapshot,
+    Started,
+    Warn,
+    from_line,
+    headline_psnr,
+)
+from ..interface.option_labels import panel_words
+from .curve import Curve
+
+BUDGET = 0.005
+"""Seconds that a poll may spend on lines of output."""
+_WARNINGS_KEPT = 50
+_ENDS = {
+    "finished": "Finished",
+    "converged": "Finished early, no more to learn,",
+    "target": "Finished early, the PSNR asked for was reached,",
+}
+"""Words for the reasons of trainings that need no more steps."""
+
+STARTING, RUNNING, PAUSED, STOPPING = "starting", "running", "paused", "stopping"
+FINISHED, STOPPED, FAILED, DISCARDED = "finished", "stopped", "failed", "discarded"
+ENDED = (FINISHED, STOPPED, FAILED, DISCARDED)
+"""Values of `RunState.status`; those of ENDED are final."""
+
+
+def read_event(line: str) -> Event | None:
+    """The event in a line of the trainer's output, or None if it is none or makes no sense."""
+    event = from_line(line)
+    if event is None:
+        return None
+    for f in fields(event):
+        value = getattr(event, f.name)
+        kind = get_origin(f.type) or f.type
+        # Strict JSON has null for numbers that are not finite.
+        kinds = (int, float, type(None)) if kind is float else kind
+        if isinstance(value, bool) != (kind is bool) or not isinstance(value, kinds):
+            return None
+    if isinstance(event, Warn | Failed):
+        return replace(event, message=panel_words(event.message))
+    return event
+
+
+def events(lines: Iterable[str]) -> Iterator[Event]:
+    """The events in lines of a program's output; other lines are passed over."""
+    for line in lines:
+        event = read_event(line)
+        if event is not None:
+            yield event
+
+
+@dataclass
+class RunState:
+    """Where a run stands."""
+
+    status: str = STARTING
+    step: int = 0
+    iterations: int = 0
+    loss: float | None = None
+    psnr: float | None = None
+    """Smoothed over training views, dB."""
+    splats: int = 0
+    steps_per_s: float = 0.0
+    eta_s: float | None = None
+    elapsed_s: float = 0.0
+    """Spent in steps."""
+    phase: str = "starting the trainer"
+    curve: Curve = field(default_factory=Curve)
+    warnings: list[str] = field(default_factory=list)
+    """The latest last, none twice."""
+    started: Started | None = None
+    preview: Preview | None = None
+    snapshot: Snapshot | None = None
+    checkpoint: Path | None = None
+    result: Path | None = None
+    """point_cloud.ply, written completely."""
+    metrics: dict[str, Any] = field(default_factory=dict)
+    """Of the last evaluation, with `split`."""
+    failure: Failed | None = None
+    done: Done | None = None
+    sentence: str = ""
+    """How it ended, for people; empty before the end."""
+
+    @property
+    def decisions(self) -> list[str]:
+        """What the training decided by what the capture is like, in sentences with the names of
+        panels."""
+        if (told := self.started) is None:
+            return []
+        said = (told.enough, told.stereo, told.drops, told.ensemble, told.depth, told.guide)
+        return [panel_words(text) for text in (*said, told.exposure, told.poses) if text]
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will change any more."""
+        return self.status in ENDED
+
+    @property
+    def share(self) -> float:
+        """Part of the steps taken, 0 to 1."""
+        return min(self.step / self.iterations, 1.0) if self.iterations else 0.0
+
+    def apply(self, event: Event) -> None:
+        """Take note of an event."""
+        match event:
+            case Started():
+                self._started(event)
+            case Progress():
+                self._progress(event)
+            case Preview():
+                self.preview = event
+            case Snapshot():
+                self.snapshot = event
+            case Eval():
+                self.metrics = {**event.metrics, "split": event.split, "step": event.step}
+            case Warn():
+                self.warn(event.message)
+            case Saved():
+                self._saved(Path(event.path))
+            case Done():
+                self._done(event)
+            case Failed():
+                self.failure = event
+
+    def warn(self, message: str) -> None:
+        """Keep a warning once, as the latest."""
+        self.warnings = [w for w in self.warnings if w != message][-_WARNINGS_KEPT + 1 :]
+        self.warnings.append(message)
+
+    def end(self, code: int | None, stderr: Sequence[str], *, python: str) -> None:
+        """Decide how the run ended, once its process is gone.
+
+        Args:
+            code: Exit code, negative for a signal.
+            stderr: The last lines of the error output.
+            python: The Python that ran it, for messages.
+        """
+        if self.ended:
+            return
+        self.eta_s = None
+        if self.done is not None and self.failure is None:
+            self.status = FINISHED if self.done.reason in _ENDS else STOPPED
+            self.sentence = _done_sentence(self.done)
+        elif self.failure is not None and self.failure.type == "Cancelled":
+            self.status, self.sentence = STOPPED, "Stopped before the first step."
+        else:
+            self.status = FAILED
+            self.sentence = failure_sentence(self.failure, code, stderr, python=python)
+            if self.checkpoint is not None:
+                self.sentence += f" The checkpoint at {_step_of(self.checkpoint)} is kept: Resume."
+
+    def _started(self, event: Started) -> None:
+        self.started = event
+        self.step, self.iterations, self.splats = event.step, event.iterations, event.splats
+        self.phase = "first steps"
+        if self.status == STARTING:
+            self.status = RUNNING
+
+    def _progress(self, event: Progress) -> None:
+        self.step, self.iterations = event.step, event.iterations
+        self.phase, self.elapsed_s = event.phase, event.elapsed_s
+        self.steps_per_s = event.steps_per_s or 0.0
+        self.splats = event.splats or self.splats
+        self.loss, self.psnr = _finite(event.loss), _finite(event.psnr)
+        self.eta_s = _finite(event.eta_s)
+        if self.loss is not None and self.psnr is not None and event.step > 0:
+            self.curve.add(event.step, self.loss, self.psnr)
+        if self.status in (RUNNING, PAUSED):
+            self.status = PAUSED if event.phase == "paused" else RUNNING
+
+    def _saved(self, path: Path) -> None:
+        if path.suffix == ".safetensors":
+            self.checkpoint = path
+        elif path.name == "point_cloud.ply" and path.parent.parent.name != "point_cloud":
+            self.result = path
+
+    def _done(self, event: Done) -> None:
+        self.done = event
+        self.step, self.splats = event.step, event.splats
+        self.result = Path(event.path)
+        if event.metrics:
+            self.metrics = {**event.metrics, "step": event.step}
+
+
+def failure_sentence(
+    failure: Failed | None,
+    code: int | None,
+    stderr: Sequence[str],
+    *,
+    python: str,
+    less: str = "use fewer splats or smaller photos, then Resume",
+) -> str:
+    """What went wrong and what to do, for work of gscore that did not end by itself.
+
+    Args:
+        failure: What it said itself, if anything.
+        code: Exit code, negative for a signal.
+        stderr: The last lines of the error output.
+        python: The Python that ran it.
+        less: What to do if memory ran out.
+    """
+    text = "\n".join(stderr)
+    if failure is not None:
+        return _sentence(failure.message)
+    if re.search(r"No module named '?gscore", text):
+        return (
+            f"{python} has no gscore; press Make Environment in the add-on's preferences, or "
+            "choose another Python there."
+        )
+    if match := re.search(r"needs the package (\w+); install it with: (.+?)\.?$", text, re.M):
+        return (
+            f"{python} has gscore but lacks {match[1]}, which training needs; press Make "
+            f"Environment in the add-on's preferences, or install it there: {match[2]}"
+        )
+    if code is not None and code < 0:
+        return (
+            f"The process was ended by signal {-code} from outside; if you did not do that, memory "
+            f"ran out: {less}."
+        )
+    if match := re.search(r"gscore \w+: error: (.+)", text):
+        return _sentence(match[1])
+    last = next((line.strip() for line in reversed(stderr) if line.strip()), "")
+    said = f' It said: "{last[:200]}".' if last else ""
+    return (
+        f"The process ended early (exit code {code}).{said} Press Check in the add-on's "
+        f"preferences to test {python}."
+    )
+
+
+def _done_sentence(done: Done) -> str:
+    quality = headline_psnr(done.metrics)
+    views = {"test": " on test views", "train": " on training views"}
+    where = views.get(str(done.metrics.get("split")), "")
+    tail = f", PSNR {quality:.2f} dB{where}" if isinstance(quality, int | float) else ""
+    count = f"{done.splats:,} splats{tail}"
+    if done.reason in _ENDS:
+        return f"{_ENDS[done.reason]} after {done.step:,} steps: {count}."
+    return f"Stopped at step {done.step:,} with a checkpoint: {count}. Resume goes on from there."
+
+
+def _sentence(text: str) -> str:
+    text = text.strip().splitlines()[0] if text.strip() else "The trainer gave no reason"
+    text = text[0].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def _step_of(checkpoint: Path) -> str:
+    match = re.search(r"(\d+)$", checkpoint.stem)
+    return f"step {int(match[1]):,}" if match else checkpoint.name
+
+
+def _finite(value: float | None) -> float | None:
+    """None for what an event could not tell: null, NaN or infinity."""
+    good = isinstance(value, int | float) and math.isfinite(value)
+    return float(value) if good else None

@@ -1,0 +1,298 @@
+"""Training from scripts and operators: start, go on, wait, pause, stop, discard."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+
+from .. import preferences, run_links
+from ..capture.inspection import ShownFacts
+from ..core import read_course
+from ..nodes import display as display_nodes
+from ..paths import absolute, capture_folder, output_folder, relative
+from ..process import poll_timer
+from . import box_limit, display, existing_run, facts, guides, lookups, options, registry, results
+from .curve import Curve
+from .launch import launch
+from .training_job import Job
+
+_BEAT = 0.02
+UNSAVED: list[Callable[[Path], list[str]]] = []
+"""Each says in sentences what of a capture is not saved yet, which a training would not see."""
+
+
+def job_of(scene: bpy.types.Scene) -> Job | None:
+    """The training of a scene: the one into its output folder, running or ended."""
+    try:
+        folder = output_folder(scene, preferences.get().output_folder)
+    except ValueError:
+        return None
+    job = registry.by_output(folder)
+    return job if job is not None and run_links.holds(scene.gscore, job.source) else None
+
+
+def train(
+    scene: bpy.types.Scene,
+    *,
+    overwrite: bool = False,
+    wait: bool = False,
+    python: str | Path | None = None,
+) -> Job:
+    """Start a training of the scene's capture.
+
+    Args:
+        scene: Its `gscore` settings say what and how; the output folder is filled in.
+        overwrite: Replace another run in the output folder.
+        wait: Return when it has ended and its splats are in the scene.
+        python: The Python that trains; None: as the preferences say.
+
+    Raises:
+        ValueError: something is missing or in the way; the message says what to do.
+    """
+    source = capture_folder(scene)
+    output = output_folder(scene, preferences.get().output_folder)
+    _check_free(output)
+    found = check_capture(scene)
+    before = _own_run(output, source)
+    if before is not None and not overwrite:
+        raise ValueError(
+            f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
+            "or choose another output folder."
+        )
+    box = box_limit.arguments(scene, output)
+    arguments = options.new_run(
+        scene.gscore,
+        source=source,
+        output=output,
+        machine=machine(),
+        overwrite=overwrite,
+        depths=found.depths > 0,
+    )
+    arguments += guides.arguments(scene, output) + box
+    scene.gscore.output_path = relative(output)
+    scene.gscore.outcome_of = scene.gscore.capture_path
+    scene.gscore.depth_shown = "RUN"  # once there is one
+    job = _start(arguments, source, output, python=python, scene=scene, replaces=overwrite)
+    if wait:
+        wait_for(job)
+    return job
+
+
+def replaced(scene: bpy.types.Scene) -> list[str]:
+    """What a training that starts over replaces for good, in sentences.
+
+    Raises:
+        ValueError: it cannot start there; the message says why.
+    """
+    source = capture_folder(scene)
+    output = output_folder(scene, preferences.get().output_folder)
+    before = _own_run(output, source)
+    lines = [] if before is None else [f"The run in {before.words} is replaced for good."]
+    ob = results.shown_object(scene.gscore, output, (source,))
+    if ob is not None and results.was_edited(ob):
+        lines.append(f"Its object {ob.name} was edited and is kept, hidden.")
+    elif ob is not None:
+        count = len(ob.data.vertices)
+        lines.append(f"Its object {ob.name} with {count:,} splats is replaced too.")
+    return lines
+
+
+def unsaved(scene: bpy.types.Scene) -> list[str]:
+    """What of the scene and its capture a training would not see, because it is not saved, or
+    hidden, or no mesh.
+
+    Raises:
+        ValueError: no capture is chosen, or it is not there.
+    """
+    source = capture_folder(scene)
+    lines = [line for told in UNSAVED for line in told(source)]
+    return lines + guides.left_out(scene)
+
+
+def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
+    """Go on with the run in the scene's output folder, from its last checkpoint.
+
+    With more steps, or a longer time budget, in the settings than the run was asked for, it is
+    trained up to those.
+
+    Args:
+        scene: Its output folder holds the run.
+        wait: As in `train`.
+        python: As in `train`.
+
+    Raises:
+        ValueError: there is nothing to go on with; the message says why.
+    """
+    output = output_folder(scene, preferences.get().output_folder)
+    _check_free(output)
+    before = existing_run.read_existing_run(output, _chosen_capture(scene))
+    info = None if before is None else before.info
+    if before is None or info is None or info.checkpoint is None:
+        raise ValueError(f"{output} holds no checkpoint to go on from; press Train instead.")
+    if before.foreign:
+        raise ValueError(before.foreign_words)
+    if info.problem:
+        raise ValueError(f"The run cannot go on: {info.problem} Press Start Over instead.")
+    changes = options.continuation(scene.gscore, info)
+    assert info.data is not None
+    source = info.data.source
+    if scene.gscore.capture_path.strip():
+        source = capture_folder(scene)  # it may have moved
+    elif not source.exists():
+        raise ValueError(f"The capture of the run, {source}, is not there; choose where it is now.")
+    arguments = options.resumed_run(
+        source=source,
+        output=output,
+        machine=machine(),
+        changes=changes,
+    )
+    began_from = info.data.source
+    course = read_course(info.checkpoint)
+    job = _start(arguments, source, output, python=python, scene=scene, earlier_source=began_from)
+    job.state.curve = Curve.of(course)
+    if wait:
+        wait_for(job)
+    return job
+
+
+def follow(scene: bpy.types.Scene, job: Job) -> None:
+    """Let a scene show a training that another scene or file has begun."""
+    scene.gscore.capture_path = relative(job.source)
+    scene.gscore.output_path = relative(job.output)
+
+
+def wait_for(
+    job: Job, *, timeout: float = float("inf"), on_tick: Callable[[Job], None] | None = None
+) -> bool:
+    """Follow a training until it has ended and its splats are in the scene; for scripts.
+
+    Args:
+        job: The training.
+        timeout: Seconds after which to give up following; the training goes on.
+        on_tick: Called several times a second.
+
+    Returns:
+        Whether it has ended.
+    """
+    until = time.monotonic() + timeout
+    while display.waits(job):
+        poll_timer.poll()
+        if on_tick is not None:
+            on_tick(job)
+        if time.monotonic() > until:
+            return False
+        time.sleep(_BEAT)
+    return True
+
+
+def discard(job: Job) -> None:
+    """End a training at once and remove what it wrote, its live splats included.
+
+    A run that began earlier goes back to its last checkpoint instead.
+    """
+    job.discard()
+    poll_timer.ensure()
+
+
+def report_of(scene: bpy.types.Scene) -> Path:
+    """The report of the run in the scene's output folder.
+
+    Raises:
+        ValueError: there is none.
+    """
+    report = output_folder(scene, preferences.get().output_folder) / "report.html"
+    if not report.is_file():
+        raise ValueError(f"There is no {report}; the report is written when a training ends.")
+    return report
+
+
+def machine() -> options.Machine:
+    """What the preferences say about this computer.
+
+    Raises:
+        ValueError: the LPIPS network is not there.
+    """
+    prefs = preferences.get()
+    lpips = None
+    if prefs.lpips_path.strip():
+        lpips = absolute(prefs.lpips_path, "LPIPS Network")
+        if not lpips.is_file():
+            raise ValueError(
+                f"There is no LPIPS network {lpips}; choose it again in the add-on's preferences, "
+                "or clear the field."
+            )
+    return options.Machine(
+        threads=prefs.threads, lpips=lpips, preview_seconds=prefs.preview_seconds
+    )
+
+
+def run_of(scene: bpy.types.Scene) -> tuple[Path, existing_run.EarlierRun]:
+    """Folder of the capture, and the run in the scene's output folder.
+
+    Raises:
+        ValueError: there is none, or it is of another capture.
+    """
+    output = output_folder(scene, preferences.get().output_folder)
+    before = _own_run(output, _chosen_capture(scene))
+    if before is None:
+        raise ValueError(f"{output} holds no run; press Train.")
+    return capture_folder(scene), before
+
+
+def _own_run(output: Path, capture: Path | None) -> existing_run.EarlierRun | None:
+    """The run in a folder, if there is one; ValueError where it is of another capture."""
+    before = existing_run.read_existing_run(output, capture)
+    if before is not None and before.foreign:
+        raise ValueError(before.foreign_words)
+    return before
+
+
+def _check_free(output: Path) -> None:
+    other = registry.by_output(output)
+    if other is not None and not other.state.ended:
+        raise ValueError(f"A training into {output} is running; stop it first.")
+
+
+def _chosen_capture(scene: bpy.types.Scene) -> Path | None:
+    text = scene.gscore.capture_path
+    return absolute(text, "Capture") if text.strip() else None
+
+
+def check_capture(scene: bpy.types.Scene) -> ShownFacts:
+    """What the scene's capture holds; ValueError unless it can be trained."""
+    found, problem = facts.capture(scene)
+    if found is None or not found.can_train:
+        found, problem = facts.refresh(scene)  # it may have been mended
+    if found is None:
+        raise ValueError(problem or "The capture could not be looked into; try again.")
+    if found.bare:
+        raise ValueError(f"{found.source} has no cameras yet; press Find Cameras first.")
+    errors = [p.text for p in found.problems if p.is_error]
+    if errors or not found.can_train:
+        raise ValueError(errors[0] if errors else f"{found.source} holds no capture.")
+    return found
+
+
+def _start(
+    arguments: list[str],
+    source: Path,
+    output: Path,
+    *,
+    python: str | Path | None,
+    scene: bpy.types.Scene,
+    replaces: bool = False,
+    earlier_source: Path | None = None,
+) -> Job:
+    """Start the trainer; `earlier_source` makes it one that goes on."""
+    places = {"source": source, "output": output, "scene_uid": scene.session_uid}
+    began = {"resumed": earlier_source is not None, "earlier_source": earlier_source}
+    job = launch(
+        lambda program: Job(program, arguments, **places, **began, replaces=replaces), python
+    )
+    job.live_most = preferences.get().live_most
+    registry.add(job)
+    lookups.runs.expire()
+    job.chores = display_nodes.builders()  # while the trainer starts
+    poll_timer.ensure()
+    return job

@@ -1,0 +1,36 @@
+"""A training's part of the beat, and its end with the end of Blender."""
+
+from ..process import poll_timer
+from . import display, lookups, registry
+from .launch import Following
+
+
+def _collect() -> bool:
+    """A beat does one thing that may take milliseconds: read lines, show a picture, hand splats.
+
+    Both get their turn, for a view that is redrawn all the time leaves so few beats that each finds
+    lines of the trainer.
+    """
+    stale = False
+    for job in registry.jobs():
+        shown = job.told and display.update(job)
+        job.told = not shown and job.poll()
+        if job.told and job.state.ended:
+            lookups.runs.expire()
+            lookups.depth_runs.expire()
+        stale |= shown or job.told or display.update(job)
+    return stale
+
+
+def _waits() -> bool:
+    return any(display.waits(job) for job in registry.jobs())
+
+
+_FOLLOWING = Following(
+    [
+        poll_timer.Poller(_collect, _waits, display.write_splats),
+        poll_timer.Poller(lookups.collect, lookups.busy),
+    ],
+    registry.leave_all,
+)
+on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -1,0 +1,27 @@
+"""What the operators of verbs that run beside Blender share."""
+
+import bpy
+
+from ..interface.base_operator import BaseOperator
+from ..process import poll_timer
+from .verb_job import VerbJob
+
+
+class Cancelling(BaseOperator):
+    """Mixed in before bpy.types.Operator: asks the scene's job of a verb to end."""
+
+    none = ""
+    """The sentence where there is nothing to cancel."""
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Ask it to end."""
+        job = self.job_of(context.scene)
+        if job is None or job.ended:
+            raise ValueError(self.none)
+        job.cancel()
+        poll_timer.redraw()
+        return ""
+
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
+        """The scene's job."""
+        raise NotImplementedError

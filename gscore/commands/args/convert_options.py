@@ -1,0 +1,209 @@
+"""The options of `gscore convert`."""
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from ...edit.request import GAP, USUAL
+from ...formats import FORMATS
+from ...quoting import quoted
+from ...scene import FARTHEST
+from ...sh import MAX_DEGREE
+from ..parser import add_threads_option
+
+SPZ_VERSION = 3
+"""Of .spz files, unless another one is asked for."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb, in the order of the steps."""
+    parser.description = (
+        f"{parser.description or ''} Steps are done in the order in which they stand here, "
+        "whatever the order of the options."
+    ).strip()
+    parser.add_argument("input", metavar="IN", type=Path, help="splats, or the folder of a run")
+    parser.add_argument(
+        "output",
+        metavar="OUT",
+        type=Path,
+        help=f"the file to write; its ending says the format: {', '.join(_written_endings())}",
+    )
+    _add_join_and_crop(parser)
+    _add_clean(parser)
+    _add_fewer_and_place(parser)
+    group = parser.add_argument_group("cameras, to see what splats add and what was lost")
+    group.add_argument(
+        "-s",
+        "--source",
+        type=Path,
+        help="a capture, the folder of a run or a cameras.json; default: the run's",
+    )
+    group.add_argument(
+        "--views",
+        type=_count,
+        default=60,
+        metavar="N",
+        help="most views that the loss is measured in (60)",
+    )
+    group.add_argument(
+        "--picture", type=Path, metavar="FILE.png", help="a view before, and beside it after"
+    )
+    group.add_argument(
+        "--picture-view", metavar="NAME", help="which, by name or number; default: the middle one"
+    )
+    parser.add_argument(
+        "--spz-version",
+        type=int,
+        choices=(3, 4),
+        default=SPZ_VERSION,
+        help="3, which all read; 4, with zstd",
+    )
+    add_threads_option(parser)
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace files that gscore did not write"
+    )
+    parser.add_argument("--json", action="store_true", help="what was done as JSON on stdout")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def _written_endings() -> list[str]:
+    return [ending for one in FORMATS if one.write for ending in one.endings]
+
+
+def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("1. join")
+    group.add_argument(
+        "--merge", nargs="+", type=Path, default=[], metavar="FILE", help="more splats of the world"
+    )
+    group.add_argument(
+        "--level",
+        type=int,
+        metavar="N",
+        help="of levels of detail, the one to write (0, the finest)",
+    )
+    group = parser.add_argument_group("2. crop: keep what lies in all of these")
+    group.add_argument(
+        "--box",
+        nargs=6,
+        type=_finite,
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="a box between two corners",
+    )
+    group.add_argument(
+        "--sphere", nargs=4, type=_finite, metavar=("X", "Y", "Z", "R"), help="centre and radius"
+    )
+    group.add_argument(
+        "--frustum",
+        nargs="+",
+        metavar="VIEW",
+        help="what any of these views shows, by name or number",
+    )
+    group.add_argument("--outside", action="store_true", help="keep what does not")
+
+
+def _add_clean(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("3. clean up")
+    group.add_argument(
+        "--clean",
+        action="store_true",
+        help=f"the usual: opacity {USUAL.min_opacity:g}, contribution {USUAL.min_contribution:g} "
+        f"where there are cameras, isolation {USUAL.max_isolation:g}, clusters of "
+        f"{USUAL.min_cluster} (fewer in small models), but nothing that adds "
+        f"{USUAL.seen_share:.2%}% of a picture to a view; options below change them",
+    )
+    group.add_argument(
+        "--min-opacity", type=_share, metavar="X", help="drop what is less opaque, 0 to 1"
+    )
+    group.add_argument(
+        "--max-size",
+        type=_positive,
+        metavar="X",
+        help="drop what is larger: the largest standard deviation, world units",
+    )
+    group.add_argument(
+        "--min-contribution",
+        type=_positive,
+        metavar="PX",
+        help="drop what adds less to every view: its weights, summed over pixels",
+    )
+    group.add_argument(
+        "--max-isolation",
+        type=_positive,
+        metavar="X",
+        help="drop what lies so many times as far from its neighbours as these from theirs",
+    )
+    group.add_argument(
+        "--min-cluster",
+        type=_count,
+        metavar="N",
+        help="drop clusters of fewer splats, apart from the rest",
+    )
+    group.add_argument(
+        "--gap",
+        type=_positive,
+        metavar="X",
+        help="between clusters, as a share of the distance that half of the splats have from the "
+        f"middle ({GAP:g})",
+    )
+
+
+def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("4. fewer coefficients and splats")
+    group.add_argument(
+        "--sh-degree",
+        type=int,
+        choices=range(MAX_DEGREE + 1),
+        help="degree of view-dependent colour at most",
+    )
+    which = group.add_mutually_exclusive_group()
+    which.add_argument("--count", type=_count, metavar="N", help="keep the N that matter most")
+    which.add_argument(
+        "--size", type=_positive, metavar="MB", help="as many as a file of this size holds"
+    )
+    group = parser.add_argument_group("5. place, after everything that needs cameras")
+    group.add_argument("--scale", type=_positive, metavar="X", help="about the origin")
+    group.add_argument(
+        "--rotate",
+        nargs=3,
+        type=_finite,
+        metavar=("X", "Y", "Z"),
+        help="degrees about the x, then y, then z axis",
+    )
+    group.add_argument(
+        "--move", nargs=3, type=_finite, metavar=("X", "Y", "Z"), help="world units, at last"
+    )
+    group.add_argument(
+        "--matrix",
+        type=Path,
+        metavar="FILE",
+        help="instead of these: a text of 16 numbers, row by row, that take old to new",
+    )
+
+
+def _finite(text: str) -> float:
+    return _number(text, lambda value: abs(value) <= FARTHEST, f"a number of {FARTHEST:g} at most")
+
+
+def _positive(text: str) -> float:
+    what = f"a number above 0, {FARTHEST:g} at most"
+    return _number(text, lambda value: 0 < value <= FARTHEST, what)
+
+
+def _share(text: str) -> float:
+    return _number(text, lambda value: 0 <= value <= 1, "a number from 0 to 1")
+
+
+def _count(text: str) -> int:
+    value = _number(text, lambda value: value >= 1 and value == int(value), "a whole number from 1")
+    return int(value)
+
+
+def _number(text: str, fits: Callable[[float], bool], what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        raise argparse.ArgumentTypeError(f"{quoted(text)} is not {what}")
+    return value

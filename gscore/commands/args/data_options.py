@@ -1,0 +1,89 @@
+"""Options that say how to read a capture, for verbs that do not train."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ...config import DataConfig
+from ...errors import ConfigError
+from ...hold_out import SPLIT, parse_hold_out
+from ...options import Option, flag_of
+from .run_options import declare, help_words, passed_options
+
+_MASKS = ("masks", "mask_mode", "invert_masks")
+HOLD_OUT = Option(
+    name="hold_out",
+    default=None,
+    kind=str,
+    text="Photos to hold out of the training and measure on: 8: every eighth by name, which is "
+    "what --eval alone does unless the capture says which; first:10 and last:10: the first and "
+    "last ten; or a text file with their names, one a line.",
+    group="capture",
+    metavar="WHICH",
+    basic=True,
+)
+"""One word for four fields of `DataConfig`."""
+_MAX_WIDTH = DataConfig.max_width
+"""What 3DGS takes photos as they are up to, px."""
+
+
+def add_data_options(parser: argparse.ArgumentParser) -> None:
+    """Declare them, under the names `gscore train` and the 3DGS tools use."""
+    group = parser.add_argument_group("capture")
+    declare(group, DataConfig, names=("images", *_MASKS, "resolution"))
+    add_split_options(group)
+    declare(group, DataConfig, names=("frame", "rig"))
+
+
+def add_mask_options(group: argparse._ActionsContainer) -> None:
+    """Declare the options that say where masks are and what they mean."""
+    declare(group, DataConfig, names=_MASKS)
+
+
+def add_split_options(group: argparse._ActionsContainer) -> None:
+    """Declare the option that chooses test views, and the four older ones that it stands for."""
+    action = group.add_argument(
+        HOLD_OUT.flag, type=_hold_out, metavar=HOLD_OUT.metavar, help=help_words(HOLD_OUT)
+    )
+    vars(action)["declared"] = HOLD_OUT
+    for name in SPLIT:
+        kind = Path if name == "test_list" else int
+        group.add_argument(flag_of(name), type=kind, help=argparse.SUPPRESS)
+
+
+def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:
+    """The config with what was given on the command line; naming a split means to use it."""
+    given = passed_options(DataConfig, args)
+    if given.get("resolution") == -1:  # as is; presets and runs may have a width of their own
+        given["max_width"] = _MAX_WIDTH
+    if split := _given_split(args):
+        # The offset belongs to the rule that is replaced.
+        given = {"eval": True, "test_offset": None} | given | split
+    return replace(config, **given)
+
+
+def _given_split(args: argparse.Namespace) -> dict[str, Any]:
+    """The values of `SPLIT` where one of them, or `--hold-out`, was given; nothing else.
+
+    Raises:
+        ConfigError: rules that contradict.
+    """
+    names = [name for name in ("hold_out", *SPLIT) if getattr(args, name, None) is not None]
+    if len(names) > 1 and set(names) != {"test_first", "test_last"}:
+        flags = [flag_of(name) for name in names]
+        raise ConfigError(
+            f"{' and '.join(flags)} are different ways to choose test views; give one of them."
+        )
+    if names == ["hold_out"]:
+        return args.hold_out
+    plain = DataConfig(source=Path())
+    chosen = {name: getattr(plain, name) for name in SPLIT} if names else {}
+    return chosen | {name: getattr(args, name) for name in names}
+
+
+def _hold_out(text: str) -> dict[str, Any]:
+    try:
+        return parse_hold_out(text)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None

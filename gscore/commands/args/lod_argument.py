@@ -1,0 +1,81 @@
+"""A file of levels of detail as verbs are given it: drawn from disk, or read whole as splats."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...config import DataConfig
+from ...lod.lod_renderer import LodModel
+from ...raster.api import Rendered
+from ...scene import Cameras
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodArgument:
+    """What `ModelArgument` is for files of splats."""
+
+    model: LodModel
+    lod_px: float
+    """Allowed error, px."""
+    most: int | None
+    """Splats that are drawn at most; None: any number."""
+    run: None = None
+    data: DataConfig | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.model.file.path
+
+    @property
+    def antialias(self) -> bool:
+        """Whether it was trained with opacity compensation."""
+        return self.model.index.antialias
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """Colour behind the splats in measurements."""
+        return self.model.index.background
+
+    @property
+    def near(self) -> float:
+        """Near plane of the training, world units."""
+        return self.model.index.near
+
+    @property
+    def cameras(self) -> Cameras | None:
+        """Those of the run that it was made of; None: not known."""
+        return self.model.index.cameras
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """Local origin that its means are about, as `Cameras.origin`."""
+        return self.model.index.origin
+
+    def world_of(self, cameras: Cameras) -> Cameras:
+        """Cameras of its capture, in the world of its splats."""
+        return cameras.of_splats(self.origin)
+
+    @property
+    def count(self) -> int:
+        """Splats of the finest level."""
+        return self.model.index.levels[0].splats
+
+    def draw(
+        self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
+    ) -> Rendered:
+        """A picture, as `LodModel.render`."""
+        return self.model.render(
+            K, viewmat, width, height, lod_px=self.lod_px, most=self.most, **how
+        )
+
+    def drawn(self) -> dict[str, Any]:
+        """What the last picture was made of."""
+        chosen = self.model.chosen
+        if chosen is None:
+            return {}
+        levels = chosen.by_level(len(self.model.index.levels))
+        return {"splats_drawn": chosen.splats, "chunks_by_level": levels, "lod_px": chosen.pixels}

@@ -1,0 +1,207 @@
+"""The model a verb is given: a file of splats, or the folder of a run with its options."""
+
+import argparse
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...config import Background, DataConfig, TrainConfig
+from ...errors import ConfigError, DatasetError
+from ...formats import SplatFile, is_splat_file, read_splat_file
+from ...io.colmap.folder import find_model
+from ...io.files import check_regular
+from ...io.runs import options_of_run
+from ...io.unsupported_formats import describe_unsupported
+from ...quoting import as_typed
+from ...raster.api import Rendered, render, render_camera
+from ...scene import Cameras
+from ...splats import Splats
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelArgument:
+    """Splats and what is known of their training."""
+
+    run: Path | None
+    """Folder of the run that made it, if it lies in one."""
+    file: SplatFile
+    """What was read."""
+    data: DataConfig | None
+    """Options of the run; None: not known."""
+    train: TrainConfig | None
+    """Options of the run; None: not known."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        return self.file.notes
+
+    @property
+    def splats(self) -> Splats:
+        """What it holds."""
+        return self.file.splats
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.file.path
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """Local origin that its means are about, as `Cameras.origin`."""
+        return self.file.origin
+
+    def about(self, origin: np.ndarray | None) -> "ModelArgument":
+        """The same model about another local origin."""
+        return replace(self, file=self.file.about(origin))
+
+    def world_of(self, cameras: Cameras) -> Cameras:
+        """Cameras of its capture, in the world of its splats."""
+        return cameras.of_splats(self.file.of_capture(cameras.origin).origin)
+
+    @property
+    def antialias(self) -> bool:
+        """Whether it was trained with opacity compensation: its file or its run says so."""
+        return self.file.antialiased or trained_antialiased(self.train)
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """Colour behind the splats in measurements."""
+        return background_of(self.train)
+
+    @property
+    def near(self) -> float:
+        """Near plane of the training, world units."""
+        return near_of(self.train)
+
+    @property
+    def cameras(self) -> Cameras | None:
+        """Those that the file itself holds: none; cameras.json lies beside it."""
+        return None
+
+    @property
+    def count(self) -> int:
+        """How many splats it has."""
+        return len(self.splats)
+
+    def draw(
+        self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
+    ) -> Rendered:
+        """A picture, as `gscore.render`."""
+        return render(self.splats, K, viewmat, width, height, **how)
+
+    def picture(self, cameras: Cameras, index: int, *, threads: int) -> np.ndarray:
+        """[H, W, 3] float32, what a camera sees of it, as measurements draw it."""
+        how = {"background": self.background, "near": self.near, "antialias": self.antialias}
+        return render_camera(self.splats, cameras, index, threads=threads, **how).rgb
+
+
+def trained_antialiased(train: TrainConfig | None) -> bool:
+    """Whether a training, if one is known, compensated opacities."""
+    return bool(train and train.antialias)
+
+
+def background_of(train: TrainConfig | None) -> tuple[float, float, float]:
+    """Colour behind the splats in measurements of a training; black where none is known."""
+    is_white = train is not None and train.background is Background.WHITE
+    return (1.0, 1.0, 1.0) if is_white else (0.0, 0.0, 0.0)
+
+
+def near_of(train: TrainConfig | None) -> float:
+    """Near plane of a training, world units; the usual one where none is known."""
+    return train.near if train else 0.01
+
+
+def add_model_argument(parser: argparse.ArgumentParser) -> None:
+    """The model as the first argument, or as the 3DGS tools take it."""
+    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a file of splats")
+    parser.add_argument(
+        "-m", "--model-path", dest="model_option", type=Path, help=argparse.SUPPRESS
+    )
+
+
+def model_path(args: argparse.Namespace) -> Path:
+    """What was given for `add_model_argument`.
+
+    Raises:
+        ConfigError: Nothing, or two models.
+    """
+    given = [path for path in (args.model, args.model_option) if path is not None]
+    if len(given) != 1:
+        raise ConfigError(
+            "Give one model: the folder of a run, or a file of splats."
+            + (f" Got {given[0]} and {given[1]}." if given else "")
+        )
+    return given[0]
+
+
+def open_model(path: Path) -> ModelArgument:
+    """Read a file of splats of any format, or the newest one in the folder of a run.
+
+    Raises:
+        DatasetError: There is no such file, or no model in the folder.
+        FormatError: The file holds no splats.
+        ConfigError: The run's config.json cannot be used.
+    """
+    found = find_splats(path)
+    run = find_run(found)
+    data, train = options_of_run(run / "config.json") if run else (None, None)
+    return ModelArgument(file=read_splat_file(found), run=run, data=data, train=train)
+
+
+def find_splats(path: Path) -> Path:
+    """`path` if it is a file or an unpacked SOG; in other folders point_cloud.ply, else the last
+    iteration as 3DGS saves.
+
+    Raises:
+        DatasetError: There is none.
+    """
+    if path.is_file():
+        return path
+    if path.is_dir() and is_splat_file(path):
+        return path
+    if not path.exists():
+        raise DatasetError(
+            f"There is no file or folder {path}; give a file of splats or the folder of a run."
+        )
+    if not path.is_dir():
+        check_regular(path)
+    found = path / "point_cloud.ply"
+    if found.is_file():
+        return found
+    saved = sorted(path.glob("point_cloud/iteration_*/point_cloud.ply"), key=_iteration)
+    if saved:
+        return saved[-1]
+    other = f"{path} is a capture; train it first: {as_typed('train', path, '-o', 'run')}"
+    raise DatasetError(
+        f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
+        "give the file itself or the folder a training wrote. "
+        + (other if is_capture(path) else describe_unsupported(path))
+    )
+
+
+def is_capture(folder: Path) -> bool:
+    """Whether a folder holds photos with cameras."""
+    try:
+        find_model(folder)
+    except DatasetError:
+        return (folder / "transforms.json").is_file()
+    return True
+
+
+def _iteration(ply: Path) -> int:
+    digits = re.search(r"\d+", ply.parent.name)
+    return int(digits[0]) if digits else -1
+
+
+def find_run(file: Path) -> Path | None:
+    """The folder with config.json the file belongs to, or None."""
+    folders = [file.parent]
+    if file.parent.name.startswith("iteration_"):
+        folders.append(file.parent.parent.parent)
+    if file.parent.name == "snapshots":
+        folders.append(file.parent.parent)
+    return next((f for f in folders if (f / "config.json").is_file()), None)

@@ -1,0 +1,123 @@
+"""Names of options that scripts for 3DGS use: taken, and not shown."""
+
+import argparse
+from typing import Any, NamedTuple
+
+from ...config import Background, Switch, TrainConfig
+from ...errors import ConfigError
+from ...options import options_of
+from .run_options import argument_facts
+
+ALIASES = {
+    "max_splats": "--cap-max",
+    "antialias": "--antialiasing",
+    "means_lr": "--position-lr-init",
+    "means_lr_final": "--position-lr-final",
+    "opacities_lr": "--opacity-lr",
+    "scales_lr": "--scaling-lr",
+    "quats_lr": "--rotation-lr",
+    "exposure_lr": "--exposure-lr-init",
+    "ssim_weight": "--lambda-dssim",
+    "depth_weight": "--depth-l1-weight-init",
+    "depth_weight_final": "--depth-l1-weight-final",
+    "refine_start": "--densify-from-iter",
+    "refine_stop": "--densify-until-iter",
+    "refine_every": "--densification-interval",
+    "reset_every": "--opacity-reset-interval",
+    "grow_grad": "--densify-grad-threshold",
+    "grow_scale": "--percent-dense",
+    "mcmc_noise": "--noise-lr",
+}
+"""Other names of options of `TrainConfig`."""
+_WITHOUT_EFFECT = ("--debug-from",)
+"""It concerns its debug dumps, not the result."""
+_SWITCHES = {
+    "white_background": ("-w", "--white-background"),
+    "random_background": ("--random-background",),
+    "train_test_exp": ("--train-test-exp",),
+    "disable_viewer": ("--disable-viewer",),
+}
+"""The first two choose a background, the third learns exposures, the last wins over `--port`."""
+_FEATURE_LR_SHARE = 20
+"""--feature-lr also sets the rate of the higher SH bands, divided by this."""
+REFUSED = {
+    "--debug": "the rasterizer has no debug dumps; see --detect-anomaly",
+    "--position-lr-max-steps": "the rate of positions falls until the last step",
+    "--position-lr-delay-mult": "the rate of positions is not delayed at the start",
+    "--data-device": "photos are always kept as bytes in main memory",
+    "--optimizer-type": "there is one optimizer, Adam",
+    "--exposure-lr-delay-steps": "the rate of exposures is not delayed at the start",
+    "--exposure-lr-delay-mult": "the rate of exposures is not delayed at the start",
+}
+"""Those that have no meaning here, with the reason."""
+
+
+class Row(NamedTuple):
+    """A name of 3DGS and what it is here."""
+
+    name: str
+    here: str
+
+
+def add_3dgs_names(parser: argparse.ArgumentParser) -> None:
+    """Declare them all."""
+    declared = options_of(TrainConfig)
+    for name, flag in ALIASES.items():
+        facts = argument_facts(declared[name])
+        parser.add_argument(flag, dest=name, default=None, help=argparse.SUPPRESS, **facts)
+    for name, flags in _SWITCHES.items():
+        parser.add_argument(*flags, dest=name, action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--feature-lr", type=float, help=argparse.SUPPRESS)
+    for flag in _WITHOUT_EFFECT:
+        parser.add_argument(flag, help=argparse.SUPPRESS)
+    for flag, reason in REFUSED.items():
+        parser.add_argument(flag, nargs="*", action=_Refuse, reason=reason)
+
+
+def rows() -> list[Row]:
+    """All of them as a table."""
+    return [
+        *(Row(flag, name) for name, flag in ALIASES.items()),
+        Row("--feature-lr X", f"sh0_lr X and shN_lr X / {_FEATURE_LR_SHARE}"),
+        Row("-w, --white-background", "background white"),
+        Row("--random-background", "background random"),
+        Row("--train-test-exp", "exposure on; psnr_cc judges held-out views by their halves"),
+        Row("--disable-viewer", "port 0, whatever --port says"),
+        *(Row(flag, "without effect") for flag in _WITHOUT_EFFECT),
+        *(Row(flag, f"refused: {reason}") for flag, reason in REFUSED.items()),
+    ]
+
+
+def translate(args: argparse.Namespace) -> None:
+    """Fill in the options that names of 3DGS stand for, where they were not given themselves.
+
+    Raises:
+        ConfigError: two that contradict.
+    """
+    if args.white_background and args.random_background:
+        raise ConfigError("Give either --white-background or --random-background.")
+    if args.white_background or args.random_background:
+        asked = Background.WHITE if args.white_background else Background.RANDOM
+        args.background = args.background or asked
+    if args.train_test_exp:
+        args.exposure = args.exposure or Switch.ON
+    if args.feature_lr is not None:
+        args.sh0_lr = args.feature_lr if args.sh0_lr is None else args.sh0_lr
+        args.shN_lr = args.feature_lr / _FEATURE_LR_SHARE if args.shN_lr is None else args.shN_lr
+
+
+class _Refuse(argparse.Action):
+    """An option that has no meaning here."""
+
+    def __init__(self, *args: Any, reason: str, **kwargs: Any) -> None:
+        super().__init__(*args, help=argparse.SUPPRESS, **kwargs)
+        self._reason = reason
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        parser.error(f"{option_string}: {self._reason}; leave it out")

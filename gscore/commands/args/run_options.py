@@ -1,0 +1,134 @@
+"""Options of a run on the command line, as config.py declares them: flags, help, values."""
+
+import argparse
+from collections.abc import Collection
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from ...config import TrainConfig
+from ...options import Option, options_of, value_words
+from ...presets import PRESETS
+from ...quoting import quoted
+from ...text_format import number
+from ..parser import nearest
+
+_SENTENCE_END = ". "
+_ON_OR_OFF = {
+    **dict.fromkeys(("on", "true", "yes", "1"), True),
+    **dict.fromkeys(("off", "false", "no", "0"), False),
+}
+
+
+def declare(
+    group: argparse._ActionsContainer, cls: type[Any], *, names: Collection[str] = ()
+) -> None:
+    """Declare the options of a config, those that are not basic without showing them.
+
+    Args:
+        group: Of a parser.
+        cls: DataConfig or TrainConfig.
+        names: Which; empty: all.
+    """
+    for name, one in options_of(cls).items():
+        if name in names or not names:
+            flags = [f"-{one.short}", one.flag] if one.short else [one.flag]
+            shown = help_words(one) if one.basic else argparse.SUPPRESS
+            action = group.add_argument(
+                *flags, dest=name, default=None, help=shown, **argument_facts(one)
+            )
+            vars(action)["declared"] = one
+
+
+def argument_facts(one: Option) -> dict[str, Any]:
+    """What argparse wants to know of an option beside its names and its help."""
+    if one.kind is bool:
+        return {"action": argparse.BooleanOptionalAction}
+    facts: dict[str, Any] = {"nargs": "+"} if one.several else {}
+    if one.kind in (int, float, Path):
+        facts["type"] = one.kind
+    if one.choices:
+        facts["choices"] = one.choices
+    if one.metavar or not one.choices:
+        facts["metavar"] = one.metavar or ("N" if one.kind is int else "X")
+    return facts
+
+
+def passed_options(cls: type[Any], args: argparse.Namespace) -> dict[str, Any]:
+    """The options of a config that were given, by name, as its fields want them."""
+    found = {}
+    for name, one in options_of(cls).items():
+        value = getattr(args, name, None)
+        if value is not None:
+            found[name] = _as_field(one, value)
+    return found
+
+
+def help_words(one: Option) -> str:
+    """The first sentence on an option, with its default, as `--help` shows it."""
+    first = plain(one.text).partition(_SENTENCE_END)[0].removesuffix(".")
+    if not first[1:2].isupper():  # CPU, PLY
+        first = first[0].lower() + first[1:]
+    shown = preset_values(one) or one.default_words
+    return (f"{first} ({shown})" if shown else first).replace("%", "%%")
+
+
+def preset_values(one: Option) -> str:
+    """The values of an option in the presets; empty where they are all the same."""
+    if one.name not in options_of(TrainConfig):
+        return ""
+    found = {name: getattr(make(Path())[1], one.name) for name, make in PRESETS.items()}
+    if len(set(found.values())) == 1:
+        return ""
+    return ", ".join(f"{name} {_shown(value)}" for name, value in found.items())
+
+
+def _shown(value: Any) -> str:
+    return number(value) if isinstance(value, int) else value_words(value)
+
+
+def plain(text: str) -> str:
+    """A text without the marks of code."""
+    return text.replace("`", "")
+
+
+class Set(argparse.Action):
+    """`--set NAME=VALUE`: the same as the long flag of that name, shown or not."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        name, equals, value = str(values).partition("=")
+        name = name.strip().replace("-", "_")
+        known = {
+            one.name: action
+            for action in parser._actions
+            if isinstance(one := vars(action).get("declared"), Option)
+        }
+        if name not in known:
+            guess = nearest(name, list(known))
+            hint = f"did you mean {guess}?" if guess else "`gscore options` lists all"
+            raise argparse.ArgumentError(self, f"there is no option {quoted(name)}; {hint}")
+        if not equals or not value:
+            raise argparse.ArgumentError(self, f"expected {name}=VALUE, got {quoted(values)}")
+        setattr(namespace, name, self._value(parser, known[name], value))
+
+    def _value(self, parser: argparse.ArgumentParser, action: argparse.Action, text: str) -> Any:
+        one = vars(action)["declared"]
+        if one.kind is not bool:
+            words = text.replace(",", " ").split() if one.several else [text]
+            return parser._get_values(action, words)
+        if text.lower() not in _ON_OR_OFF:
+            raise argparse.ArgumentError(self, f"{one.name} must be on or off, got {quoted(text)}")
+        return _ON_OR_OFF[text.lower()]
+
+
+def _as_field(one: Option, value: Any) -> Any:
+    convert = one.kind if issubclass(one.kind, StrEnum) else (lambda member: member)
+    if one.several:  # 3DGS: step -1 is never
+        return tuple(convert(member) for member in value if member != -1)
+    return convert(value)

@@ -1,0 +1,131 @@
+"""Options of a training that were given and change nothing in it: said in one warning."""
+
+import argparse
+from collections.abc import Callable
+
+from ...config import DataConfig, Doubling, Skip, Stereo, Strategy, Switch, TrainConfig
+from ...hold_out import SPLIT
+from ...live_options import LiveOptions
+from ...options import Option, flag_of, options_of
+
+_Idle = Callable[[argparse.Namespace, DataConfig, TrainConfig], bool]
+_Rule = tuple[str, _Idle]
+
+
+def _no_depth(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+    return not data.depths or config.depth_mode is Switch.OFF
+
+
+def _no_bands(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+    return config.sh_degree == 0
+
+
+def _large_photos(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+    return Skip.SMALL_PHOTOS in config.without
+
+
+def _beyond(name: str) -> _Idle:
+    """Whether all steps of an option come after the last."""
+
+    def idle(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+        steps = getattr(config, name)
+        return not config.time_budget and bool(steps) and min(steps) > config.iterations
+
+    return idle
+
+
+_WHEN: dict[str, _Rule] = {
+    "mcmc": ("--strategy mcmc alone uses it", lambda a, d, c: c.strategy is not Strategy.MCMC),
+    "default": ("not used by --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC),
+    "clone_split": (
+        "--doubling clone-split alone uses it, and not --strategy mcmc",
+        lambda a, d, c: c.strategy is Strategy.MCMC or c.doubling is not Doubling.CLONE_SPLIT,
+    ),
+    "depth": ("depth supervises only with --depths, unless --depth-mode off", _no_depth),
+    "depth_maps": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
+    "depth_on": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
+    "poses": ("--refine-poses off", lambda a, d, c: c.refine_poses is Switch.OFF),
+    "exposure": ("--exposure off", lambda a, d, c: c.exposure is Switch.OFF),
+    "bands": ("--sh-degree 0 has no view-dependent colour", _no_bands),
+    "small_photos": ("--without small-photos", _large_photos),
+    "points": ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None),
+    "stereo": (
+        "stereo adds no points: --stereo off or --start-splats",
+        lambda a, d, c: c.stereo == Stereo.OFF or c.start_splats is not None,
+    ),
+    "one_model": ("--start-splats are one model", lambda a, d, c: c.start_splats is not None),
+    "ensemble": (
+        "there is one model: --ensemble 1 or --start-splats",
+        lambda a, d, c: c.ensemble == 1 or c.start_splats is not None,
+    ),
+    "dropping": ("--drop-rate 0 leaves none out", lambda a, d, c: c.drop_rate == 0),
+    "guide_surface": ("of --guide-surface alone", lambda a, d, c: c.guide_surface is None),
+    "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
+    "viewer": ("--disable-viewer", lambda a, d, c: a.disable_viewer),
+    "port": (
+        "only with --port, and not with --disable-viewer",
+        lambda a, d, c: not a.port or a.disable_viewer,
+    ),
+    "masks": ("--mask-mode none", lambda a, d, c: d.mask_mode == "none"),
+    "hiding_masks": (
+        "only where masks hide parts of a scene",
+        lambda a, d, c: d.mask_mode in ("none", "composite"),
+    ),
+}
+"""By `Option.when`: why an option can be idle, and whether it is."""
+_SPLIT: _Rule = ("--no-eval holds no views out", lambda a, d, c: not d.eval)
+
+
+def _rule(one: Option) -> _Rule:
+    return (
+        ("all after the last step", _beyond(one.name)) if one.when == "steps" else _WHEN[one.when]
+    )
+
+
+RULES: dict[str, _Rule] = {
+    **{
+        one.name: _rule(one)
+        for cls in (DataConfig, TrainConfig, LiveOptions)
+        for one in options_of(cls).values()
+        if one.when
+    },
+    **dict.fromkeys(("hold_out", *SPLIT), _SPLIT),
+    "debug_from": ("there are no debug dumps", lambda a, d, c: True),
+    "white_background": (
+        "--background says otherwise",
+        lambda a, d, c: a.background not in (None, "white"),
+    ),
+    "random_background": (
+        "--background says otherwise",
+        lambda a, d, c: a.background not in (None, "random"),
+    ),
+    "train_test_exp": ("--exposure says otherwise", lambda a, d, c: c.exposure is not Switch.ON),
+    "feature_lr": (
+        "--sh0-lr and --shN-lr are given",
+        lambda a, d, c: a.sh0_lr is not None and a.shN_lr is not None,
+    ),
+}
+"""The same by option."""
+
+
+def reason_of(one: Option) -> str:
+    """Why an option can be without effect; empty where it never is."""
+    return RULES[one.name][0] if one.name in RULES else ""
+
+
+def unused_options(args: argparse.Namespace, data: DataConfig, config: TrainConfig) -> str:
+    """A sentence on the options that were given without effect, with the reasons; or nothing.
+
+    Args:
+        args: As they were given, before `configs` fills some in.
+        data, config: What came of them.
+    """
+    reasons: dict[str, list[str]] = {}
+    for name, (reason, idle) in RULES.items():
+        value = getattr(args, name, None)
+        if value is not None and value is not False and idle(args, data, config):
+            reasons.setdefault(reason, []).append(flag_of(name))
+    if not reasons:
+        return ""
+    parts = [f"{', '.join(names)} ({reason})" for reason, names in reasons.items()]
+    return f"Without effect in this run: {'; '.join(parts)}."

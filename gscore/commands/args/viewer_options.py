@@ -1,0 +1,67 @@
+"""Whether and where a training can be watched: `--port`, `--ip`, `--disable-viewer`."""
+
+import argparse
+import ipaddress
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ...errors import ConfigError
+from ...events import Show, Warn
+from ...live.viewer_clients import ViewerClients
+from ...live_options import LiveOptions
+from ...quoting import quoted
+from .run_options import declare, passed_options
+
+
+def add_live_options(group: argparse._ActionsContainer) -> None:
+    """Declare them."""
+    declare(group, LiveOptions)
+
+
+def check_live_options(args: argparse.Namespace) -> None:
+    """Raise where nobody could watch; the port is not opened yet.
+
+    Raises:
+        ConfigError: the port or the address is none.
+    """
+    options = LiveOptions(**passed_options(LiveOptions, args))
+    if options.port and not args.disable_viewer:
+        _is_own(options.ip)
+
+
+@contextmanager
+def viewer_clients_of(
+    args: argparse.Namespace, source: Path, show: Show, *, after_the_end: bool = False
+) -> Iterator[ViewerClients | None]:
+    """Those who watch the training within the block; None without `--port`, or where
+    `--disable-viewer` was given too.
+
+    Args:
+        args: Of the verb.
+        source: The capture, of which viewers are told.
+        show: Is told who can watch, where that is not this computer alone.
+        after_the_end: Viewers may look on when the last step is done.
+
+    Raises:
+        ConfigError: the port or the address cannot be used.
+    """
+    options = LiveOptions(**passed_options(LiveOptions, args))
+    if not options.port or args.disable_viewer:
+        yield None
+        return
+    from ...live.server import Server
+
+    with Server(options, text=str(source.resolve()), after_the_end=after_the_end) as server:
+        if not _is_own(options.ip):
+            message = f"Whoever reaches {options.ip} can watch this training and make it wait."
+            show(Warn(message=message, code="viewer"))
+        yield server.viewers
+
+
+def _is_own(ip: str) -> bool:
+    """Whether an address is reached from this computer alone."""
+    try:
+        return ipaddress.ip_address(ip.partition("%")[0]).is_loopback
+    except ValueError as error:
+        raise ConfigError(f"ip must be an address of numbers, got {quoted(ip)}.") from error

@@ -1,0 +1,19 @@
+"""How far the training of a bench is, for people who wait."""
+
+from ...text_format import number
+from ..terminal.status import Status
+
+
+class Ticker:
+    """Says on a status line how far a training is."""
+
+    def __init__(self, capture: str, status: Status) -> None:
+        self._capture, self._status = capture, status
+
+    def __call__(self, label: str, seed: int, step: int, iterations: int) -> None:
+        """Step `step` of `iterations` of the training of this label and seed is done."""
+        which = f"{self._capture}, {label}, seed {seed}"
+        far = f"step {number(step)} of {number(iterations)}"
+        self._status.show([which, far], share=step / iterations)
+        if step == iterations:
+            self._status.clear()

@@ -1,0 +1,309 @@
+"""Maps predicted or made by stereo, aligned and written, or only looked at."""
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ...config import DataConfig, Switch
+from ...control import Control
+from ...datasets import Dataset, load_dataset
+from ...depth.align import align_official, reliable
+from ...depth.fit import NO_FIT, Fit, median_scale
+from ...depth.fitting import Alignment, align_views, robust, settled_kind
+from ...depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
+from ...depth.network import WHERE, Network
+from ...depth.observations import Observations, observations
+from ...depth.params import params_path, read_params, write_params
+from ...depth.predict import Prediction, predict_views
+from ...depth.priors import fit_table
+from ...depth.samples import Samples, unusable, view_samples
+from ...depth.sheet import write_sheet
+from ...errors import Cancelled, ConfigError, FormatError
+from ...events import DepthDone, DepthProgress, Saved, Show, Warn
+from ...extras import need
+from ...io.output_paths import check_output_path
+from ...report.colormap import colorize
+from ...stereo import files, stereo_maps
+from ...text_format import count_words
+from ...trainer.depth.rule import coverage, decide
+from ..args.data_options import with_data_options
+from ..terminal.output import check_folder, check_replaced
+from .networks import network_of, network_words
+
+_MAKE = f"make them with --method stereo, which needs none, or with --model FILE.onnx. {WHERE}."
+"""Ends a sentence that says that maps and a network are missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthResult:
+    """What came out."""
+
+    done: DepthDone
+    alignment: Alignment
+    network: Network | None
+    used: str
+    """What the network was taken for, in words; empty: there is none."""
+    warnings: list[str]
+    shown: int
+    """Views on the contact sheet."""
+
+
+def make_maps(
+    args: argparse.Namespace, show: Show, control: Control, told: "StopMessage"
+) -> DepthResult:
+    """Do what the options ask for; `told` hears how far it is.
+
+    Raises:
+        GsError: something cannot be used, or would be replaced.
+    """
+    show(DepthProgress(done=0, total=0, view="", eta_s=float("nan"), phase="reading"))
+    network = None
+    if args.model is not None:
+        need("onnxruntime", "Predicting depth")
+        path, normalization = network_of(args, show)
+        network = Network(
+            path,
+            normalization=normalization,
+            size=args.input_size,
+            threads=args.threads,
+        )
+    config = with_data_options(DataConfig(source=args.source, resolution=1), args)
+    dataset = load_dataset(config)
+    folder = dataset.source / args.depths
+    check_output_path(folder, config, depths=False)
+    if args.method == "stereo":
+        return _by_stereo(args, config, dataset, folder, show, control, told)
+    if network is None and not folder.is_dir():
+        raise ConfigError(
+            f"There is no folder {folder} with depth maps to align, and no network to make them: "
+            f"{_MAKE}"
+        )
+    if not args.check:
+        check_folder(folder)
+        check_replaced([folder / SHEET], overwrite=args.overwrite)
+        _check_scales(params_path(dataset.source, folder, writing=True), args.overwrite, show)
+    seen = observations(config, dataset)
+    prediction = None
+    if network is not None:
+        using = f"predicting with {network_words(network, dataset)}"
+        show(DepthProgress(done=0, total=len(dataset), view="", eta_s=float("nan"), phase=using))
+        prediction = predict_views(
+            network,
+            dataset,
+            seen,
+            folder,
+            kind=args.kind,
+            overwrite=args.overwrite,
+            on_view=_Progress(show, control, told, "predicting"),
+            cancelled=lambda: control.stopping,
+        )
+    progress = _Progress(show, control, told, "aligning")
+    return _finish(args, config, dataset, seen, folder, network, prediction, show, progress)
+
+
+def _by_stereo(
+    args: argparse.Namespace,
+    config: DataConfig,
+    dataset: Dataset,
+    folder: Path,
+    show: Show,
+    control: Control,
+    told: "StopMessage",
+) -> DepthResult:
+    """Maps of the views that are not held out, from each other, in the scale of the capture."""
+    check_folder(folder)
+    check_replaced([folder / SHEET], overwrite=args.overwrite)
+    files.check_maps_folder(folder, dataset.names, overwrite=args.overwrite)
+    path = params_path(dataset.source, folder, writing=True)
+    _check_scales(path, args.overwrite, show)
+    progress = _Progress(show, control, told, "comparing photos")
+    dataset.keep_few()
+    found = stereo_maps(
+        dataset,
+        dataset.train,
+        threads=args.threads,
+        on_view=lambda done, total: progress(done, total, dataset.names[dataset.train[done - 1]]),
+    )
+    if found.reason:
+        raise ConfigError(f"Stereo finds no depth in {dataset.source}: {found.reason}.")
+    fits = files.write_maps(found, dataset, dataset.train, folder)
+    write_params(path, fits, DepthKind.INVERSE)
+    return _finish(
+        args,
+        replace(config, depth_align="official"),
+        dataset,
+        observations(config, dataset),
+        folder,
+        None,
+        Prediction(written=[dataset.names[i] for i in found.maps], kept=[], kind=DepthKind.INVERSE),
+        show,
+        _Progress(show, control, told, "aligning"),
+    )
+
+
+def _check_scales(path: Path, overwrite: bool, show: Show) -> None:
+    """Look at the scales that would be replaced: those of another program, or typed by hand, may be
+    exact, which what the points tell never is.
+
+    Raises:
+        ConfigError: gscore did not write them, and they are not to be overwritten.
+        DatasetError: the file has another layout.
+    """
+    if not path.is_file():
+        return
+    try:
+        # Only gscore states how many points it compared.
+        ours = all(entry.points is not None for entry in read_params(path).values())
+    except FormatError as error:
+        show(Warn(message=f"{error} It is replaced now."))
+        return
+    if ours:
+        return
+    if not overwrite:
+        raise ConfigError(
+            f"{path} was not written by gscore depth, so its scales stay as they are. --check says "
+            "what a training makes of them, --overwrite replaces them."
+        )
+    show(Warn(message=f"The scales in {path}, which gscore had not written, are replaced."))
+
+
+def _finish(
+    args: argparse.Namespace,
+    config: DataConfig,
+    dataset: Dataset,
+    seen: list[Observations],
+    folder: Path,
+    network: Network | None,
+    prediction: Prediction | None,
+    show: Show,
+    progress: "_Progress",
+) -> DepthResult:
+    """Align the maps that are there and write what came out."""
+    found = MapFolder(folder)
+    maps = [found.find(name) for name in dataset.names]
+    if not any(maps):
+        raise ConfigError(
+            f"{folder} has no depth map of any view ({count_words(len(found), 'map')} there), and "
+            f"no network to make them: {_MAKE}"
+        )
+    # Maps that were predicted hold inverse depth, whatever the network gave.
+    kind = DepthKind.INVERSE if prediction is not None else args.kind
+    samples = view_samples(
+        maps, seen, dataset, on_view=lambda i: progress(i + 1, len(maps), dataset.names[i])
+    )
+    path = sheet = None
+    shown = 0
+    if args.check:
+        alignment = align_views(config, dataset, folder, samples, kind=kind)
+        alignment = replace(alignment, warnings=(*unusable(samples), *alignment.warnings))
+    else:
+        if args.method == "stereo":  # placed already; the points say how well
+            alignment = align_views(config, dataset, folder, samples, kind=kind, together=False)
+            fits = _by_stem(dataset, alignment.fits)
+        else:
+            official = args.align == "official"
+            alignment, fits = _align(dataset, maps, seen, samples, kind, official=official)
+        path, sheet = params_path(dataset.source, folder, writing=True), folder / SHEET
+        write_params(path, fits, alignment.kind)
+        show(Saved(step=0, path=str(path)))
+        shown = write_sheet(sheet, dataset, maps, alignment.fits, alignment.kind, colorize)
+        show(Saved(step=0, path=str(sheet)))
+    warnings = [*dataset.warnings, *alignment.warnings]
+    for sentence in warnings:
+        show(Warn(message=sentence))
+    table = fit_table(dataset.names, maps, alignment)
+    done = DepthDone(
+        views=len(dataset),
+        accepted=sum(row["accepted"] for row in table),
+        predicted=len(prediction.written) if prediction else 0,
+        kept=len(prediction.kept) if prediction else 0,
+        folder=str(folder),
+        params=str(path or ""),
+        sheet=str(sheet or ""),
+        table=table,
+        why=_why(dataset, samples),
+    )
+    show(done)
+    return DepthResult(
+        done=done,
+        alignment=alignment,
+        network=network,
+        used=network_words(network, dataset) if network else "",
+        warnings=warnings,
+        shown=shown,
+    )
+
+
+def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
+    """What the automatic rule of a training on all views says of these maps."""
+    usable = sum(part is not None and not part.trouble for part in samples)
+    facts = coverage(dataset.scene, range(len(dataset)))
+    return decide(Switch.AUTO, facts, usable=usable)[1]
+
+
+def _align(
+    dataset: Dataset,
+    maps: list[Path | None],
+    seen: list[Observations],
+    samples: list[Samples | None],
+    kind: DepthKind,
+    *,
+    official: bool,
+) -> tuple[Alignment, dict[str, Fit]]:
+    """The alignment, and the fits to write: official tools judge reliability when they read."""
+    found, warnings = settled_kind(kind, samples, dataset)
+    warnings = (*unusable(samples), *warnings)
+    if not official:
+        alignment = robust(samples, found, dataset, warnings)
+        return alignment, _by_stem(dataset, alignment.fits)
+    fits: list[Fit | None] = []
+    for path, part, view in zip(maps, samples, seen, strict=True):
+        if path is None or part is None:
+            fits.append(None)
+            continue
+        if part.trouble:
+            fits.append(NO_FIT.refused(part.trouble))
+            continue
+        values = read_map(path)
+        if found is DepthKind.DEPTH:
+            values = to_inverse(values, found)
+        values[values != values] = 0
+        fits.append(align_official(values, view))
+    median = median_scale([fit.scale for fit in fits if fit is not None])
+    alignment = Alignment(fits=reliable(fits, median), kind=found, warnings=warnings)
+    return alignment, _by_stem(dataset, fits)
+
+
+def _by_stem(dataset: Dataset, fits: list[Fit | None]) -> dict[str, Fit]:
+    pairs = zip(dataset.names, fits, strict=True)
+    return {stem(name): fit for name, fit in pairs if fit is not None}
+
+
+class StopMessage:
+    """How far the work was when it was stopped, as a sentence."""
+
+    def __init__(self) -> None:
+        self.predicted = 0
+
+    def __call__(self) -> str:
+        return (
+            f"Stopped after {count_words(self.predicted, 'view')}; the maps written so far are "
+            "whole. Run the same command again to go on."
+        )
+
+
+class _Progress:
+    """Tells after each view how far a phase is, and ends it where that was asked for."""
+
+    def __init__(self, show: Show, control: Control, told: StopMessage, phase: str) -> None:
+        self._show, self._control, self._told, self._phase = show, control, told, phase
+        self._start = time.monotonic()
+
+    def __call__(self, done: int, total: int, name: str) -> None:
+        if self._phase == "predicting":
+            self._told.predicted = done
+        elif self._control.stopping:
+            raise Cancelled(f"Depth was stopped while {self._phase}.")
+        left = (time.monotonic() - self._start) / done * (total - done)
+        self._show(DepthProgress(done=done, total=total, view=name, eta_s=left, phase=self._phase))

@@ -1,0 +1,89 @@
+"""What came of depth maps, for people and programs."""
+
+import argparse
+import sys
+from typing import Any
+
+from ...depth.maps import DepthKind
+from ...depth.network import Network
+from ...text_format import count_words
+from ..terminal.status import wrapped
+from .make_maps import DepthResult
+
+
+def _model_facts(network: Network) -> dict[str, Any]:
+    profile = network.profile
+    return {
+        "file": str(network.path),
+        "family": profile.family,
+        "normalization": profile.normalization.value,
+        "kind": profile.kind.value,
+        "input_size": [profile.width, profile.height],
+    }
+
+
+def _table_text(table: list[dict[str, Any]]) -> str:
+    width = max(len(row["view"]) for row in table)
+    lines = [f"{'view':{width}}  points  inliers     scale    offset   error"]
+    for row in table:
+        error = "-" if row["error"] is None else f"{row['error']:.1%}"
+        inliers = f"{row['inliers']:.0%}" if row["points"] else "-"  # of none there is no share
+        scale, offset = "-", "-"
+        if row["map"]:
+            scale, offset = f"{row['scale']:.4g}", f"{row['offset']:.3g}"
+        lines.append(
+            f"{row['view']:{width}}  {row['points']:6}  {inliers:>7}  {scale:>8}  {offset:>8}  "
+            f"{error:>6}  {row['reason']}"
+        )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def facts_of(args: argparse.Namespace, result: DepthResult) -> dict[str, Any]:
+    """For `--json`."""
+    done = result.done
+    return {
+        "views": done.views,
+        "predicted": done.predicted,
+        "kept": done.kept,
+        "accepted": done.accepted,
+        "align": _rule(args),
+        "kind": result.alignment.kind.value,
+        "folder": done.folder,
+        "params": done.params or None,
+        "sheet": done.sheet or None,
+        "model": _model_facts(result.network) if result.network else None,
+        "why": done.why,
+        "table": done.table,
+        "warnings": result.warnings,
+    }
+
+
+def _rule(args: argparse.Namespace) -> str:
+    """The rule by which maps got their scale."""
+    if args.method == "stereo":
+        return "stereo"
+    return "auto" if args.check else args.align
+
+
+def print_result(args: argparse.Namespace, result: DepthResult) -> None:
+    """Print it for people."""
+    done = result.done
+    what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
+    lines = [_table_text(done.table)]
+    if result.used:
+        lines.append(f"Predicted with {result.used}.")
+    count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
+    if args.check:
+        lines.append(f"{count} would be used with their scale; nothing was written")
+    else:
+        rule = (
+            "placed by stereo" if args.method == "stereo" else f"aligned by the {args.align} rule"
+        )
+        lines.append(f"{count} {rule}: {done.params}")
+        if not any(row["points"] for row in done.table):
+            lines.append(
+                "The capture has no points where these maps state depths, so nothing but the "
+                "photos says how good they are."
+            )
+        lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
+    print(wrapped("\n".join([*lines, done.why]), sys.stdout))

@@ -1,0 +1,81 @@
+"""What `gscore info` says of a folder of plain photos: what finding their cameras would need."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from ..config import DataConfig
+from ..datasets.capture import listing
+from ..io.foreign_cameras import unread_cameras
+from ..quoting import as_typed
+from ..sfm.heic import readable, size_of
+from ..sfm.photo_folders import doubt, excluded_folders
+from ..sfm.photos import LEAST, Photo, by_camera, list_photos, photo_folder, read_photos
+from ..sfm.pycolmap_stages import Work
+from ..sfm.search_attempts import attempts
+from ..sfm.search_request import SearchRequest
+from ..text_format import count_words, number, time_words
+
+
+def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
+    """What photos are, for JSON; of each only the header is read.
+
+    Raises:
+        DatasetError: a photo cannot be read.
+    """
+    masks = Path(data.masks) if data.masks else None
+    request = SearchRequest(photos=path, output=_capture(path), masks=masks)
+    root = photo_folder(path)
+    names, unread = list_photos(root, excluded_folders(request, root))
+    photos = read_photos(
+        root, names, on_photo=lambda done: None, cancelled=lambda: False, whole=False
+    )
+    changed, unread = readable(unread)
+    for i, name in enumerate(changed, len(photos)):
+        photos.append(Photo(name, f"{i:06}.jpg", *size_of(root / name), ()))
+    work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
+    first = attempts(request)[0]
+    doubtful = doubt(root, names, len(by_camera(photos)))
+    return {
+        "kind": "photos",
+        "path": str(path),
+        "photos": len(photos),
+        "unread": unread,
+        "sizes": dict(Counter(f"{p.width} x {p.height}" for p in photos).most_common()),
+        "cameras": len(by_camera(photos)),
+        "enough": len(photos) >= LEAST,
+        "pairs": work.pairs_expected(first),
+        "sfm_seconds": round(work.forecast(first).seconds, 1),
+        "next": None if doubtful else as_typed("train", path, "-o", "run"),
+        "warnings": [text for text in (doubtful, unread_cameras(path)) if text],
+    }
+
+
+def photos_text(facts: dict[str, Any]) -> list[str]:
+    """What photos are, for people."""
+    sizes = ", ".join(f"{count} of {size}" for size, count in facts["sizes"].items())
+    cameras = count_words(facts["cameras"], "camera and lens", "cameras and lenses")
+    lines = [
+        f"{facts['path']}: {count_words(facts['photos'], 'photo')} without cameras",
+        f"  sizes: {sizes}; {cameras} by what EXIF says",
+    ]
+    if facts["unread"]:
+        left_out = count_words(len(facts["unread"]), "photo")
+        lines.append(f"  {left_out} of kinds that are not read: {listing(facts['unread'], 3)}")
+    if not facts["enough"]:
+        least = count_words(LEAST, "photo")
+        return [*lines, f"  at least {least} that overlap are needed, 30 or more are good"]
+    if facts["next"] is None:
+        return lines
+    about = time_words(float(f"{facts['sfm_seconds']:.1g}"))
+    return [
+        *lines,
+        f"  finding their cameras compares {number(facts['pairs'])} pairs and takes about {about} "
+        "here",
+        f"Next: {facts['next']}",
+    ]
+
+
+def _capture(path: Path) -> Path:
+    whole = path.absolute()
+    return whole.with_name(f"{whole.name}-capture")

@@ -1,0 +1,274 @@
+"""The cameras that `gscore render` takes: views of a capture or run, or a path among them."""
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from ...config import DataConfig
+from ...datasets.camera_path_json import read_camera_path
+from ...datasets.resolution import LARGEST_FACTOR, scale_intrinsics, target_size
+from ...errors import ConfigError, DatasetError
+from ...io.cameras_json import read_cameras_json
+from ...io.metrics_file import read_metrics
+from ...scene import Cameras
+from ...upright import turn_cameras, upright_turns
+from ..args.lod_argument import LodArgument
+from ..args.model_argument import ModelArgument, is_capture
+from .camera_path import orbit_path, spline_path
+
+PATHS = ("orbit", "spline")
+"""Paths that are made; any other is a file."""
+FPS = 30.0
+"""Pictures a second, where nobody says."""
+_ORBIT_SECONDS = 8.0
+"""Of an orbit, at its usual length."""
+_SPLINE_SECONDS = 0.25
+"""For each camera that a path passes, at its usual length; as long as an orbit at least."""
+_LONGEST_SPLINE = 60.0
+"""Seconds; captures of hundreds of photos are passed faster."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shots:
+    """What to render."""
+
+    cameras: Cameras
+    path: str
+    """orbit, spline or the file of a path; empty: views."""
+    fps: float | None = None
+    """Pictures a second, where the file of a path states them."""
+    why: str = ""
+    """A sentence for the user where the path was not asked for."""
+
+
+def find_shots(
+    args: argparse.Namespace, model: ModelArgument | LodArgument, *, is_video: bool
+) -> Shots:
+    """The cameras to render from, at the size asked for.
+
+    A video of views that nobody chose would jump from photo to photo: it gets an orbit, or where
+    the cameras have no common middle a path through them.
+
+    Args:
+        args: Of the verb.
+        model: The splats.
+        is_video: Whether the pictures become one; its sizes must be even.
+
+    Raises:
+        ConfigError: A path or view that there cannot be.
+        DatasetError: No cameras, or no such view.
+    """
+    if args.path and args.path not in PATHS:
+        return _of_file(args, model, even=is_video)
+    captured = captured_cameras(args.cameras, model)
+    cameras = _scaled(captured.cameras, args.resolution, even=is_video)
+    if args.path:
+        return _along(cameras, args.path, args)
+    if args.test:
+        if not captured.test:
+            raise DatasetError(
+                "No view was held out, or the split is not known: give the folder of a run that "
+                "was trained with --eval, or choose views with --view or --all."
+            )
+        return Shots(cameras=some_cameras(cameras, captured.test), path="")
+    if args.view:
+        chosen = [view_index(view, cameras.names) for view in args.view]
+        return Shots(cameras=some_cameras(cameras, chosen), path="")
+    if is_video and not args.all and len(cameras) > 1:
+        return _some_path(cameras, args)
+    return Shots(cameras=cameras, path="")
+
+
+def _of_file(args: argparse.Namespace, model: ModelArgument | LodArgument, *, even: bool) -> Shots:
+    """The cameras of a file, one a picture."""
+    if not Path(args.path).is_file():
+        raise ConfigError(
+            f"--path {args.path}: neither {' nor '.join(PATHS)}, and there is no such file."
+        )
+    found = read_camera_path(args.path)
+    return Shots(
+        cameras=model.world_of(_scaled(found.cameras, args.resolution, even=even)),
+        path=args.path,
+        why=" ".join(found.warnings),
+        fps=found.fps,
+    )
+
+
+def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
+    """The path for a video that nobody chose one for."""
+    try:
+        shots = _along(cameras, "orbit", args)
+        what = "an orbit around what the cameras look at"
+    except ConfigError:  # the cameras have no common middle
+        shots = _along(cameras, "spline", args)
+        what = "a way through the cameras in their order, which have no common middle to go around"
+    seconds = len(shots.cameras) / (args.fps or FPS)
+    why = f"No --path was given: {what}, {seconds:.1f} s. --all makes a video of the views."
+    return replace(shots, why=why)
+
+
+@dataclass(frozen=True)
+class Captured:
+    """Cameras that photos were taken from."""
+
+    cameras: Cameras
+    test: list[int]
+    """Indices of the views that were held out, where that is known."""
+
+
+def captured_cameras(source: Path | None, model: ModelArgument | LodArgument) -> Captured:
+    """The cameras of a capture or run, in the world of the model's splats, and its test views where
+    they are known.
+
+    Args:
+        source: The folder of a capture or of a run, or a cameras.json; None: what lies beside the
+            model.
+        model: The splats.
+
+    Raises:
+        ConfigError: There are no cameras beside the model.
+        DatasetError: No cameras, or a capture that cannot be read.
+    """
+    if source is not None and (source / "cameras.json").is_file() and not is_capture(source):
+        source = source / "cameras.json"
+    if source is None and model.cameras is not None:
+        return Captured(model.cameras, _test_views(model, model.cameras.names))
+    if source is None:
+        beside = (model.run or model.path.parent) / "cameras.json"
+        if not beside.is_file():
+            raise ConfigError(
+                f"There is no cameras.json beside {model.path}; say with -s where cameras are: the "
+                "capture's folder or a cameras.json."
+            )
+        source = beside
+    elif source.is_dir():
+        from ...datasets import load_dataset
+
+        config = DataConfig(source=source)
+        if model.data is not None and model.data.source.resolve() == source.resolve():
+            config = model.data
+        dataset = load_dataset(replace(config, mask_mode="none"))  # cameras are all that is wanted
+        return Captured(model.world_of(dataset.scene.cameras), dataset.test)
+    cameras = read_cameras_json(source)
+    if not len(cameras):
+        raise DatasetError(f"{source} holds no cameras.")
+    return Captured(model.world_of(cameras), _test_views(model, cameras.names))
+
+
+def _test_views(model: ModelArgument | LodArgument, names: tuple[str, ...]) -> list[int]:
+    """Indices of the views the run's metrics.json calls test views."""
+    held_out = read_metrics(model.run or model.path.parent).get("test_views")
+    if not isinstance(held_out, list):
+        return []
+    return [i for i, name in enumerate(names) if name in held_out]
+
+
+def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
+    """The cameras with other picture sizes; `even`: sizes that H.264 can store."""
+    sizes, Ks = [], []
+    for K, width, height in zip(cameras.Ks, cameras.widths, cameras.heights, strict=True):
+        old = int(width), int(height)
+        new = _size(old, resolution)
+        if even:
+            new = max(2, new[0] // 2 * 2), max(2, new[1] // 2 * 2)
+        sizes.append(new)
+        Ks.append(scale_intrinsics(K, old, new))
+    widths, heights = np.array(sizes, np.int64).T.copy()
+    return replace(cameras, Ks=np.stack(Ks), widths=widths, heights=heights)
+
+
+def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
+    """The size of a picture, px: as the photo's, but a width that was asked for may exceed it."""
+    width, height = photo
+    if resolution > LARGEST_FACTOR:
+        return round(resolution), max(1, round(height * resolution / width))
+    return target_size(width, height, resolution, max_width=width)
+
+
+def _frames(args: argparse.Namespace, kind: str, cameras: int) -> int:
+    """How many pictures a path has."""
+    if args.frames is not None:
+        return args.frames
+    seconds = _ORBIT_SECONDS
+    if kind == "spline":
+        seconds = min(max(seconds, _SPLINE_SECONDS * cameras), _LONGEST_SPLINE)
+    return max(2, round(seconds * (args.fps or FPS)))
+
+
+def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
+    """A camera path, with upright pictures of the size most cameras have when held upright."""
+    cameras = turn_cameras(cameras, upright_turns(cameras))
+    frames = _frames(args, kind, len(cameras))
+    sizes = np.stack([cameras.widths, cameras.heights], axis=1)
+    different, counts = np.unique(sizes, axis=0, return_counts=True)
+    width, height = (int(n) for n in different[np.argmax(counts)])
+    Ks = np.stack(
+        [
+            _fitted(K, (int(w), int(h)), (width, height))
+            for K, (w, h) in zip(cameras.Ks, sizes, strict=True)
+        ]
+    )
+    if kind == "spline":
+        viewmats, Ks = spline_path(cameras.viewmats, Ks, frames)
+    else:
+        viewmats = orbit_path(cameras.viewmats, frames, up=cameras.up)
+        K = np.median(Ks, axis=0)
+        K[0, 2], K[1, 2] = width / 2, height / 2  # what the orbit looks at is in the middle
+        Ks = np.tile(K, (frames, 1, 1))
+    path = Cameras(
+        viewmats=viewmats,
+        Ks=Ks,
+        widths=np.full(frames, width, np.int64),
+        heights=np.full(frames, height, np.int64),
+        names=tuple(f"frame_{i:05d}" for i in range(frames)),
+    )
+    return Shots(cameras=path, path=kind)
+
+
+def _fitted(K: np.ndarray, old: tuple[int, int], new: tuple[int, int]) -> np.ndarray:
+    """K for a picture of another size; between upright and lying ones the angle across the
+    diagonal stays, so that nothing is stretched."""
+    if (old[0] > old[1]) == (new[0] > new[1]):
+        return scale_intrinsics(K, old, new)
+    scale = math.hypot(*new) / math.hypot(*old)
+    K = K.copy()
+    K[:2, 2] = np.array(new) / 2 + scale * (K[:2, 2] - np.array(old) / 2)
+    K[[0, 1], [0, 1]] *= scale
+    return K
+
+
+def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
+    """Those of `indices`, in their order."""
+    indices = list(indices)
+    return Cameras(
+        viewmats=cameras.viewmats[indices],
+        Ks=cameras.Ks[indices],
+        widths=cameras.widths[indices],
+        heights=cameras.heights[indices],
+        names=tuple(cameras.names[i] for i in indices),
+        up=cameras.up,
+        origin=cameras.origin,
+    )
+
+
+def view_index(view: str, names: tuple[str, ...]) -> int:
+    """The view called so, with or without folder and ending, or the number of a view from 0."""
+    for form in (str, lambda n: PurePosixPath(n).name, lambda n: PurePosixPath(n).stem):
+        found = [i for i, name in enumerate(names) if form(name) == view]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise DatasetError(
+                f"{len(found)} views are called {view}: {', '.join(names[i] for i in found[:3])}; "
+                "give the whole name."
+            )
+    if view.isdigit() and int(view) < len(names):
+        return int(view)
+    raise DatasetError(
+        f"There is no view {view}; there are {len(names)}, named like {names[0]}, or by number "
+        f"from 0 to {len(names) - 1}."
+    )

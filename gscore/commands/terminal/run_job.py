@@ -1,0 +1,69 @@
+"""Long work as a command: shown to people or programs, steered by lines and signals."""
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import TypeVar
+
+from ...control import Control, listen
+from ...errors import Cancelled
+from ...events import Failed, Show
+from .display import JsonLines, Lines, Silent
+from .interrupt import interrupts
+
+Result = TypeVar("Result")
+STOPPED = "Stopped before the first step; nothing was written."
+STOPPED_WITH_NOTHING = 3
+"""Exit code of work that was stopped, by no signal, before there was a result."""
+
+
+def add_output_options(parser: argparse.ArgumentParser) -> None:
+    """Declare what is shown, and how."""
+    group = parser.add_argument_group("output")
+    group.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    group.add_argument(
+        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
+    )
+    group.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+
+
+def run_job(
+    args: argparse.Namespace,
+    work: Callable[[Show, Control], Result],
+    *,
+    stopped: Callable[[], str] = lambda: STOPPED,
+) -> tuple[Result | None, int]:
+    """Do `work`; an error is told as an event too, before it is raised again.
+
+    Args:
+        args: With the options `quiet` and `events`.
+        work: Gets where to send events and the control to obey; raises Cancelled where it was
+            stopped without a result.
+        stopped: The sentence that then says so, to programs as an event, to people on stderr.
+
+    Returns:
+        What `work` returned, None if it was stopped; and the exit code.
+    """
+    control = Control()
+    show = _display(args, control)
+    quiet = bool(args.events or args.quiet)
+    with interrupts() as interrupt, interrupt.asking(control.stop, quiet=quiet):
+        try:
+            if args.events:
+                listen(control, 0, on_end=lambda: control.stop("input ended"))
+            return work(show, control), interrupt.exit_code
+        except Cancelled:
+            show(Failed(message=stopped(), type="Cancelled"))
+            if not quiet:
+                print(stopped(), file=sys.stderr)
+            return None, interrupt.exit_code or STOPPED_WITH_NOTHING
+        except Exception as error:
+            message = str(error) or type(error).__name__
+            show(Failed(message=message, type=type(error).__name__))
+            raise
+
+
+def _display(args: argparse.Namespace, control: Control) -> Show:
+    if args.events:
+        return JsonLines(sys.stdout, on_closed=lambda: control.stop("output closed"))
+    return Silent() if args.quiet else Lines(sys.stderr)

@@ -1,0 +1,149 @@
+"""What the headers of a capture's photos say of them and their cameras; no photo is decoded."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import DatasetError, GsError
+from ..io.images.image_header import ImageInfo
+from ..io.images.read_image import read_info
+from ..text_format import count_words
+from ..upright import find_up
+from .capture import View, listing
+from .duplicate_photos import find_duplicates
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoFit:
+    """How photos fit the cameras that were made from them."""
+
+    upright: tuple[bool, ...]
+    """Whether the camera was calibrated on the photo as EXIF turns it, not as it is stored."""
+    sizes: tuple[tuple[int, int], ...]
+    """Width and height of each photo turned as its camera wants it, pixels."""
+    misfits: tuple[int, ...]
+    """Indices of photos that fit their cameras neither way."""
+
+
+def fit_photos(views: Sequence[View], infos: Sequence[ImageInfo]) -> PhotoFit:
+    """Compare photos with their cameras.
+
+    Args:
+        views: With the cameras.
+        infos: Of their photos.
+    """
+    upright, misfits = [], []
+    for i, (view, info) in enumerate(zip(views, infos, strict=True)):
+        stored = view.fits(info.width, info.height)
+        turned = info.is_sideways and view.fits(info.height, info.width)
+        upright.append(turned and not stored)
+        if not stored and not turned:
+            misfits.append(i)
+    sizes = [
+        (info.height, info.width) if turn else (info.width, info.height)
+        for info, turn in zip(infos, upright, strict=True)
+    ]
+    return PhotoFit(upright=tuple(upright), sizes=tuple(sizes), misfits=tuple(misfits))
+
+
+def up_as_held(
+    views: Sequence[View], infos: Sequence[ImageInfo] | None = None
+) -> np.ndarray | None:
+    """What is up by cameras and EXIF orientations.
+
+    Args:
+        views: With the cameras.
+        infos: Of their photos; None: they are read here, and a photo that is missing or cannot be
+            read counts as one that EXIF does not turn.
+
+    Returns:
+        [3] float64, unit, world; None where EXIF turns no photo, so that the cameras alone tell.
+    """
+    infos = [_info(view) for view in views] if infos is None else infos
+    turned = fit_photos(views, infos).upright
+    turns = [1 if done else info.orientation for info, done in zip(infos, turned, strict=True)]
+    return find_up(np.stack([view.viewmat for view in views]), turns) if set(turns) - {1} else None
+
+
+def _info(view: View) -> ImageInfo:
+    try:
+        return read_info(view.image)
+    except GsError:
+        return ImageInfo(view.camera.width, view.camera.height, False)
+
+
+def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> None:
+    """Raise DatasetError where a photo fits its camera neither as stored nor turned."""
+    if not found.misfits:
+        return
+    view, info = views[found.misfits[0]], infos[found.misfits[0]]
+    rest = len(found.misfits) - 1
+    others = f" {count_words(rest, 'other does', 'others do')} not fit either." if rest else ""
+    raise DatasetError(
+        f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
+        f"{view.camera.width} x {view.camera.height}.{others} Give the folder of the photos that "
+        f"COLMAP was run on with --images, or photos scaled without cropping."
+    )
+
+
+def photo_warnings(
+    views: Sequence[View],
+    infos: Sequence[ImageInfo],
+    found: PhotoFit,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> list[str]:
+    """Sentences on photos that are used otherwise than their owner may think.
+
+    Args:
+        views, infos: As for `fit_photos`.
+        found: What that found; misfits are not told of.
+        cancelled: Asked between photos; true ends the call early.
+    """
+    told = [*_copies(views, cancelled), *_flipped(views, infos, found)]
+    return told + _other_sizes(views, found)
+
+
+def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
+    """A sentence on photos that are copies of others: one of the two poses must be wrong."""
+    pairs = find_duplicates([view.image for view in views], cancelled)
+    if not pairs:
+        return []
+    named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
+    return [
+        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
+        f"{listing(named, 3)}. Copies count twice, and a test view that is a "
+        f"copy of a training view is no test; remove them."
+    ]
+
+
+def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> list[str]:
+    """A sentence on photos of which their size does not tell whether they were calibrated turned:
+    upside down, mirrored, or square and on their side."""
+    unsure = [
+        view.name
+        for view, info, turned in zip(views, infos, found.upright, strict=True)
+        if not turned
+        and (info.is_flipped or (info.is_sideways and view.fits(info.height, info.width)))
+    ]
+    if not unsure:
+        return []
+    return [
+        f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as "
+        f"stored, as COLMAP does: {listing(unsure)}. If the cameras were made from "
+        f"turned photos, save the photos turned."
+    ]
+
+
+def _other_sizes(views: Sequence[View], found: PhotoFit) -> list[str]:
+    other = [
+        f"{view.name} ({size[0]} x {size[1]} for {view.camera.width} x {view.camera.height})"
+        for i, (view, size) in enumerate(zip(views, found.sizes, strict=True))
+        if size != (view.camera.width, view.camera.height) and i not in found.misfits
+    ]
+    if not other:
+        return []
+    return [
+        f"{count_words(len(other), 'photo has', 'photos have')} another size than the camera; "
+        f"intrinsics are scaled by the actual ratio: {listing(other, 2)}."
+    ]

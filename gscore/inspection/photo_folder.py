@@ -1,0 +1,59 @@
+"""What is known of photos or a video without cameras before these are looked for."""
+
+from collections import Counter
+from pathlib import Path
+
+from ..datasets.capture import listing
+from ..errors import GsError
+from ..io.foreign_cameras import unread_cameras
+from ..io.images.read_image import read_info
+from ..sfm.heic import readable, size_of, what_to_do
+from ..sfm.masks import mask_folder
+from ..sfm.photo_folders import doubt
+from ..sfm.photos import LEAST, list_photos, photo_folder
+from ..text_format import count_words
+from ..video import is_video
+from .capture_facts import CaptureFacts, Problem
+
+PHOTOS, VIDEO = "photos", "a video"
+"""Values of `CaptureFacts.bare`."""
+
+
+def bare_facts(source: Path) -> CaptureFacts:
+    """Facts of a source of which `has_no_cameras` is true; the headers of photos are read.
+
+    Args:
+        source: A video, or a folder of photos.
+    """
+    if is_video(source):
+        return CaptureFacts(source=source, bare=VIDEO)
+    root = photo_folder(source)
+    masks = mask_folder(root, None)
+    names, unread = list_photos(root, (masks,) if masks else ())
+    sizes: Counter[tuple[int, int]] = Counter()
+    problems = []
+    for name in names:
+        try:
+            info = read_info(root / name)
+            sizes[info.width, info.height] += 1
+        except GsError as error:
+            problems.append(Problem(is_error=True, text=str(error)))
+    changed, unread = readable(unread)
+    sizes.update(size_of(root / name) for name in changed)
+    names += changed
+    if len(names) < LEAST:
+        few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
+        problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))
+    for text in filter(None, (unread_cameras(source), doubt(root, names, len(sizes)))):
+        problems.append(Problem(is_error=False, text=text))
+    if unread:
+        left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
+        text = f"{left} that is not read: {listing(unread, 2)}. To use them, {what_to_do(unread)}."
+        problems.append(Problem(is_error=False, text=text))
+    return CaptureFacts(
+        source=source,
+        bare=PHOTOS,
+        photos=len(names),
+        sizes=dict(sizes.most_common()),
+        problems=tuple(problems[:3]),
+    )

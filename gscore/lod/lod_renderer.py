@@ -1,0 +1,151 @@
+"""Pictures of a model with levels of detail, which stays on disk."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..io.lod_file import LodFile, empty_splats, open_lod_file
+from ..io.lod_index import LodIndex
+from ..raster.api import Rendered, render
+from ..raster.request import Frustum
+from ..splats import Splats
+from .chunk_selection import ChosenChunks, choose_chunks
+
+LOD_PX = 1.0
+"""Allowed error of what is drawn, px."""
+_HIDDEN = np.float32(-100)
+"""Logit of splats that are not drawn: where a chunk has fewer than there is room for."""
+
+
+class LodModel:
+    """A file of levels of detail to draw from; close it, or use it in a `with`.
+
+    What one picture showed stays in memory for the next, and only chunks that are new are read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a file that `gscore lod` wrote.
+
+        Raises:
+            DatasetError: it is missing or cannot be read.
+            FormatError: it is none, truncated or damaged.
+        """
+        self._file = open_lod_file(path)
+        self._room = max(int(level.counts.max()) for level in self.index.levels)
+        self._slots: dict[tuple[int, int], int] = {}
+        self._arrays = empty_splats(0, self.index.sh_degree)
+        self.chosen: ChosenChunks | None = None
+        """What the last picture was made of."""
+
+    def __enter__(self) -> "LodModel":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the file and the memory go."""
+        self._file.close()
+        self._slots, self._arrays = {}, empty_splats(0, self.index.sh_degree)
+
+    @property
+    def index(self) -> LodIndex:
+        """What the file holds."""
+        return self._file.index
+
+    @property
+    def file(self) -> LodFile:
+        """The file itself."""
+        return self._file
+
+    def render(
+        self,
+        K: np.ndarray,
+        viewmat: np.ndarray,
+        width: int,
+        height: int,
+        *,
+        lod_px: float = LOD_PX,
+        most: int | None = None,
+        near: float | None = None,
+        eps2d: float = 0.3,
+        **how: Any,
+    ) -> Rendered:
+        """`gscore.render` of what the camera may see, near splats exact, far ones coarser.
+
+        Args:
+            K: As there, and `viewmat`, `width`, `height`, `eps2d` and `how`.
+            viewmat: [4, 4] world to camera.
+            width: Pixels.
+            height: Pixels.
+            lod_px: Allowed error of coarser levels, px; 0: the finest splats everywhere.
+            most: Splats that are drawn at most; where more would be, the error grows.
+            near: Splats with z at or below this are not drawn; None: as trained.
+            eps2d: Added to the diagonal of the 2D covariance, px^2.
+            **how: background, sh_degree, antialias, depths, threads and others; antialias is as
+                the model was trained, unless it is given.
+
+        Raises:
+            As `gscore.render`; FormatError: a chunk is damaged.
+        """
+        near = self.index.near if near is None else near
+        view = Frustum(np.asarray(viewmat), np.asarray(K), width, height, near)
+        self.chosen = choose_chunks(self.index, view, lod_px, eps2d=eps2d, most=most)
+        splats = self._gather(self.chosen)
+        how = {"antialias": self.index.antialias} | how
+        return render(splats, K, viewmat, width, height, near=near, eps2d=eps2d, **how)
+
+    def _gather(self, chosen: ChosenChunks) -> Splats:
+        """The splats of these chunks; those of the last picture stay where they are."""
+        wanted = set(chosen.chunks)
+        kept = {chunk: slot for chunk, slot in self._slots.items() if chunk in wanted}
+        self._slots = kept
+        self._grow(len(wanted))
+        free = iter(sorted(set(range(len(wanted))) - set(kept.values())))
+        for chunk in [one for one, slot in kept.items() if slot >= len(wanted)]:
+            self._move(chunk, next(free))
+        for chunk in chosen.chunks:
+            if chunk not in kept:
+                self._read(chunk, next(free))
+        end = len(wanted) * self._room
+        return Splats(**{name: array[:end] for name, array in self._arrays.items()})
+
+    def _grow(self, slots: int) -> None:
+        """Make room for so many chunks."""
+        have = len(self._arrays["means"])
+        if have >= slots * self._room:
+            return
+        rows = slots * self._room
+        if self._slots:  # a path: pictures to come need a little more, or a little less
+            rows += rows // 8
+        larger = empty_splats(rows, self.index.sh_degree)
+        for name, array in larger.items():
+            array[:have] = self._arrays[name]
+            del self._arrays[name]  # at once, so that no two whole models are in memory
+        self._arrays = larger
+
+    def _rows(self, slot: int) -> slice:
+        return slice(slot * self._room, (slot + 1) * self._room)
+
+    def _move(self, chunk: tuple[int, int], slot: int) -> None:
+        old, new = self._rows(self._slots[chunk]), self._rows(slot)
+        for array in self._arrays.values():
+            array[new] = array[old]
+        self._slots[chunk] = slot
+
+    def _read(self, chunk: tuple[int, int], slot: int) -> None:
+        begin, room = slot * self._room, self._room
+        parts = self._file.chunk(*chunk)
+        count = len(parts["means"])
+        for name, part in parts.items():
+            self._arrays[name][begin : begin + count] = part
+        self._blank(begin + count, begin + room)
+        self._slots[chunk] = slot
+
+    def _blank(self, begin: int, end: int) -> None:
+        """Splats that are not drawn."""
+        for array in self._arrays.values():
+            array[begin:end] = 0
+        self._arrays["quats"][begin:end, 0] = 1
+        self._arrays["opacities"][begin:end] = _HIDDEN

@@ -1,0 +1,30 @@
+"""How hard views pull at splats: sums of screen gradients, natively on torch tensors."""
+
+from torch import Tensor
+
+from . import _native
+
+
+def add_screen_gradients(
+    pull: Tensor,
+    seen: Tensor,
+    v_means2d: Tensor,
+    radii: Tensor,
+    scale: tuple[float, float],
+    *,
+    threads: int = 0,
+) -> None:
+    """Add a view to sums: |v * scale| to `pull`, and 1 to `seen`, where the view drew a splat.
+
+    Args:
+        pull: [N] float32, changed in place.
+        seen: [N] float32, changed in place.
+        v_means2d: [N, 2] float32, gradient in projected positions.
+        radii: [N] int32, 0 where a splat was not drawn.
+        scale: What x and y of the gradients are multiplied by.
+        threads: 0: all cores; results do not depend on it.
+
+    Raises:
+        ShapeError: a tensor has another shape, dtype or layout than it should.
+    """
+    _native.add_pull(pull, seen, v_means2d, radii, scale, threads)

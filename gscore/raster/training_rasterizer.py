@@ -1,0 +1,142 @@
+"""One view after the other, drawn and differentiated without autograd and without allocating."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import GsError
+from . import _native, arguments, header
+from .blend_weights import GEOMETRY, blending_weights
+from .memory import empty
+from .request import Frustum, Settings
+
+
+@dataclass
+class Picture:
+    """A view; what is None was not asked for."""
+
+    rgb: Tensor
+    """[H, W, 3]."""
+    alpha: Tensor
+    """[H, W]."""
+    inverse_depth: Tensor | None = None
+    """[H, W], sum of weight / z, not divided by alpha."""
+
+
+class TrainingRasterizer:
+    """Draws a view and gives gradients of it, in memory that is kept from call to call.
+
+    So what `draw` and `radii` return is overwritten by the next `draw`.
+    """
+
+    def __init__(self) -> None:
+        self._raster = _native.Raster()
+        self._memory: dict[str, Tensor] = {}
+        self._drawn: tuple[Sequence[Tensor], Frustum, Settings] | None = None
+
+    def draw(
+        self, splats: Sequence[Tensor], view: Frustum, settings: Settings | None = None
+    ) -> Picture:
+        """Render splats, which need not be contiguous; errors are those of `rasterize`.
+
+        Args:
+            splats: `PARAMETERS`, in their order.
+            view: What is seen of them.
+            settings: How; of the outputs inverse depth alone can be asked for.
+
+        Returns:
+            rgb, alpha and, where asked for, inverse depth.
+        """
+        settings = settings or Settings()
+        arguments.check_size(view.width, view.height)
+        size = (view.height, view.width)
+        tensors = [t.detach().contiguous() for t in splats]
+        pictures = {"rgb": self._kept("rgb", (*size, 3)), "alpha": self._kept("alpha", size)}
+        if settings.outputs & header.OUT_INVERSE_DEPTH:
+            pictures["inverse_depth"] = self._kept("inverse_depth", size)
+        radii = self._kept("radii", (len(tensors[0]),), torch.int32)
+        self._drawn = None
+        self._raster.forward(tensors, view, settings, pictures | {"radii": radii})
+        self._drawn = tensors, view, settings
+        return Picture(**pictures)
+
+    @property
+    def radii(self) -> Tensor:
+        """[N] int32 px: half the larger side of a splat's box in the last view, 0 = culled."""
+        return self._memory["radii"]
+
+    def gradients(
+        self,
+        into: Mapping[str, Tensor],
+        rgb: Tensor,
+        alpha: Tensor | None = None,
+        inverse_depth: Tensor | None = None,
+        *,
+        viewmat: Tensor | None = None,
+    ) -> Tensor:
+        """Gradients of the last view.
+
+        Args:
+            into: Contiguous float32 tensors of the splats' shapes by name, which are overwritten;
+                those of shN are added to.
+            rgb: [H, W, 3], gradient of the loss in the picture.
+            alpha: [H, W], as the next; None: zero.
+            inverse_depth: Only where it was drawn.
+            viewmat: [4, 4] float32, where the gradient in the camera's pose goes; None: nowhere.
+
+        Returns:
+            [N, 2], gradient in the projected means, px.
+
+        Raises:
+            GsError: nothing was drawn.
+        """
+        if self._drawn is None:
+            raise GsError("There is no view to take gradients of: call draw first.")
+        splats, view, settings = self._drawn
+        means2d = self._kept("means2d", (len(splats[0]), 2))
+        v_pictures = {"rgb": rgb, "alpha": alpha, "inverse_depth": inverse_depth}
+        self._raster.backward(
+            splats,
+            view,
+            settings,
+            {name: None if v is None else v.contiguous() for name, v in v_pictures.items()},
+            {**into, "means2d": means2d} | ({} if viewmat is None else {"viewmat": viewmat}),
+            add_shN=True,
+        )
+        return means2d
+
+    def weights(
+        self,
+        splats: Mapping[str, Tensor],
+        view: Frustum,
+        settings: Settings,
+        shares: Tensor,
+        scratch: Mapping[str, Tensor],
+    ) -> np.ndarray:
+        """`blending_weights` of splats by name, of which SH coefficients are not read, with the
+        memory of this painter; what it drew last is lost."""
+        self._drawn = None
+        geometry = [splats[name].detach().contiguous() for name in GEOMETRY]
+        return blending_weights(
+            geometry, view, settings, shares, scratch=scratch, raster=self._raster
+        )
+
+    def release(self) -> None:
+        """Give memory back: that of the library, which the next `draw` takes again, and the splats
+        that were drawn, which may be about to be replaced."""
+        self._drawn, self._raster = None, _native.Raster()
+
+    def stats(self) -> dict[str, float]:
+        """Counts and milliseconds by stage (gs_stats) of the last view and its gradients."""
+        return self._raster.stats().as_dict()
+
+    def _kept(
+        self, name: str, shape: tuple[int, ...], dtype: torch.dtype = torch.float32
+    ) -> Tensor:
+        found = self._memory.get(name)
+        if found is None or found.shape != shape:
+            found = self._memory[name] = empty(*shape, dtype=dtype)
+        return found

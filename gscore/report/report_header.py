@@ -1,0 +1,194 @@
+"""Top of report.html: what was trained and how, its numbers, and what they mean together."""
+
+import html
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Any
+
+from ..events import CONVERGED, FINISHED, TARGET, headline_psnr
+from ..metrics.named import NAMED_METRICS, NamedMetric
+from ..text_format import count_words, has_exposure_correction, number, size_words, time_words
+
+TIMES = "\u00d7"
+_MASKED = "psnr_masked"
+FAR_ABOVE = 4.0
+"""Decibels by which training views exceed held-out ones where splats fit photos, not the scene.
+Previews of examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
+EXPOSED = (
+    "In training each photo is compared with a picture exposed as it is. All other figures, those "
+    "of <code>gscore eval</code> too, are of neutral pictures and lower where exposures differ."
+)
+"""HTML, for a run that has learnt exposures."""
+_HOW_ENDED = {
+    FINISHED: "",
+    TARGET: "to the PSNR asked for",
+    CONVERGED: "until it converged",
+    None: "",
+}
+
+
+def head_html(title: str, metrics: dict[str, Any], *, preset: str, command: str) -> str:
+    """Title, photos, machine and date; the command that does it again.
+
+    Args:
+        title: Usually the capture's name.
+        metrics: The content of metrics.json.
+        preset: Its name in words; may be empty.
+        command: For a shell; may be empty.
+    """
+    machine = metrics["machine"]
+    ran = f"{machine['cpu']}, {count_words(machine['threads'], 'thread')}, {machine['isa']}"
+    lines = [
+        _join(_photos(metrics), _split_words(metrics)),
+        _join(preset, _date(metrics), ran, f"gscore {metrics['gscore']}"),
+    ]
+    shown = "".join(f'<p class="sub">{html.escape(line)}</p>' for line in lines)
+    if command:
+        shown += f'<pre class="command">{html.escape(command)}</pre>'
+    return f"<header><h1>{html.escape(title)}</h1>{shown}</header>\n"
+
+
+def _join(*parts: str) -> str:
+    sentence = " \u00b7 ".join(filter(None, parts))
+    return sentence[:1].upper() + sentence[1:]
+
+
+def _date(metrics: dict[str, Any]) -> str:
+    """Day and minute of the training's end where it is known."""
+    try:
+        return f"{datetime.fromisoformat(metrics['trained_at']):%Y-%m-%d %H:%M}"
+    except (KeyError, TypeError, ValueError):
+        return ""
+
+
+def _photos(metrics: dict[str, Any]) -> str:
+    count = len(metrics["train_views"]) + len(metrics["test_views"])
+    size = _picture_size(metrics)
+    return _comma(count_words(count, "photo"), size)
+
+
+def _split_words(metrics: dict[str, Any]) -> str:
+    count, split = len(metrics["views"]), metrics["split"]
+    if not count:
+        return "no views scored: " + metrics.get("psnr_reason", "")
+    if split == "test":
+        return f"scored on {count_words(count, 'held-out view')}"
+    if split == "all":
+        held_out = len(metrics["test_views"])
+        return f"scored on all {count_words(count, 'view')}, {held_out} of them held out"
+    return f"scored on {count_words(count, 'training view')} (not held out, so this is no test)"
+
+
+def _picture_size(metrics: dict[str, Any]) -> str:
+    sizes = {(v["width"], v["height"]) for v in metrics["views"]}
+    if len(sizes) != 1:
+        return "of several sizes" if sizes else ""
+    width, height = sizes.pop()
+    return f"{width} {TIMES} {height} px"
+
+
+def tiles_html(metrics: dict[str, Any]) -> str:
+    """The numbers that there are, and a line on those that could not be measured."""
+    cells = "".join(
+        f'<div class="tile"><dt>{name}</dt><dd>{value}<small>{f" {unit}" if unit else ""}</small>'
+        f"</dd><p>{html.escape(note)}</p></div>"
+        for name, value, unit, note in (*_quality_tiles(metrics), *_work_tiles(metrics))
+    )
+    absent = [
+        f"{metric.title} ({metrics[f'{metric.key}_reason']})"
+        for metric in _quality(metrics)
+        if metrics.get(metric.key) is None
+        and metrics.get(f"{metric.key}_reason")
+        and metrics["views"]
+    ]
+    line = f'<p class="hint">Not measured: {html.escape("; ".join(absent))}.</p>' if absent else ""
+    return f'<section><dl class="tiles">{cells}</dl>{line}</section>\n'
+
+
+_Tile = tuple[str, str, str, str]
+"""Name, value, unit, note."""
+
+
+def _quality(metrics: dict[str, Any]) -> list[NamedMetric]:
+    """What tiles show, the PSNR that a model is judged by first."""
+    shown = [m for m in NAMED_METRICS if m.note and (m.key != _MASKED or _MASKED in metrics)]
+    return sorted(shown, key=lambda metric: metric.key != _MASKED)
+
+
+def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
+    for key, title, digits, unit, note, *_ in _quality(metrics):
+        if metrics.get(key) is None:
+            continue
+        if key == "psnr" and _MASKED in metrics:
+            note = "masked-out pixels as equal"
+        if key == "psnr" and metrics["mask_mode"] == "composite":
+            note = "of whole pictures, background too"
+        yield title, f"{metrics[key]:.{digits}f}", unit, note.format(net=metrics.get("lpips_net"))
+
+
+def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
+    models = f"{metrics['models']} models as one" if "models" in metrics else ""
+    note = _comma(f"SH degree {metrics['sh_degree']}", models)
+    yield "Splats", number(metrics["splats"]), "", note
+    if metrics["train_seconds"] is not None:
+        yield "Training", time_words(metrics["train_seconds"]), "", _steps(metrics)
+    if metrics.get("fps") is not None:
+        note = "median of the views"
+        yield "Rendering", f"{metrics['fps']:.1f}", "fps", note
+    yield "Storage", size_words(metrics["storage_bytes"]), "", "PLY file"
+    if metrics["peak_memory_bytes"] is not None:
+        yield "Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident"
+
+
+def _steps(metrics: dict[str, Any]) -> str:
+    if metrics["steps"] is None:
+        return ""
+    reason = metrics.get("reason")
+    return _comma(
+        count_words(metrics["steps"], "step"), _HOW_ENDED.get(reason, f"stopped: {reason}")
+    )
+
+
+def _comma(*parts: str) -> str:
+    return ", ".join(filter(None, parts))
+
+
+def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
+    """A sentence where training views are far above held-out ones; else nothing.
+
+    Args:
+        metrics: The content of metrics.json.
+        depth_command: What would make depth maps, for a shell; may be empty.
+    """
+    trained, held_out = _trained_psnr(metrics), headline_psnr(metrics)
+    if metrics["split"] != "test" or trained is None or held_out is None:
+        return ""
+    gap = trained - held_out
+    if gap < FAR_ABOVE:
+        return ""
+    matched = metrics.get("psnr_cc") if has_exposure_correction(metrics) else None
+    if matched is not None and trained - matched < FAR_ABOVE:
+        return (
+            '<section class="meaning"><h2>What this means</h2>'
+            f"<p>Training views reach {trained:.1f} dB, held-out views {held_out:.1f} dB, and "
+            f"{matched:.1f} dB with their colours matched to the photos: these are exposed "
+            f"differently, and that is most of the gap.</p><p>{EXPOSED}</p></section>\n"
+        )
+    maps = html.escape(depth_command or "gscore depth")
+    return (
+        '<section class="meaning"><h2>What this means</h2>'
+        f"<p>Training views reach {trained:.1f} dB, held-out views {held_out:.1f} dB: "
+        f"{gap:.1f} dB less. The splats fit the photos better than the scene, so views between "
+        "the photos are worse than the photos suggest.</p>"
+        f"{f'<p>{EXPOSED}</p>' if has_exposure_correction(metrics) else ''}"
+        "<p>Photos from more places help most. With few photos, depth maps do "
+        f"(<code>{maps}</code>, then train with <code>--depths depths</code>), and fewer splats "
+        "(<code>--max-splats</code>). If single views below are far worse than the others, look "
+        "at their cameras and photos first.</p></section>\n"
+    )
+
+
+def _trained_psnr(metrics: dict[str, Any]) -> float | None:
+    """The PSNR of the training views over the last steps, dB."""
+    rows = metrics.get("history") or []
+    return rows[-1].get("psnr") if rows else None

@@ -1,0 +1,412 @@
+"""The whole search: photos looked over, attempts made, the best model published as a capture."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from .._version import __version__
+from ..control import Control
+from ..datasets.capture import listing
+from ..errors import DatasetError
+from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
+from ..io.runs import MADE_OF
+from ..raster import backend
+from ..text_format import count_words
+from . import database, masks, photos, pycolmap_stages
+from .bundle_adjustment import AdjustedLens, adjust, is_stable
+from .failure_reason import failure_reason
+from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .gps_scale import Gps, read_gps, to_metres
+from .heic import what_to_do
+from .panorama import check_lens, refused_panoramas
+from .photo_folders import captures_inside, doubt, excluded_folders, other_cameras, stamp
+from .photo_quality import PhotoQuality, blurred, exposure_jumps
+from .pycolmap_stages import Work
+from .pycolmap_thread import check_space, colmap, log_messages, run_in_thread
+from .search_attempts import ENOUGH, Attempt, attempts
+from .search_request import USUAL_LENS, SearchRequest
+from .search_result import (
+    SearchResult,
+    attempt_text,
+    camera_facts,
+    focal_text,
+    gps_text,
+    lens_text,
+    model_names,
+)
+from .workspace import Workspace
+
+CHOOSING = "choosing pairs"
+"""A phase of some seconds, which the forecast does not know."""
+
+
+def find_cameras(
+    request: SearchRequest, *, on_event: Show = lambda event: None, control: Control | None = None
+) -> SearchResult:
+    """Find cameras and points of photos, and make a capture of them.
+
+    What was found is kept beside the output where this is stopped or killed, and the next call with
+    the same photos and options goes on from it.
+
+    Args:
+        request: Which photos, where to, and how.
+        on_event: Told how far it is: `SfmProgress`, `Warn`, at the end `SfmDone`.
+        control: Asked whether to stop.
+
+    Raises:
+        Cancelled: `control` said so.
+        DatasetError: there are too few photos, they cannot be read, or no cameras can be found.
+        ConfigError: the output is taken, or an option has a value that cannot work.
+        BackendError: pycolmap is missing or too old, or the native library is missing.
+        GsError: the output cannot be written.
+    """
+    check_lens(request.camera_model)
+    colmap()
+    backend.available_isas()  # raises where the library is missing, before any work
+    search = _Search(request, on_event, control or Control())
+    try:
+        return search.run()
+    except DatasetError:  # of these photos nothing can be made; other errors leave what was found
+        search.discard()
+        raise
+    finally:
+        search.close()
+
+
+class _Search:
+    """One search from its beginning to its end."""
+
+    def __init__(self, request: SearchRequest, show: Show, control: Control) -> None:
+        self._request, self._show, self._control = request, show, control
+        self._began = time.monotonic()
+        self._warnings: list[str] = []
+        self._root = photos.photo_folder(request.photos)
+        self._space = Workspace(request.output, self._root)
+        self._lens = ""
+        self._opened = False
+        self._forecast: Forecast | None = None
+        self._compared: set[Path] = set()
+        self._stamps: list[list[Any]] = []
+
+    def run(self) -> SearchResult:
+        """The search itself."""
+        names, unread = photos.list_photos(self._root, excluded_folders(self._request, self._root))
+        photos.check_enough(self._root, names, unread)
+        if sentence := captures_inside(self._root, names):
+            raise DatasetError(sentence)
+        if unread:
+            self._warn(
+                f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "
+                f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
+            )
+        self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
+        read = photos.read_photos(
+            self._root, names, on_photo=self._counted("reading photos", len(names)),
+            cancelled=self._stopping,
+        )  # fmt: skip
+        if sentence := refused_panoramas(
+            {photo.name: photo.panorama for photo in read}, self._request
+        ):
+            raise DatasetError(sentence)
+        read, sentences = photos.one_of_each(self._root, read)
+        doubtful = doubt(self._root, names, len(photos.by_camera(read)))
+        for sentence in filter(None, (*sentences, doubtful, other_cameras(self._request.photos))):
+            self._warn(sentence)
+        folder = masks.mask_folder(self._root, self._request.masks)
+        found = masks.find_masks(folder if self._request.use_masks else None, read)
+        resumed = self._space.open(self._state(found))
+        self._opened = True
+        self._space.link_photos(read, self._stamps)
+        self._write_masks(found, read)
+        work = Work(
+            request=self._request,
+            root=self._space.links,
+            photos=read,
+            masks=self._space.masks if found else None,
+            folder=self._space.folder,
+        )
+        models, tried, last = self._attempts(work)
+        if not models:
+            raise DatasetError(self._why_none(work, last))
+        return self._publish(work, models, tried, last, resumed)
+
+    def close(self) -> None:
+        """Let the next search in."""
+        if self._opened:
+            self._space.close()
+
+    def discard(self) -> None:
+        """Leave nothing behind."""
+        if self._opened:
+            self._space.discard()
+
+    def _attempts(self, work: Work) -> tuple[list[Any], int, Attempt]:
+        """The models of the best attempt, how many were made, and the last of them."""
+        best: list[Any] = []
+        plan = attempts(self._request)
+        for tried, attempt in enumerate(plan, 1):
+            placed = best[0].num_reg_images() if best else 0
+            if attempt.name:
+                self._warn(attempt_text(placed, len(work.photos), attempt.name))
+            models = self._attempt(work, attempt)
+            if models and models[0].num_reg_images() > placed:
+                best = models
+            if best and best[0].num_reg_images() >= ENOUGH * len(work.photos):
+                return best, tried, attempt
+        return best, len(plan), plan[-1]
+
+    def _attempt(self, work: Work, attempt: Attempt) -> list[Any]:
+        file, count = work.database(attempt), len(work.photos)
+        forecast = work.forecast(attempt, pace=self._forecast.pace if self._forecast else 1.0)
+        self._forecast = forecast
+        self._tell("entering photos", 0, count)
+        check_space(work.folder, pycolmap_stages.space_needed(work, attempt))
+        with log_messages(work.folder):
+            pycolmap_stages.enter_photos(work, file)
+        self._find_features(work, attempt, forecast)
+        with log_messages(work.folder):
+            lost, found = database.without_features(file), database.features(file)
+        if lost:
+            names = {photo.alias: photo.name for photo in work.photos}
+            raise DatasetError(
+                f"COLMAP cannot read {listing([names[alias] for alias in lost])}. Save them as "
+                "JPEG or PNG."
+            )
+        forecast.has_features(sum(found))
+        self._compare(work, attempt, forecast)
+        placed = [0]
+
+        def on_photo() -> None:
+            placed[0] += 1
+
+        def place(token: Any) -> list[Any]:
+            return pycolmap_stages.reconstruct(work, attempt, token, on_photo)
+
+        return self._watch(
+            place, PLACING, count, lambda: min(placed[0], count), lambda: count - placed[0]
+        )
+
+    def _find_features(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
+        """Find features, in a few photos first: by those it is told how long all will take."""
+        sample, *others = (
+            (len(part), partial(pycolmap_stages.extract, work, attempt, part))
+            for part in pycolmap_stages.feature_parts(work)
+        )
+        file, count = work.database(attempt), len(work.photos)
+        space = pycolmap_stages.space_needed(work, attempt)
+        with log_messages(work.folder):
+            if not database.without_features(file):
+                forecast.has(FEATURES)
+        if file in self._compared:
+            forecast.has(MATCHING)
+        self._steps([sample], FEATURES, space, total=count)
+        with log_messages(work.folder):
+            found = [number for number in database.features(file) if number]
+        if found:
+            forecast.has_features(sum(found), len(found))
+        self._tell(FEATURES, sample[0], count)  # the forecast learns the pace from it
+        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
+        self._steps(others, FEATURES, space, before=sample[0], total=count)
+
+    def _compare(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
+        """Compare the photos that names join, and those that features and GPS join."""
+        file, parts = work.database(attempt), work.parts(attempt)
+        if work.looks_further(attempt):
+            further = partial(pycolmap_stages.further, work, attempt)
+            parts += self._watch(lambda token: further(), CHOOSING, 0, lambda: 0, lambda: 0)
+            forecast.has_pairs(sum(map(len, parts)))
+        matches = [
+            (len(part), partial(pycolmap_stages.match, work, attempt, part)) for part in parts
+        ]
+        self._steps(matches, MATCHING, pycolmap_stages.space_needed(work, attempt))
+        self._compared.add(file)
+        with log_messages(work.folder):
+            forecast.has_matches(database.matches(file))
+
+    def _steps(
+        self,
+        parts: list[tuple[int, Callable[[Any], None]]],
+        phase: str,
+        space: int,
+        *,
+        before: int = 0,
+        total: int = 0,
+    ) -> None:
+        """Do parts of a phase; each comes with how much of it that is, and may write `space` bytes.
+
+        Args:
+            parts: In their order.
+            phase: Its name.
+            space: Bytes on the disk.
+            before: How much of the phase was done earlier.
+            total: How much there is of it; 0: these parts.
+        """
+        done, under_way = [before], [0]
+
+        def work(token: Any) -> None:
+            for size, part in parts:
+                if self._stopping():
+                    return
+                under_way[0] = size
+                check_space(self._space.folder, space)
+                part(token)
+                done[0] += size
+
+        total = total or sum(size for size, _ in parts)
+        self._watch(work, phase, total, lambda: done[0], lambda: under_way[0])
+
+    def _watch(
+        self,
+        work: Callable[[Any], Any],
+        phase: str,
+        total: int,
+        done: Callable[[], int],
+        under_way: Callable[[], int],
+    ) -> Any:
+        progress = self._counted(phase, total, done())
+        self._tell(phase, done(), total)
+        return run_in_thread(
+            work,
+            self._space.folder,
+            tick=lambda: progress(done(), under_way()),
+            cancelled=self._stopping,
+        )
+
+    def _counted(self, phase: str, total: int, before: int = 0) -> Callable[..., None]:
+        """Tells how far a phase is: how much is done, and how much in one piece under way."""
+        began = time.monotonic()
+
+        def tell(done: int, under_way: int = 0) -> None:
+            own, passed = done - before, time.monotonic() - began
+            eta = passed / own * (total - done) if own else math.nan
+            self._tell(phase, done, total, eta, under_way)
+
+        return tell
+
+    def _tell(
+        self, phase: str, done: int, total: int, eta: float = math.nan, under_way: int = 0
+    ) -> None:
+        forecast, left, share = self._forecast, math.nan, math.nan
+        if forecast is not None:
+            whole = max(total, 1)
+            left = forecast.left(phase, done / whole, under_way / whole)
+            share = forecast.share
+        self._show(
+            SfmProgress(phase=phase, done=done, total=total, eta_s=eta, left_s=left, share=share)
+        )
+
+    def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
+        if not found:
+            return
+        for sentence in masks.write_masks(
+            found, read, self._space.masks,
+            inverted=self._request.invert_masks, cancelled=self._stopping,
+        ):  # fmt: skip
+            self._warn(sentence)
+
+    def _state(self, found: dict[str, Path]) -> dict[str, Any]:
+        """What a stopped search must have in common with this one to be gone on from."""
+        options = asdict(self._request)
+        for name in ("output", "apart", "threads", "mapper", "video"):
+            del options[name]  # these change neither features nor matches
+        return {
+            "pycolmap": colmap().__version__,
+            "options": {name: str(value) for name, value in options.items()},
+            "photos": self._stamps,
+            "masks": [stamp(name, path) for name, path in sorted(found.items())],
+        }
+
+    def _why_none(self, work: Work, attempt: Attempt) -> str:
+        found = database.overlap(work.database(attempt), least=pycolmap_stages.LEAST_MATCHES)
+        return failure_reason(found, {photo.alias: photo.name for photo in work.photos})
+
+    def _publish(
+        self, work: Work, models: list[Any], tried: int, last: Attempt, resumed: bool
+    ) -> SearchResult:
+        names = {photo.alias: photo.name for photo in work.photos}
+        model = models[0]
+        self._adjust(model, database.focal_lengths(work.database(last)))
+        if not is_stable(model):
+            raise DatasetError(self._why_none(work, last))
+        for sentence in self._space.check_photos():
+            self._warn(sentence)
+        gps = self._by_gps(model, work.database(last), names)
+        parts = tuple(model_names(each, names) for each in models)
+        placed = {name for part in parts for name in part}
+        cameras = camera_facts(model)
+        found = SearchResult(
+            output=self._request.output,
+            photos=len(work.photos),
+            registered=len(parts[0]),
+            models=parts,
+            alone=tuple(photo.name for photo in work.photos if photo.name not in placed),
+            blurred=self._named(blurred, work.photos),
+            jumps=self._named(exposure_jumps, work.photos),
+            points=model.num_points3D(),
+            reprojection_px=model.compute_mean_reprojection_error(),
+            track_length=model.compute_mean_track_length(),
+            cameras=cameras,
+            lens=self._lens,
+            in_metres=gps.metres is not None,
+            up=None if gps.up is None else tuple(gps.up.tolist()),
+            attempts=tried,
+            seconds=round(time.monotonic() - self._began, 2),
+            resumed=resumed,
+            warnings=tuple(self._warnings),
+        )
+        self._tell("writing the capture", 0, 0)
+        made_of = (self._request.video or self._request.photos).absolute()
+        record = {"gscore": __version__, MADE_OF: str(made_of)} | found.facts()
+        record["photos_read"] = self._stamps
+        self._space.publish(model, work.photos, strict_json(record), up=gps.up)
+        self._show(
+            SfmDone(
+                photos=found.photos,
+                registered=found.registered,
+                models=len(found.models),
+                points=found.points,
+                reprojection_px=found.reprojection_px,
+                seconds=found.seconds,
+                path=str(found.output),
+            )
+        )
+        return found
+
+    def _named(
+        self, which: Callable[[list[PhotoQuality]], list[int]], read: list[photos.Photo]
+    ) -> tuple[str, ...]:
+        """Names of the photos that stand out among those read."""
+        seen = [(photo.name, photo.look) for photo in read if photo.look is not None]
+        return tuple(seen[i][0] for i in which([look for _, look in seen]))
+
+    def _adjust(self, model: Any, stated: dict[int, tuple[float, bool]]) -> None:
+        may_free = self._request.camera_model == USUAL_LENS
+
+        def work(token: Any) -> AdjustedLens:
+            focal = {number: length for number, (length, _) in stated.items()}
+            return adjust(model, may_free=may_free, expected=focal)
+
+        found = self._watch(work, ADJUSTING, 0, lambda: 0, lambda: 1)
+        if found.before is not None:
+            self._lens = lens_text(found.before, found.after)
+        if found.held:
+            self._warn(focal_text([stated[number] for number in model.cameras]))
+
+    def _by_gps(self, model: Any, file: Path, names: dict[str, str]) -> Gps:
+        """What EXIF tells of the model's world; its unit becomes a metre where that is known."""
+        gps = read_gps(model, database.gps_places(file))
+        to_metres(model, gps)
+        for sentence in gps_text(gps, names):
+            self._warn(sentence)
+        return gps
+
+    def _warn(self, sentence: str) -> None:
+        self._warnings.append(sentence)
+        self._show(Warn(message=sentence))
+
+    def _stopping(self) -> bool:
+        return self._control.stopping

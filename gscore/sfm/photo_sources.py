@@ -1,0 +1,64 @@
+"""What stands in the place of a folder of photos: a video, several sources, photos that are changed
+first; put into the capture before its search, and removed where nothing comes of them."""
+
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from ..control import Control
+from ..datasets.masks import MASK_FOLDER
+from ..errors import DatasetError
+from ..events import Event
+from ..video import is_video
+from .search_request import SearchRequest
+from .staging import is_staged, remove_empty, stage_photos
+from .video_frames import IMAGES, with_frames
+from .workspace import check_without_cameras
+
+
+@contextlib.contextmanager
+def photos_from(
+    request: SearchRequest,
+    sources: Sequence[Path],
+    *,
+    frames: int = 0,
+    on_event: Callable[[Event], None] = lambda event: None,
+    control: Control | None = None,
+) -> Iterator[SearchRequest]:
+    """A block in which the photos of all sources are there; the request that means them.
+
+    Where the block finds that of these photos nothing can be made (DatasetError), what was put into
+    the capture for it is removed. A stopped or killed search keeps it, to go on from.
+
+    Args:
+        request: Its output is the capture.
+        sources: Folders of photos, and videos.
+        frames: Of each video, how many at most; 0: as many as the motion asks for.
+        on_event: Told how far it is.
+        control: Asked whether to stop.
+
+    Raises:
+        As `stage_photos` and `with_frames`.
+    """
+    if not (is_staged(request, sources) or is_video(sources[0])):
+        yield request
+        return
+    capture = request.output
+    check_without_cameras(capture)
+    whole = capture.absolute()
+    made = [p for p in (whole / MASK_FOLDER, whole / IMAGES) if not p.exists()]
+    above = [p for p in (whole, *whole.parents) if not p.exists()]
+    try:
+        if is_staged(request, sources):
+            request = stage_photos(
+                request, sources, frames=frames, on_event=on_event, control=control
+            )
+        else:
+            request = with_frames(request, frames=frames, on_event=on_event, control=control)
+        yield request
+    except DatasetError:
+        for folder in made:
+            shutil.rmtree(folder, ignore_errors=True)
+        remove_empty(above)
+        raise

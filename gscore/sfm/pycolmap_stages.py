@@ -1,0 +1,259 @@
+"""The steps of pycolmap on a database: photos entered, features, matches, a model."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..config import checked_threads
+from ..io.files import atomic_write
+from . import database, gps_scale
+from .bundle_adjustment import may_be_stable
+from .forecast import Forecast, working_cores
+from .matches import match_pairs
+from .pairs import FURTHER_PAIRS, Pair, further_parts, in_parts, is_sequential
+from .photos import LEAST, Photo, by_camera
+from .pycolmap_thread import colmap
+from .search_attempts import Attempt
+from .search_request import SearchRequest
+
+SEED = 0
+"""Of all random choices."""
+LEAST_MATCHES = 15
+"""Matches that fit one geometry without which a pair of photos says nothing; COLMAP's own."""
+LARGEST_SIDE = 3200
+"""Longer side, px, to which photos are scaled for features."""
+_FEW_PHOTOS = 40
+"""Photos up to which there is time for more features in each."""
+_FEATURES, _FEATURES_OF_FEW, _RICH_FEATURES = 3072, 4096, 12288
+_TRIALS = 1000
+"""Samples of a pair's matches at most. COLMAP's own 10,000 take three times as long, for pairs
+without overlap; pairs that 15 or 16 matches join get lost, 0.3 % of all matches."""
+USUAL_FOCAL = 0.9
+"""Focal length against the longer side where EXIF states none: phones have 0.7 to 0.95, kit lenses
+0.75 to 2."""
+_RICH_PEAK = 0.5
+"""Strength of the weakest feature in the rich attempt, against COLMAP's usual one."""
+_PART = 8
+"""Photos whose features are found at a time, at least two a thread: then the database has them."""
+_SAMPLE = 4
+"""Photos, at least one a core, by which it is told how long a search takes."""
+_TRACKS = 200
+"""Tracks a photo that the global mapper begins with, where there are as many; the others join when
+cameras stand. It solves for all in one thread: studio takes 7 CPU s instead of 26, and gets the
+same points and focal length."""
+_BYTES_OF_FEATURE, _DOUBLED, _COPIES = 152, 1.25, 2
+"""What a feature takes in the database, how many more there are than are kept because some point
+two ways, and in how many files they stand until SQLite's log is folded in."""
+_MOST_EXHAUSTIVE = 400
+"""Photos up to which the rich attempt compares all with all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """What the steps work on."""
+
+    request: SearchRequest
+    root: Path
+    """Folder of the photos under their aliases."""
+    photos: list[Photo]
+    masks: Path | None
+    """Folder of masks as COLMAP takes them."""
+    folder: Path
+    """For databases and models."""
+
+    @property
+    def threads(self) -> int:
+        """The number of threads as pycolmap counts: -1 is one a core."""
+        return checked_threads(self.request.threads) or -1
+
+    def database(self, attempt: Attempt) -> Path:
+        """File of the attempt's features and matches."""
+        return self.folder / attempt.database
+
+    def is_sequential(self, attempt: Attempt) -> bool:
+        """Whether photos are compared in their order alone."""
+        few = attempt.rich and len(self.photos) <= _MOST_EXHAUSTIVE
+        by_order = is_sequential(self.request.matching, len(self.photos))
+        return by_order and not (few and self.request.matching == "auto")
+
+    def parts(self, attempt: Attempt) -> list[list[Pair]]:
+        """Pairs of photos to compare, in parts after which work can stop."""
+        return in_parts(self.photos, sequential=self.is_sequential(attempt))
+
+    def looks_further(self, attempt: Attempt) -> bool:
+        """Whether photos that look alike or lie near each other are compared besides."""
+        return self.request.matching == "auto" and self.is_sequential(attempt)
+
+    def pairs_expected(self, attempt: Attempt) -> int:
+        """How many pairs are compared, those that features will tell among them."""
+        further = FURTHER_PAIRS * len(self.photos) if self.looks_further(attempt) else 0
+        return sum(map(len, self.parts(attempt))) + further
+
+    def forecast(self, attempt: Attempt, *, pace: float = 1.0) -> Forecast:
+        """How long an attempt takes; `pace` as an earlier forecast has learned it."""
+        scales = [min(1.0, LARGEST_SIDE / max(p.width, p.height)) for p in self.photos]
+        return Forecast(
+            megapixels=[
+                p.width * p.height * scale**2 / 1e6
+                for p, scale in zip(self.photos, scales, strict=True)
+            ],
+            most=most_features(len(self.photos), rich=attempt.rich),
+            pairs=self.pairs_expected(attempt),
+            threads=self.request.threads,
+            pace=pace,
+        )
+
+
+def enter_photos(work: Work, database: Path) -> None:
+    """Make the database with a row for each photo, one camera for those that share one; where it is
+    there it stays, since it appears under its name only when it is complete."""
+    if database.is_file():
+        return
+    p = colmap()
+    unfinished = database.with_suffix(".new")
+    for old in (unfinished, *(Path(f"{unfinished}-{end}") for end in ("wal", "shm"))):
+        old.unlink(missing_ok=True)
+    p.Database.open(unfinished).close()
+    options = p.ImageReaderOptions(
+        camera_model=work.request.camera_model, default_focal_length_factor=USUAL_FOCAL
+    )
+    for group in by_camera(work.photos):
+        names = [photo.alias for photo in group]
+        p.import_images(unfinished, work.root, p.CameraMode.SINGLE, names, options)
+    if work.request.focal_length:
+        _state_focal(unfinished, work.request.focal_length)
+    unfinished.replace(database)
+
+
+def _state_focal(database: Path, focal: float) -> None:
+    with colmap().Database.open(database) as link:
+        for camera in link.read_all_cameras():
+            params = camera.params
+            params[list(camera.focal_length_idxs())] = focal
+            camera.params, camera.has_prior_focal_length = params, True
+            link.update_camera(camera)
+
+
+def feature_parts(work: Work) -> list[list[str]]:
+    """Aliases of the photos whose features are found at a time; first of some that are spread over
+    all, which tell what the others will be like."""
+    cores = working_cores(checked_threads(work.request.threads))
+    names = [photo.alias for photo in work.photos]
+    sample = names[:: -(-len(names) // max(_SAMPLE, cores))]
+    others = [name for name in names if name not in set(sample)]
+    size = max(_PART, 2 * cores)
+    return [sample, *(others[i : i + size] for i in range(0, len(others), size))]
+
+
+def most_features(photos: int, *, rich: bool) -> int:
+    """Features that are kept of a photo, before those that point two ways are doubled."""
+    if rich:
+        return _RICH_FEATURES
+    return _FEATURES_OF_FEW if photos <= _FEW_PHOTOS else _FEATURES
+
+
+def space_needed(work: Work, attempt: Attempt) -> int:
+    """Bytes that a part of an attempt may write at most: features, in the database and its log."""
+    most = _DOUBLED * most_features(len(work.photos), rich=attempt.rich)
+    photos = max(map(len, feature_parts(work)))
+    return int(_COPIES * photos * most * _BYTES_OF_FEATURE)
+
+
+def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:
+    """Find features in those of the photos that have none in the database yet."""
+    p = colmap()
+    p.set_random_seed(SEED)
+    reading = p.ImageReaderOptions(camera_model=work.request.camera_model)
+    if work.masks is not None:
+        reading.mask_path = work.masks
+    options = p.FeatureExtractionOptions()
+    options.num_threads = work.threads
+    options.max_image_size = LARGEST_SIDE
+    options.sift.max_num_features = most_features(len(work.photos), rich=attempt.rich)
+    if attempt.rich:
+        options.sift.peak_threshold *= _RICH_PEAK
+    p.extract_features(
+        work.database(attempt),
+        work.root,
+        names,
+        p.CameraMode.AUTO,
+        reading,
+        options,
+        p.Device.cpu,
+        token,
+    )
+
+
+def further(work: Work, attempt: Attempt) -> list[list[Pair]]:
+    """Pairs besides those that names tell, once features are there; in parts as theirs."""
+    file = work.database(attempt)
+    known = [pair for part in work.parts(attempt) for pair in part]
+    return further_parts(known, database.descriptors(file), gps_scale.places_in_metres(file))
+
+
+def match(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
+    """Compare those of the pairs that have not been compared in the database yet."""
+    match_pairs(
+        work.database(attempt),
+        pairs,
+        least=LEAST_MATCHES,
+        threads=work.request.threads,
+        cancelled=lambda: token.is_cancelled,
+    )
+    _fit_geometries(work, attempt, pairs, token)
+
+
+def _fit_geometries(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
+    """Find what geometry the matches of pairs fit, where that is not known yet."""
+    p = colmap()
+    p.set_random_seed(SEED)
+    options, checks = p.FeatureMatchingOptions(), p.TwoViewGeometryOptions()
+    options.num_threads = work.threads
+    checks.ransac.random_seed = SEED
+    checks.ransac.max_num_trials = _TRIALS
+    listed = work.folder / "pairs.txt"
+    atomic_write(listed, "".join(f"{a} {b}\n" for a, b in pairs).encode())
+    pairing = p.ImportedPairingOptions(match_list_path=listed, block_size=len(pairs))
+    p.match_image_pairs(work.database(attempt), options, pairing, checks, p.Device.cpu, token)
+
+
+def reconstruct(work: Work, attempt: Attempt, token: Any, on_photo: Any) -> list[Any]:
+    """Models made of the matches, as pycolmap's Reconstruction, the largest first.
+
+    `on_photo` is called for each photo that finds its place; the global mapper places all at once.
+    """
+    p = colmap()
+    p.set_random_seed(SEED)
+    models = work.folder / "models"
+    models.mkdir(exist_ok=True)
+    if attempt.mapper == "global":
+        options = p.GlobalPipelineOptions(min_model_size=LEAST, num_threads=work.threads)
+        options.random_seed = SEED
+        options.mapper.track_required_tracks_per_view = _TRACKS
+        found = p.global_mapping(work.database(attempt), work.root, models, options)
+    else:
+        options = _incremental_options(work, lenient=attempt.lenient)
+        found = p.incremental_mapping(
+            work.database(attempt),
+            work.root,
+            models,
+            options,
+            next_image_callback=on_photo,
+            cancellation_token=token,
+        )
+    kept = [m for m in found.values() if m.num_reg_images() >= LEAST and may_be_stable(m)]
+    return sorted(kept, key=lambda model: (-model.num_reg_images(), -model.num_points3D()))
+
+
+def _incremental_options(work: Work, *, lenient: bool) -> Any:
+    options = colmap().IncrementalPipelineOptions(min_model_size=LEAST, num_threads=work.threads)
+    options.random_seed = SEED
+    if lenient:
+        options.mapper.init_max_forward_motion = 1.0
+        options.mapper.init_min_tri_angle = 4.0
+        options.mapper.init_min_num_inliers = 50
+        options.mapper.abs_pose_min_num_inliers = 20
+        # A lens that is bent by few points bends the whole model: few photos cannot tell it.
+        options.ba_refine_extra_params = False
+        options.mapper.abs_pose_refine_extra_params = False
+    return options

@@ -1,0 +1,44 @@
+"""The settings that are tried one after the other while many photos are left out."""
+
+from dataclasses import dataclass, replace
+
+from .search_request import SearchRequest
+
+ENOUGH = 0.9
+"""Share of the photos in the largest model with which no further attempt is made."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """How cameras are looked for."""
+
+    name: str
+    """Said to people, after "Trying again "."""
+    mapper: str
+    """incremental or global."""
+    lenient: bool = False
+    """The incremental mapper begins with pairs of little parallax too, and takes photos with fewer
+    points."""
+    rich: bool = False
+    """Weaker features too, and more of them; all photos compared."""
+
+    @property
+    def database(self) -> str:
+        """File of the features and matches, which attempts may share."""
+        return "rich.db" if self.rich else "usual.db"
+
+
+_FIRST = Attempt(name="", mapper="global")
+_SECOND = Attempt(
+    name="photo by photo, from pairs with little parallax too", mapper="incremental", lenient=True
+)
+_THIRD = Attempt(name="with more and weaker features", mapper="global", rich=True)
+
+
+def attempts(request: SearchRequest) -> tuple[Attempt, ...]:
+    """What to try, in this order, until one registers `ENOUGH` photos."""
+    if request.mapper == "auto":
+        return _FIRST, _SECOND, _THIRD
+    first = Attempt(name="", mapper=request.mapper)
+    second = replace(first, name=_THIRD.name, rich=True, lenient=True)
+    return first, second

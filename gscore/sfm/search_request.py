@@ -1,0 +1,71 @@
+"""What is asked for: which photos, where the capture goes, and how the work is done."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config import checked_threads
+from ..errors import ConfigError
+from ..io.colmap.camera_models import CAMERA_MODELS
+from ..quoting import quoted
+
+MATCHERS = ("auto", "exhaustive", "sequential")
+"""Values of `SearchRequest.matching`."""
+MAPPERS = ("auto", "incremental", "global")
+"""Values of `SearchRequest.mapper`."""
+
+USUAL_LENS = "SIMPLE_RADIAL"
+"""One focal length and one coefficient: what few photos can tell."""
+
+_LONGEST_FOCAL = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRequest:
+    """Options of a search for cameras.
+
+    Raises:
+        ConfigError: an option has a value that cannot work.
+    """
+
+    photos: Path
+    """Folder of photos, sub-folders too."""
+    video: Path | None = None
+    """The video whose frames the photos are, where they are that."""
+    output: Path
+    """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
+    apart: Path | None = None
+    """A folder of results, in which no photos are looked for."""
+    masks: Path | None = None
+    """Folder of masks; None: `masks` among the photos or beside their folder `images`."""
+    use_masks: bool = True
+    """Whether masks are looked for at all."""
+    invert_masks: bool = False
+    """Masks are white where pixels do not count."""
+    matching: str = "auto"
+    """Which photos are compared: one of `MATCHERS`."""
+    mapper: str = "auto"
+    """Which of COLMAP's mappers: one of `MAPPERS`."""
+    camera_model: str = USUAL_LENS
+    """COLMAP's name of the lens model; the usual one may end as OPENCV where it fits badly."""
+    focal_length: float = 0.0
+    """Of all photos, px, where it is known; 0: from EXIF, else that of a usual lens."""
+    threads: int = 0
+    """CPU threads; 0: one a core."""
+
+    def __post_init__(self) -> None:
+        checked_threads(self.threads)
+        if not 0 <= self.focal_length < _LONGEST_FOCAL:  # False for NaN too
+            raise ConfigError(
+                f"focal_length is {self.focal_length:g}, expected more than 0 and less than "
+                f"{_LONGEST_FOCAL:g} px."
+            )
+        known = [model.name for model in CAMERA_MODELS]
+        for name, value, choices in (
+            ("matching", self.matching, MATCHERS),
+            ("mapper", self.mapper, MAPPERS),
+            ("camera_model", self.camera_model, known),
+        ):
+            if value not in choices:
+                raise ConfigError(
+                    f"{name} is {quoted(value)}, expected one of {', '.join(choices)}."
+                )

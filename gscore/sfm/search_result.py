@@ -1,0 +1,184 @@
+"""What a search for cameras has found: numbers for programs, sentences for people."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..datasets.capture import listing
+from ..datasets.search_record import left_out_text
+from ..quoting import as_typed, brief
+from ..text_format import count_words, number, time_words
+from .gps_scale import Gps
+
+_BLURRED = 1.5
+"""Mean reprojection error, px, above which something is wrong with photos or lens model."""
+_SHORT_TRACKS = 2.7
+"""Photos that show a point, in the mean, below which photos are too few or too far apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchResult:
+    """Cameras and points of the largest model."""
+
+    output: Path
+    """The capture."""
+    photos: int
+    registered: int
+    """Photos that have a camera."""
+    models: tuple[tuple[str, ...], ...]
+    """Names of the photos of every model, the largest first; it alone is kept."""
+    alone: tuple[str, ...]
+    """Photos in no model."""
+    blurred: tuple[str, ...] = ()
+    """Photos with much less detail than the others."""
+    jumps: tuple[str, ...] = ()
+    """Photos much brighter or darker than those beside them."""
+    points: int
+    reprojection_px: float
+    """Mean over the points."""
+    track_length: float
+    """Photos that show a point, in the mean."""
+    cameras: tuple[dict[str, Any], ...]
+    """Model, size and focal length in px of each camera."""
+    lens: str = ""
+    """A sentence where the lens is another than was asked for."""
+    in_metres: bool = False
+    """Whether GPS in EXIF gave the model its size."""
+    up: tuple[float, float, float] | None = None
+    """Up in the model's world, of length 1, by GPS in EXIF; None: the cameras are to tell."""
+    attempts: int
+    """How many settings were tried."""
+    seconds: float
+    resumed: bool
+    """Whether features and matches of a stopped search were used."""
+    warnings: tuple[str, ...]
+
+    def facts(self) -> dict[str, Any]:
+        """Facts for JSON; `models` is their number, `others` the photos of all but the largest."""
+        return vars(self) | {
+            "output": str(self.output),
+            "models": len(self.models),
+            "others": self.models[1:],
+        }
+
+    def lines(self) -> list[str]:
+        """The verdict for people: how good it is, and what to do next."""
+        return [
+            f"{self.output}: {self.registered} of {count_words(self.photos, 'photo')} have a "
+            f"camera, {count_words(self.points, 'point')}",
+            f"  mean reprojection error {self.reprojection_px:.2f} px, each point seen in "
+            f"{self.track_length:.1f} photos, "
+            f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
+            f"{time_words(self.seconds)}",
+            *([f"  {self.lens}"] if self.lens else []),
+            *(
+                [f"  sizes are in metres{', and up is known' if self.up else ''}, by GPS in EXIF"]
+                if self.in_metres
+                else []
+            ),
+            *(f"  {sentence}" for sentence in self._findings()),
+            f"Next: {as_typed('train', self.output, '-o', 'run', '--eval')}",
+        ]
+
+    def _findings(self) -> list[str]:
+        told = left_out_text(self.models[1:], self.alone)
+        if self.blurred:
+            told.append(
+                f"{count_words(len(self.blurred), 'photo is', 'photos are')} blurred against the "
+                f"others: {listing(list(self.blurred))}. Without them splats come out sharper."
+            )
+        if self.jumps:
+            told.append(
+                f"The exposure jumps in {count_words(len(self.jumps), 'photo')}: "
+                f"{listing(list(self.jumps))}. Fix it in the camera, or even the photos out."
+            )
+        if self.reprojection_px > _BLURRED:
+            told.append(
+                "The error is high: photos may be blurred or scaled by different factors, or the "
+                "lens bends more than --camera-model tells; try --camera-model OPENCV."
+            )
+        if self.track_length < _SHORT_TRACKS:
+            told.append(
+                "Few photos show the same points: more photos, closer together, would make "
+                "cameras surer."
+            )
+        return told or ["All is well: every photo has its place."]
+
+
+def model_names(model: Any, names: dict[str, str]) -> tuple[str, ...]:
+    """Names of the photos of pycolmap's Reconstruction, sorted; `names` by alias."""
+    aliases = [model.images[i].name for i in model.reg_image_ids()]
+    return tuple(names[alias] for alias in sorted(aliases))
+
+
+def camera_facts(model: Any) -> tuple[dict[str, Any], ...]:
+    """The cameras of pycolmap's Reconstruction that photos with a place have."""
+    used = sorted({model.images[i].camera_id for i in model.reg_image_ids()})
+    return tuple(
+        {
+            "model": model.cameras[i].model_name,
+            "width": int(model.cameras[i].width),
+            "height": int(model.cameras[i].height),
+            "focal_px": float(model.cameras[i].mean_focal_length()),
+        }
+        for i in used
+    )
+
+
+def attempt_text(best: int, photos: int, name: str) -> str:
+    """The sentence before a further attempt."""
+    had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
+    return f"So far {had} found a place. Trying again {name}."
+
+
+def focal_text(cameras: list[tuple[float, bool]]) -> str:
+    """The sentence on focal lengths that the photos do not tell.
+
+    Args:
+        cameras: The focal length of each in px, and whether it was stated.
+    """
+    lengths = sorted({round(length) for length, _ in cameras})
+    shown = f"{lengths[0]} px" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} px"
+    whence = "stated" if all(stated for _, stated in cameras) else "that of a usual lens"
+    return (
+        "The photos do not tell the focal length: another one fits as well, as where the camera "
+        f"only moves ahead. It is taken as {shown}, {whence}; if you know it better, give it with "
+        "--focal-length."
+    )
+
+
+def lens_text(before: float, after: float) -> str:
+    """The sentence on a lens that fits better than the one asked for; mean errors in px."""
+    return (
+        "The lenses are kept as OPENCV, with two focal lengths and more coefficients: that brought "
+        f"the mean error from {before:.2f} px down to {after:.2f} px."
+    )
+
+
+def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
+    """Sentences on stray places, and on size or up that GPS does not tell; `names` by alias."""
+    if gps.contradicts is not None:
+        return [
+            "GPS in EXIF gives the capture no size and no up: it contradicts the positions of the "
+            f"cameras, by {_length(gps.contradicts)} for a typical photo."
+        ]
+    sentences = []
+    if gps.strays:
+        told = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.strays[:5]]
+        more = ", ..." if len(gps.strays) > len(told) else ""
+        sentences.append(
+            f"GPS in EXIF of {count_words(len(gps.strays), 'photo')} is far from where the others "
+            f"place it, and was not used for size and up: {', '.join(told)}{more}."
+        )
+    if gps.metres is not None and gps.up is None:
+        off = "by any angle" if gps.tilt > 45 else f"by {gps.tilt:.0f} degrees"
+        sentences.append(
+            "GPS in EXIF tells the size of the capture but not what is up: it may be off "
+            f"{off}, because the photos lie near one line or GPS is too coarse for a capture so "
+            "small. Up is taken from the cameras, as people hold them."
+        )
+    return sentences
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.0f} m" if metres < 1000 else f"{metres / 1000:,.0f} km"

@@ -1,0 +1,235 @@
+"""Photos of several sources, or of a kind that is changed first, gathered into `images` of the
+capture that is to be."""
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..control import Control
+from ..datasets.folder import Folder
+from ..datasets.masks import MASK_FOLDER
+from ..errors import Cancelled, ConfigError, DatasetError, GsError
+from ..events import Event, SfmProgress
+from ..io.files import atomic_write, read_bytes, reason
+from ..io.link_or_copy import link_or_copy
+from ..json_text import parse_json
+from ..quoting import brief
+from ..video import ExtractRequest, extract_frames, is_video
+from . import heic, masks
+from .photo_folders import excluded_folders, stamp
+from .photos import list_photos, photo_folder
+from .search_request import SearchRequest
+from .video_frames import IMAGES, check_room
+
+RECORD = "sources.json"
+"""File among the photos that says which sources they are from."""
+_PHASE = "gathering photos"
+
+
+def is_staged(request: SearchRequest, sources: Sequence[Path]) -> bool:
+    """Whether the photos of sources must be put together, or made JPEG, before the search."""
+    if len(sources) > 1:
+        return True
+    (source,) = sources
+    if not source.is_dir() or photo_folder(source).resolve() == (request.output / IMAGES).resolve():
+        return False  # what lies in the capture already stays as it is
+    return has_heic(source)
+
+
+def has_heic(folder: Path) -> bool:
+    """Whether HEIC photos lie there that can be read here."""
+    return bool(heic.readable(list_photos(photo_folder(folder), ())[1])[0])
+
+
+def stage_photos(
+    request: SearchRequest,
+    sources: Sequence[Path],
+    *,
+    frames: int = 0,
+    on_event: Callable[[Event], None] = lambda event: None,
+    control: Control | None = None,
+) -> SearchRequest:
+    """Put all photos and frames into `images` of the capture, and say where to look for cameras.
+
+    Each of several sources gets a folder there, of its own name or with a number behind. Photos are
+    linked where the file system can, HEIC becomes JPEG, masks go into `masks` of the capture. What
+    the same sources gave before stays. The folder appears with one rename.
+
+    Args:
+        request: Its output is the capture; what it says of photos is not read.
+        sources: Folders of photos, and videos.
+        frames: Of each video, how many at most; 0: as many as the motion asks for.
+        on_event: Told how far it is.
+        control: Asked whether to stop.
+
+    Raises:
+        Cancelled: `control` said so; nothing is left behind.
+        ConfigError: sources lie in each other, or the capture's folder holds something else.
+        DatasetError: a source is not there, or holds no photo.
+        FormatError: a photo of a kind that is changed cannot be read.
+        GsError: a video cannot be read, or the photos not be written.
+    """
+    named = _named(sources)
+    place = request.output / IMAGES
+    if place.exists():
+        if (found := staged_photos(request, sources, frames=frames)) is not None:
+            return found
+        raise ConfigError(
+            f"{brief(place)} holds photos of other sources. Choose a new folder with -o, or remove "
+            "that one."
+        )
+    state = _state(request, sources, frames)
+    check_room(request.output)
+    work = request.output.absolute() / f".{IMAGES}.gather"
+    made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
+    try:
+        shutil.rmtree(work, ignore_errors=True)  # of a killed call: it is soon made again
+        (work / IMAGES).mkdir(parents=True)
+        for source, name in named:
+            gathering = _Gathering(request, source, name, work, on_event, control or Control())
+            gathering.run(frames)
+        atomic_write(work / IMAGES / RECORD, json.dumps(state).encode())
+        if (work / MASK_FOLDER).exists():
+            (work / MASK_FOLDER).rename(request.output / MASK_FOLDER)
+        (work / IMAGES).rename(place)
+    except OSError as error:
+        raise GsError(f"Cannot write {brief(place)}: {reason(error)}") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+        if not place.exists():
+            remove_empty(made)
+    return _of_gathered(request, sources)
+
+
+def staged_photos(
+    request: SearchRequest, sources: Sequence[Path], *, frames: int = 0
+) -> SearchRequest | None:
+    """The request for cameras of what the same sources gave before; None where they gave nothing.
+
+    Raises:
+        DatasetError: a source is not there.
+    """
+    state = _state(request, sources, frames)
+    try:
+        there = parse_json(read_bytes(request.output / IMAGES / RECORD))
+    except (GsError, ValueError):
+        return None
+    return _of_gathered(request, sources) if there == state else None
+
+
+def _of_gathered(request: SearchRequest, sources: Sequence[Path]) -> SearchRequest:
+    return replace(request, photos=request.output, video=sources[0])
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    """Remove those of the folders, innermost first, in which nothing lies."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+
+
+class _Gathering:
+    """One source, put into the folder that becomes `images`."""
+
+    def __init__(
+        self,
+        request: SearchRequest,
+        source: Path,
+        name: str,
+        work: Path,
+        show: Callable[[Event], None],
+        control: Control,
+    ) -> None:
+        self._request, self._source, self._name = request, source, name
+        self._work, self._show, self._control = work, show, control
+
+    def run(self, frames: int) -> None:
+        if is_video(self._source):
+            asked = ExtractRequest(video=self._source, output=self._target, frames=frames)
+            extract_frames(asked, on_event=self._show, control=self._control)
+            return
+        root = photo_folder(self._source)
+        photos = _photos(self._request, root)
+        if not photos:
+            raise DatasetError(
+                f"{root} holds no photo. Leave it out, or give the folder of the photos."
+            )
+        asked = self._request.masks if not self._name else None  # one for all is asked for later
+        place = masks.mask_folder(root, asked) if self._request.use_masks else None
+        folder = Folder(place) if place is not None else None
+        for done, name in enumerate(photos, 1):
+            if self._control.stopping:
+                raise Cancelled("Gathering the photos was stopped.")
+            self._put(root / name, name, folder)
+            self._show(SfmProgress(phase=_PHASE, done=done, total=len(photos), eta_s=math.nan))
+
+    @property
+    def _target(self) -> Path:
+        return self._work / IMAGES / self._name
+
+    def _put(self, path: Path, name: str, folder: Folder | None) -> None:
+        changed = heic.is_heic(name)
+        kept = heic.jpeg_name(name) if changed else name
+        target = self._target / kept
+        if changed:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            heic.write_jpeg(path, target)
+        else:
+            link_or_copy(path, target)
+        if folder is not None and (mask := folder.find_mask(name)) is not None:
+            link_or_copy(mask, self._work / MASK_FOLDER / self._name / f"{kept}.png")
+
+
+def _named(sources: Sequence[Path]) -> list[tuple[Path, str]]:
+    """The sources, each with the name of its folder; a single one needs none."""
+    whole = [source.resolve() for source in sources]
+    for i, path in enumerate(whole):
+        for j, other in enumerate(whole):
+            if i != j and path.is_relative_to(other):
+                raise ConfigError(
+                    f"{brief(sources[i])} was given twice."
+                    if path == other
+                    else f"{brief(sources[i])} lies in {brief(sources[j])}: its photos would count "
+                    "twice. Leave it out."
+                )
+    if len(sources) == 1:
+        return [(sources[0], "")]
+    taken: set[str] = set()
+    return [(source, _free(path, taken)) for source, path in zip(sources, whole, strict=True)]
+
+
+def _free(path: Path, taken: set[str]) -> str:
+    """A name that no other source has, also where file systems do not tell cases apart."""
+    own = path.stem if is_video(path) else path.name
+    if own.lower() in (IMAGES, "input") and path.parent.name:
+        own = path.parent.name
+    name, number = own, 1
+    while name.lower() in taken:
+        number += 1
+        name = f"{own}-{number}"
+    taken.add(name.lower())
+    return name
+
+
+def _photos(request: SearchRequest, root: Path) -> list[str]:
+    """Names of the photos of a folder, those that become JPEG too."""
+    names, unread = list_photos(root, excluded_folders(request, root))
+    return names + heic.readable(unread)[0]
+
+
+def _state(request: SearchRequest, sources: Sequence[Path], frames: int) -> dict[str, Any]:
+    """What calls have in common that give the same photos, as JSON values."""
+    return {"sources": [_stamps(request, path) for path in sources], "frames": frames}
+
+
+def _stamps(request: SearchRequest, source: Path) -> list[Any]:
+    if is_video(source):
+        return [stamp(source.name, source)]
+    root = photo_folder(source)
+    return [stamp(name, root / name) for name in _photos(request, root)]

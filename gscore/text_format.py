@@ -1,0 +1,96 @@
+"""Counts, sizes, durations and what a model is worth, as people write them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from .events import ENDED, MASKED_OF, headline_psnr
+
+
+def number_words(value: float | None, digits: int) -> str:
+    """A number with so many decimals."""
+    return "n/a" if value is None else f"{value:.{digits}f}"
+
+
+def number(count: int | None) -> str:
+    """42,691; n/a for None."""
+    return "n/a" if count is None else f"{count:,}"
+
+
+def count_words(count: int, one: str, many: str = "") -> str:
+    """1 view, 42,691 views; with `many` any other words: 1 photo is, 2 photos are."""
+    return f"{number(count)} {one if count == 1 else many or one + 's'}"
+
+
+def size_words(count: int | None) -> str:
+    """Bytes in decimal units: 12.3 MB."""
+    if count is None:
+        return "n/a"
+    for factor, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if count >= factor:
+            return f"{count / factor:.3g} {unit}"
+    return f"{count} B"
+
+
+def time_words(seconds: float | None) -> str:
+    """A duration: 42 s, 3 min 05 s, 1 h 02 min."""
+    if seconds is None:
+        return "n/a"
+    if seconds < 60:
+        return f"{seconds:.3g} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def quality_words(metrics: Mapping[str, Any]) -> str:
+    """PSNR, SSIM and LPIPS of a metrics.json, what a model is judged by first; empty: no PSNR."""
+    if (worth := headline_psnr(metrics)) is None:
+        return ""
+    parts = [f"{psnr_name(metrics)} {worth:.2f} dB"]
+    if "psnr_masked" in metrics and metrics.get("psnr") is not None:
+        parts[0] += f" ({metrics['psnr']:.2f} dB with the pixels outside counted as equal)"
+    if metrics.get("ssim") is not None:
+        parts.append(f"SSIM {metrics['ssim']:.4f}")
+    if metrics.get("lpips") is not None:
+        parts.append(f"LPIPS ({metrics.get('lpips_net') or 'network'}) {metrics['lpips']:.4f}")
+    return ", ".join(parts)
+
+
+def colour_words(metrics: Mapping[str, Any]) -> str:
+    """PSNR once colours are matched, to put behind `quality_words`; empty: it was not measured."""
+    worth = metrics.get("psnr_cc")
+    return "" if worth is None else f", colour-corrected PSNR {worth:.2f} dB"
+
+
+def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
+    """Where the training of a metrics.json was stopped: "stopped after 500 of 1,500 steps"; empty:
+    it was not, or that is not known.
+
+    Args:
+        metrics: Its content.
+        iterations: Steps that were asked for; 0: time was.
+    """
+    reason, steps = metrics.get("reason"), metrics.get("steps")
+    if not reason or reason in ENDED or steps is None or 0 < iterations <= steps:
+        return ""
+    return f"stopped after {step_words(steps, iterations)}"
+
+
+def step_words(steps: int, iterations: int) -> str:
+    """How far a training is: 500 of 1,500 steps; without the second where that is 0."""
+    of = f"{number(steps)} of " if iterations else ""
+    return f"{of}{count_words(iterations or steps, 'step')}"
+
+
+def has_exposure_correction(metrics: Mapping[str, Any]) -> bool:
+    """Whether the training of a metrics.json learnt how each photo was exposed."""
+    return bool((metrics.get("exposure") or {}).get("learnt"))
+
+
+def psnr_name(metrics: Mapping[str, Any]) -> str:
+    """What `headline_psnr` is called: where masks hide pixels, it is that of the others; and where
+    a region alone was trained, of the pixels that look at it."""
+    if "psnr_masked" not in metrics:
+        return "PSNR"
+    return f"PSNR inside the {metrics.get(MASKED_OF, 'masks')}"

@@ -1,0 +1,87 @@
+"""What all ranks must have in common, and the sentence about the first that differs."""
+
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..._version import __version__
+from ...errors import ConfigError, DatasetError
+from ...json_text import parse_json
+from ...raster import backend
+from .process_group import ProcessGroup
+
+
+def versions() -> dict[str, Any]:
+    """What decides about the last bits of a step on this machine, by name."""
+    return {
+        "gscore": __version__,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "instruction set": backend.isa(),
+        "instruction set of torch": torch.backends.cpu.get_cpu_capability(),
+    }
+
+
+def check_equal(team: ProcessGroup, mine: Mapping[str, Any]) -> None:
+    """Compare facts, JSON values by name.
+
+    Raises:
+        ConfigError: some rank has others than rank 0; on all ranks.
+    """
+    first, *others = _told(team, {"facts": dict(mine)})
+    for rank, other in enumerate(others, 1):
+        ours, theirs = first["facts"], other["facts"]
+        for name in sorted(ours.keys() | theirs.keys()):
+            if ours.get(name) != theirs.get(name):
+                team.told = True
+                raise ConfigError(
+                    f"{_name(team, rank)} differs from rank 0 ({team.hosts[0]}) in "
+                    f"{name}: {_shown(theirs, name)} there, {_shown(ours, name)} here. All ranks "
+                    "need the same options, versions and photos."
+                )
+
+
+def check_ready(team: ProcessGroup, error: Exception | None) -> None:
+    """Hear whether all ranks are ready for the first step.
+
+    Args:
+        team: All take part.
+        error: Why this one is not.
+
+    Raises:
+        DatasetError: rank 0 is ready, and the first other that is not is named.
+        Exception: `error`.
+    """
+    told = _told(team, {"error": "" if error is None else str(error) or type(error).__name__})
+    if error is not None:
+        team.told = True
+        raise error
+    for rank, other in enumerate(told):
+        if other["error"]:
+            team.told = True
+            raise DatasetError(f"{_name(team, rank)}: {other['error']}")
+
+
+def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
+    """A number that changes with any bit of them."""
+    found = 0
+    for name in sorted(tensors):
+        data = tensors[name].detach().contiguous()
+        found = zlib.crc32(data.numpy().tobytes() if data.numel() else b"", found)
+    return found
+
+
+def _told(team: ProcessGroup, mine: dict[str, Any]) -> list[dict[str, Any]]:
+    return [parse_json(found) for found in team.texts(json.dumps(mine, default=str))]
+
+
+def _name(team: ProcessGroup, rank: int) -> str:
+    return f"Rank {rank} ({team.hosts[rank]})"
+
+
+def _shown(facts: dict[str, Any], name: str) -> str:
+    return str(facts.get(name, "nothing"))[:80]

@@ -1,0 +1,102 @@
+"""One of the models that are trained side by side, and what goes into a checkpoint of it."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from ..model.checkpoint_schema import as_int, check_tensors
+from ..model.model import Model, Moments
+from .batch_gradients import BatchGradients, gathered_of
+from .process_group import ProcessGroup
+
+_PLACE = re.compile(r"([1-9])/")
+"""What the names of all models but the first begin with in a checkpoint."""
+
+
+class EnsembleMember:
+    """A model with what is kept for its steps. Where there is one, it is all that is trained."""
+
+    def __init__(self, place: int, model: Model, team: ProcessGroup | None) -> None:
+        """`place` is its place among those trained side by side; `team` takes its steps."""
+        self.place = place
+        self.model = model
+        self.batch = BatchGradients(team) if team else None
+        """The gradients of a batch; None: one process trains alone."""
+        self.pruned = 0
+        """Splats taken out so far because there were to be fewer."""
+
+    def of(self, stored: Mapping[str, Any]) -> dict[str, Any]:
+        """What is this member's of the tensors, or of the state, of a checkpoint."""
+        if self.place == 0:
+            return {key: value for key, value in stored.items() if _PLACE.match(key) is None}
+        name = self._name("")
+        found = {key: value for key, value in stored.items() if key.startswith(name)}
+        return {key.removeprefix(name): value for key, value in found.items()}
+
+    def state(self) -> dict[str, Any]:
+        """What is not a tensor, as JSON values."""
+        model = self.model
+        found = {
+            "adam_steps": {name: model.steps(name) for name in model.params},
+            "pruned": self.pruned,
+        }
+        return {self._name(key): value for key, value in found.items()}
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All tensors that its next step depends on, by name; no copies."""
+        model, out = self.model, {}
+        for name, p in model.params.items():
+            moment1, moment2 = model.moments(name)
+            out |= {f"param/{name}": p, f"m1/{name}": moment1, f"m2/{name}": moment2}
+        out |= {"gathered/shN": model.grads["shN"], "drift": model.drift}
+        out |= self.batch.tensors() if self.batch else {}
+        out |= {f"row/{name}": counter for name, counter in model.rows.items()}
+        return {self._name(key): tensor for key, tensor in out.items()}
+
+    def check(self, tensors: Mapping[str, torch.Tensor], like: Model) -> None:
+        """ValueError or KeyError unless those of a checkpoint fit each other and `like`."""
+        check_tensors(self.of(tensors), like)
+
+    def restore(
+        self,
+        state: Mapping[str, Any],
+        tensors: Mapping[str, torch.Tensor],
+        *,
+        rank: int = 0,
+        size: int = 1,
+    ) -> None:
+        """Go on from what `state` and `tensors` of a checkpoint hold of it, as one of `size` ranks;
+        the tensors are taken over.
+
+        Raises:
+            ValueError, KeyError: they are not what those return.
+        """
+        mine, stated = self.of(tensors), self.of(state)
+        steps = stated["adam_steps"]
+        self.pruned = as_int("pruned", stated["pruned"])
+        gathered = gathered_of(mine, rank, size)
+        names = list(self.model.params)
+        moments = {
+            name: Moments(
+                mine[f"m1/{name}"],
+                mine[f"m2/{name}"],
+                as_int(f"adam_steps of {name}", steps[name]),
+                gathered if name == "shN" else None,
+            )
+            for name in names
+        }
+        if self.batch:
+            self.batch.forget()
+        self.model = Model({name: mine[f"param/{name}"] for name in names}, moments)
+        self.model.rows = {k.removeprefix("row/"): t for k, t in mine.items() if k[:4] == "row/"}
+        self.model.drift = mine["drift"]
+
+    def _name(self, key: str) -> str:
+        return f"{self.place}/{key}" if self.place else key
+
+
+def count_members(tensors: Mapping[str, Any]) -> int:
+    """How many models the tensors of a checkpoint are of."""
+    return 1 + max((int(found[1]) for key in tensors if (found := _PLACE.match(key))), default=0)

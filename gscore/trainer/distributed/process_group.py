@@ -1,0 +1,291 @@
+"""The processes that torchrun started for one training: the only file that speaks with others.
+
+What is said are numbers and JSON, never objects. A process that is gone is noticed by its closed
+connection; how long one may take is left to the user, as a pause is.
+"""
+
+import json
+import os
+import platform
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
+from types import TracebackType
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...errors import ConfigError, GsError
+from ...json_text import parse_json
+from ...raster.memory import empty
+from . import rank_commands
+from .scratch_buffer import ScratchBuffer
+
+_PATIENCE = timedelta(days=7)
+"""Rank 0 may be paused, or measure, while the others wait."""
+_MEETING = timedelta(minutes=10)
+"""For ranks to meet: those of a start come together, and who does not come has failed."""
+_DTYPES = {
+    str(dtype): dtype
+    for dtype in (torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8)
+}
+_LETTER = 120
+"""Bytes that go with their number; orders of a step are shorter, so ranks meet once for them."""
+_WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
+_ENDED = "gscore ended"
+_RESTARTS = "TORCHELASTIC_RESTART_COUNT"
+_Found = TypeVar("_Found")
+
+
+class RankLostError(GsError):
+    """Another process is gone, or does not answer."""
+
+
+def world_size() -> int:
+    """How many processes train together: what torchrun says in the environment; 1: this one alone.
+
+    Raises:
+        ConfigError: it says something else than numbers.
+    """
+    return _number(_WORLD, 1) if _RANK in os.environ else 1
+
+
+def restarted() -> bool:
+    """Whether torchrun started this again because a process was lost."""
+    return world_size() >= 1 and _number(_RESTARTS, 0) > 0
+
+
+def threads_of_rank(cores: int) -> int:
+    """CPU threads for each of the processes of this machine, which has so many cores."""
+    return max(1, cores // _number(_LOCAL, 1))
+
+
+def _number(name: str, default: int) -> int:
+    text = os.environ.get(name, str(default))
+    if not text.isascii() or not text.isdigit():
+        raise ConfigError(f"The environment variable {name} must be a number, got {text[:40]!r}.")
+    return int(text)
+
+
+class ProcessGroup:
+    """All ranks of a training, as one of them sees them. A context: at its end they part."""
+
+    def __init__(self) -> None:
+        """Meet the others.
+
+        Raises:
+            ConfigError: the environment says something else than numbers.
+            GsError: they cannot be reached.
+        """
+        import torch.distributed as dist
+
+        self.rank = _number(_RANK, 0)
+        """Number of this process, from 0."""
+        self.size = world_size()
+        """How many there are."""
+        self.sent = 0
+        """Bytes of rows that this process has sent to others."""
+        self._waited = 0.0
+        self.batches = 0
+        """Steps that this process has taken with the others."""
+        self.account = (0.0, 0.0, 0.0)
+        """What this process did in all steps but one that is under way: bytes it has sent, seconds
+        it has worked, and seconds it has sent and waited for others."""
+        self.accounts = np.zeros((self.size, 3))
+        """[size, 3] `account` of each rank, before the last step."""
+        self.in_step = False
+        """Whether the others may be waiting for numbers of this one."""
+        self.told = False
+        """Whether the others know that nothing follows."""
+        self._dist = dist
+        try:
+            # torch documents both names, but does not list them as exported.
+            meeting = dist.rendezvous("env://", timeout=_MEETING)  # pyright: ignore[reportPrivateImportUsage]
+            self._kept = store = next(meeting)[0]
+            self.ended = store.check([_ENDED])
+            """Whether the work was ended before torchrun started this again: a rank was lost on
+            its way out."""
+            # torchrun keeps the addresses of ranks that died; each start has a room of its own.
+            room = f"gscore {_number(_RESTARTS, 0)}"
+            store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
+            self._store = store
+            dist.init_process_group(
+                "gloo", store=store, rank=self.rank, world_size=self.size, timeout=_PATIENCE
+            )
+        except (RuntimeError, ValueError) as error:
+            where = f"{os.environ.get('MASTER_ADDR', '?')}:{os.environ.get('MASTER_PORT', '?')}"
+            raise GsError(
+                f"Rank {self.rank} ({platform.node()}) cannot meet the others at {where}: "
+                f"{_first_line(error)} Look at --master-addr, --master-port or --rdzv-endpoint of "
+                "torchrun, and at GLOO_SOCKET_IFNAME, the network to use."
+            ) from error
+        self.hosts = self.texts(platform.node())
+        """The names of the ranks' machines."""
+
+    def __enter__(self) -> "ProcessGroup":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._dist.is_initialized():
+            self._dist.destroy_process_group()
+
+    @property
+    def is_rank0(self) -> bool:
+        """Whether this is rank 0, which decides, writes and tells."""
+        return self.rank == 0
+
+    @contextmanager
+    def stepping(self) -> Iterator[None]:
+        """A piece of work in which all ranks wait for each other."""
+        self.in_step = True
+        sent, waited, began = self.sent, self._waited, time.perf_counter()
+        yield
+        self.in_step = False
+        self.batches += 1
+        waited = self._waited - waited
+        worked = time.perf_counter() - began - waited
+        before = self.account
+        self.account = (before[0] + self.sent - sent, before[1] + worked, before[2] + waited)
+
+    def take_turn(self) -> int:
+        """A number that no other rank gets: 0, 1 and so on, in the order in which ranks ask.
+
+        Raises:
+            RankLostError: nobody counts any more.
+        """
+        return self._together(lambda: self._store.add("turn", 1)) - 1
+
+    def note_end(self) -> None:
+        """Let those that torchrun may start again know that nothing is left to do."""
+        self._together(lambda: self._kept.set(_ENDED, "1"))
+
+    def broadcast(self, order: Mapping[str, Any]) -> None:
+        """Rank 0 tells the others what comes next, as JSON values; of others, nothing is done."""
+        if self.is_rank0:
+            self._broadcast(json.dumps(order).encode())
+
+    def shutdown(self, *, failed: bool = False) -> None:
+        """Rank 0 tells the others that it needs them no more, if they do not know that."""
+        if not (self.told or self.in_step):
+            self.told = True
+            self.broadcast(rank_commands.end(failed=failed))
+
+    def receive(self) -> dict[str, Any]:
+        """What rank 0 said; the others wait for it."""
+        return parse_json(self._broadcast(b""))
+
+    def all_gather(self, mine: Sequence[float]) -> np.ndarray:
+        """[size, K] float64: the K numbers of each rank."""
+        return np.stack([part.numpy() for part in self._all(_tensor(mine))])
+
+    def texts(self, mine: str) -> list[str]:
+        """The text of each rank."""
+        letters = torch.tensor(list(mine.encode()), dtype=torch.int32, device="cpu")
+        return [
+            bytes(part.flatten().tolist()).decode()
+            for part in self.rows(letters[:, None], ScratchBuffer())
+        ]
+
+    def rows(
+        self, mine: Tensor, room: ScratchBuffer, *, told: np.ndarray | None = None
+    ) -> list[Tensor]:
+        """The rows of each rank: `mine` is [M, K] int32, M may differ. Those of others lie in
+        `room`; `told` as in `swap`."""
+        others = [0 if rank == self.rank else 1 for rank in range(self.size)]
+        copies = mine if self.size == 2 else mine.repeat(self.size - 1, 1)
+        found = self.all_to_all(copies, [len(mine) * other for other in others], room, told=told)
+        return [part if other else mine for part, other in zip(found, others, strict=True)]
+
+    def all_to_all(
+        self,
+        mine: Tensor,
+        sizes: Sequence[int],
+        room: ScratchBuffer,
+        *,
+        told: np.ndarray | None = None,
+    ) -> list[Tensor]:
+        """Give rank r its `sizes[r]` rows of `mine`, [M, K] int32, those of rank 0 first; what each
+        rank gave to this one, in `room`.
+
+        `told`: [size, size] `sizes` of each rank, where they know them; None: they are asked.
+        """
+        told = self.all_gather(sizes) if told is None else told
+        counts = told[:, self.rank].astype(int).tolist()
+        found = room.of(sum(counts), mine.shape[1])
+        self.sent += (len(mine) - sizes[self.rank]) * mine.shape[1] * mine.element_size()
+        self._together(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))
+        return list(found.split(counts))
+
+    def to_first(self, mine: Tensor) -> list[Tensor]:
+        """On rank 0 the tensors of the others, as large as its own; on these, nothing."""
+        found = [torch.empty_like(mine) for _ in range(self.size)] if self.is_rank0 else None
+        if mine.numel():
+            self._together(lambda: self._dist.gather(mine.contiguous(), found, dst=0))
+        return found[1:] if found else []
+
+    def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+        """The tensors of rank 0 by name; the others give None."""
+        if tensors is not None:
+            tensors = {name: t.contiguous() for name, t in tensors.items()}
+            head = {name: [str(t.dtype), list(t.shape)] for name, t in tensors.items()}
+            self._broadcast(json.dumps(head).encode())
+        else:
+            head = parse_json(self._broadcast(b""))
+            tensors = {name: empty(*s, dtype=_DTYPES[dtype]) for name, (dtype, s) in head.items()}
+        for tensor in tensors.values():
+            if tensor.numel():
+                self._together(lambda data=tensor: self._dist.broadcast(data, src=0))
+        return dict(tensors)
+
+    def _all(self, mine: Tensor) -> list[Tensor]:
+        found = [torch.empty_like(mine) for _ in range(self.size)]
+        if mine.numel():
+            self._together(lambda: self._dist.all_gather(found, mine.contiguous()))
+        return found
+
+    def _broadcast(self, data: bytes) -> bytes:
+        """What rank 0 gives to all: its length and first bytes at once, then what is left."""
+        letter = bytearray(struct.pack("<q", len(data)) + data[:_LETTER]).ljust(8 + _LETTER)
+        first = torch.frombuffer(letter, dtype=torch.uint8)
+        self._together(lambda: self._dist.broadcast(first, src=0))
+        length = struct.unpack_from("<q", letter)[0]
+        rest = bytearray(data[_LETTER:]) if self.is_rank0 else bytearray(max(length - _LETTER, 0))
+        if rest:
+            more = torch.frombuffer(rest, dtype=torch.uint8)
+            self._together(lambda: self._dist.broadcast(more, src=0))
+        return bytes(letter[8 : 8 + length] + rest)
+
+    def _together(self, call: Callable[[], _Found]) -> _Found:
+        """What `call` returns once the others have done their part.
+
+        Raises:
+            RankLostError: the others cannot be heard any more.
+        """
+        began = time.perf_counter()
+        try:
+            return call()
+        except RuntimeError as error:
+            raise RankLostError(
+                "A rank of this training is gone; torchrun says above or below which, and why. "
+                "With --max-restarts torchrun goes on from the last checkpoint by itself, else the "
+                f"same command with --resume does. ({_first_line(error)})"
+            ) from error
+        finally:
+            self._waited += time.perf_counter() - began
+
+
+def _tensor(numbers: Sequence[float]) -> Tensor:
+    return torch.from_numpy(np.asarray(numbers, np.float64))
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0][:200]

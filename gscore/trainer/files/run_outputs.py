@@ -1,0 +1,224 @@
+"""Writes what a run leaves behind, each file completely or not at all."""
+
+import argparse
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from ...config import Background, DataConfig
+from ...config_file import config_json
+from ...io.block_record import RUN_BLOCK, read_block
+from ...io.cameras_json import write_cameras
+from ...io.exposure_json import EXPOSURE_FILE, write_exposures
+from ...io.images.read_image import write_png
+from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
+from ...io.poses_json import POSES_FILE, write_poses
+from ...io.runs import snapshots_in
+from ...metrics import Course, Evaluation, Metrics
+from ...raster import backend
+from ...report import PictureCollector, cameras_section, splat_histograms, write_results
+from ..depth.report import DepthReport
+from ..distributed.process_group import ProcessGroup
+from ..evaluation import Evaluator
+from ..stopping.progress_meter import ProgressMeter
+from ..trainer import Trainer
+from ..views.photo_poses import PhotoPoses
+from ..views.pose_math import pose_distances
+from .run_folder import RunFolder
+
+_SNAPSHOTS_KEPT = 2
+
+
+class RunOutputs:
+    """The files of one run."""
+
+    def __init__(self, trainer: Trainer, folder: RunFolder, data: DataConfig) -> None:
+        self._trainer = trainer
+        self._folder = folder
+        self._data = data
+
+    @property
+    def threads(self) -> int:
+        """Threads that the rasterizer uses."""
+        return self._trainer.config.threads or backend.default_threads()
+
+    def write_inputs(self) -> None:
+        """Options and cameras, known before the first step."""
+        folder, config = self._folder, self._trainer.config
+        folder.write_text("config.json", config_json(self._data, config))
+        if (block := read_block(self._data.source)) is not None:
+            block.write(folder.path, RUN_BLOCK)
+        write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
+        # Viewers of the 3DGS authors look here for the SH degree and the background.
+        arguments = argparse.Namespace(
+            sh_degree=config.sh_degree,
+            source_path=str(self._data.source.resolve()),
+            model_path=str(folder.path.resolve()),
+            images=self._data.images,
+            resolution=self._data.resolution,
+            white_background=config.background is Background.WHITE,
+            data_device="cpu",
+            eval=self._data.eval,
+        )
+        folder.write_text("cfg_args", repr(arguments))
+
+    def write_splats(self, path: Any) -> None:
+        """The splats as they are now, in COLMAP world."""
+        trainer = self._trainer
+        # Viewers that know the mark compensate opacities as the training did.
+        comments = (MIP_COMMENT,) if trainer.config.antialias else ()
+        origin = trainer.photos.scene.cameras.origin
+        comments += () if origin is None else (origin_comment(origin),)
+        write_splat_parts(
+            path,
+            trainer.parts(),
+            count=trainer.splat_count,
+            sh_degree=trainer.model.sh_degree,
+            comments=comments,
+        )
+
+    def write_snapshot(self) -> Any:
+        """The splats as they are now for a front end to show; the last two are kept."""
+        path = self._folder.snapshot(self._trainer.steps)
+        self.write_splats(path)
+        for old in list(snapshots_in(self._folder.path).values())[:-_SNAPSHOTS_KEPT]:
+            old.unlink(missing_ok=True)
+        return path
+
+    def write_preview(self, picture: np.ndarray) -> Any:
+        """A picture, [H, W, 3] float."""
+        path = self._folder.preview(self._trainer.steps)
+        write_png(path, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
+        return path
+
+    def write_summary(
+        self,
+        evaluation: Evaluation | None,
+        *,
+        evaluator: Evaluator,
+        collector: PictureCollector,
+        meter: ProgressMeter,
+        evals: list[dict[str, Any]],
+        warnings: list[str],
+        depth: DepthReport | None = None,
+        photo_parameters: dict[str, Any] | None = None,
+        decided: Sequence[str] = (),
+        asked: Mapping[str, int] | None = None,
+        reason: str,
+    ) -> dict[str, Any]:
+        """report.html and metrics.json; `evaluation` and `depth` are None if there was none,
+        `learnt` is of `write_learnt`.
+
+        `decided` are sentences on what the run decided by itself, `asked` is what was asked for of
+        the options that photos limited, `reason` is why training ended.
+        """
+        trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
+        names = photos.scene.cameras.names
+        course = Course(
+            steps=trainer.steps,
+            train_seconds=meter.train_seconds,
+            reason=reason,
+            trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+            history=meter.history,
+            evals=evals,
+            models=trainer.plan.models if trainer.plan.models > 1 else None,
+            depth=None if depth is None else depth.numbers,
+            ranks=_of_ranks(trainer.team),
+            decided=list(decided) or None,
+            asked=dict(asked or {}) or None,
+            **(photo_parameters or {}),
+        )
+        stopped = Evaluation.none("training was stopped before its evaluation")
+        metrics = Metrics(
+            evaluation=evaluation or stopped,
+            split=evaluator.split,
+            train_views=[names[i] for i in photos.train],
+            test_views=[names[i] for i in photos.test],
+            mask_mode=photos.mask_mode,
+            background=trainer.renderer.background,
+            splats=trainer.splat_count,
+            sh_degree=trainer.model.sh_degree,
+            storage_bytes=folder.point_cloud.stat().st_size,
+            isa=backend.isa(),
+            threads=self.threads,
+            course=course,
+        )
+        return write_results(
+            folder.path,
+            metrics,
+            data=self._data,
+            run=folder.path,
+            trained=(self._data, trainer.config),
+            resolved=_resolved(trainer),
+            views=collector.views if evaluation else (),
+            warnings=warnings,
+            depth=None if depth is None else depth.section,
+            cameras=cameras_section(self._data.source, photos.scene),
+            histograms=splat_histograms(trainer.parts()),
+        )
+
+    def write_photo_parameters(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:
+        """exposure.json and poses.json, of what was learnt of the photos; for metrics.json what.
+
+        Args:
+            exposure: What was found of the photos' exposure; None: nobody asked.
+            poses: Why cameras were moved.
+        """
+        trainer, found = self._trainer, {}
+        if exposure is not None:
+            found["exposure"] = exposure | {"learnt": trainer.photo_parameters.gains is not None}
+        gains, names = trainer.photo_parameters.gains, trainer.photos.scene.cameras.names
+        if gains is not None:
+            values = np.exp(gains.log_gains)
+            by_name = {names[i]: values[i] for i in trainer.photos.train}
+            write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
+        if trainer.photo_parameters.poses is not None:
+            found["poses"] = {
+                "why": poses,
+                "cameras": self._write_poses(trainer.photo_parameters.poses),
+            }
+        return found
+
+    def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:
+        """poses.json; how far each training camera moved from where the capture has it."""
+        frame, photos = self._trainer.frame, self._trainer.photos
+        cameras, train = photos.scene.cameras, list(photos.train)
+        now = replace(cameras, viewmats=poses.viewmats)
+        viewmats = frame.similarity.cameras_from_training(now).viewmats[train]
+        turned, moved = pose_distances(viewmats, cameras.viewmats[train])
+        degrees, names = np.degrees(turned), [cameras.names[i] for i in train]
+        path = self._folder.path / POSES_FILE
+        write_poses(path, names, viewmats, degrees, moved, origin=cameras.origin)
+        extents = moved * frame.similarity.scale / frame.extent
+        return {
+            name: {"degrees": float(degrees[i]), "extents": float(extents[i])}
+            for i, name in enumerate(names)
+        }
+
+
+def _resolved(trainer: Trainer) -> dict[str, Any]:
+    """The trainer's plan under the names of the options, rates as they are applied."""
+    values = asdict(trainer.plan)
+    del values["stages"], values["kept"]  # made of several options
+    values["ensemble"] = values.pop("models")
+    values["max_splats"] = trainer.config.max_splats  # those of each model are its share
+    values["means_lr"], values["means_lr_final"] = values["means_lr"]
+    return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}
+
+
+def _of_ranks(team: ProcessGroup | None) -> dict[str, Any] | None:
+    """What a batch took of the network, as rank 0 has it; None: one process alone."""
+    if team is None or team.batches < 2:
+        return None
+    before = team.batches - 1  # what the others have told is of all batches but the last
+    sent, worked, waited = (team.accounts / before).T.tolist()
+    return {
+        "count": team.size,
+        "batches": team.batches,
+        "sent_bytes_per_batch": [round(n) for n in sent],
+        "worked_seconds_per_batch": worked,
+        "waited_seconds_per_batch": waited,
+    }

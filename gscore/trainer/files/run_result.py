@@ -1,0 +1,105 @@
+"""How a run ended: what `train` returns, and the same of a run that has nothing left to do."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...config import DataConfig, TrainConfig
+from ...config_file import config_json
+from ...events import ENDED, FINISHED, Done, headline_psnr
+from ...io.block_record import RUN_BLOCK, read_block
+from ...io.files import read_bytes
+from ...io.metrics_file import read_metrics
+from ...io.ply.splats import read_ply
+from ...metrics import headline
+from ...splats import Splats
+from .checkpoint import Checkpoint
+from .run_folder import RunFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainResult:
+    """How a run ended."""
+
+    reason: str
+    """`finished`; `target` or `converged`: it ended before its last step; or why it was stopped."""
+    steps: int
+    splats: Splats
+    """In COLMAP world, as written to point_cloud.ply."""
+    train_seconds: float
+    """Spent in steps, without evaluation, files and pauses."""
+    metrics: dict[str, Any]
+    """Content of metrics.json."""
+    output: Path
+    ended_before: bool = False
+    """It was to go on but had ended already, so that nothing was done."""
+
+    @property
+    def psnr(self) -> float | None:
+        """What the model is judged by, dB: `gscore.judged_psnr` of the metrics."""
+        return headline_psnr(self.metrics)
+
+    @property
+    def headline(self) -> dict[str, Any]:
+        """The metrics without what is long: what `--json` prints and `Done` tells."""
+        long = ("history", "evals")
+        return {k: v for k, v in headline(self.metrics).items() if k not in long}
+
+    def event(self) -> Done:
+        """The last event of a run."""
+        return Done(
+            step=self.steps,
+            reason=self.reason,
+            splats=len(self.splats),
+            train_seconds=self.train_seconds,
+            path=str(RunFolder(self.output).point_cloud),
+            metrics=self.headline,
+        )
+
+
+def finished_run(
+    folder: RunFolder, last: Checkpoint, config: TrainConfig, data: DataConfig
+) -> TrainResult | None:
+    """The result of the run in `folder` if nothing is left to do and nothing else is asked for.
+
+    Args:
+        folder: Of the run.
+        last: Its last checkpoint.
+        config: What is asked for now.
+        data: The same.
+
+    Returns:
+        What the training returned then; None: there are steps left, results are missing, or an
+        option is not what it was.
+    """
+    metrics = read_metrics(folder.path)
+    if metrics.get("steps") != last.steps or metrics.get("psnr") is None:
+        return None
+    reason = _reason(metrics, last, config)
+    if reason not in ENDED or not folder.point_cloud.is_file() or not folder.config.is_file():
+        return None
+    if read_bytes(folder.config) != config_json(data, config).encode():
+        return None
+    if not _same_block(folder.path, data.source):
+        return None
+    return TrainResult(
+        reason=reason,
+        steps=last.steps,
+        splats=read_ply(folder.point_cloud),
+        train_seconds=float(metrics.get("train_seconds") or 0.0),
+        metrics=metrics,
+        output=folder.path,
+        ended_before=True,
+    )
+
+
+def _same_block(run: Path, source: Path) -> bool:
+    """Whether a run was trained on what is in `source` now, where that is a block."""
+    was, now = read_block(run, RUN_BLOCK), read_block(source)
+    return was is None or (now is not None and now.is_cell_of(was))
+
+
+def _reason(metrics: dict[str, Any], last: Checkpoint, config: TrainConfig) -> str:
+    """Why the run ended; `gscore eval` writes metrics.json without it."""
+    whole = not config.time_budget and last.steps == config.iterations
+    return str(metrics.get("reason") or (FINISHED if whole else ""))

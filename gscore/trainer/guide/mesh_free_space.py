@@ -1,0 +1,78 @@
+"""Space that a guide keeps free: what lies between a training camera and the mesh it sees."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from ...scene import Cameras
+from ...transforms import Similarity
+from .mesh_views import MeshView
+
+_SIDE = 400
+"""Cells along the longer side of a photo in which it is looked up where a mesh begins."""
+_MARGIN = 0.05
+"""Share of the depth of a mesh, before it, that still counts as its surface."""
+
+
+class _View(NamedTuple):
+    """Where a mesh begins before one camera, training world."""
+
+    projection: torch.Tensor
+    """[3, 4] float32, K times the upper rows of the view matrix, in cells."""
+    begins: torch.Tensor
+    """[H', W'] float32, depth from which on something may stand; 0: from the camera on."""
+
+
+class MeshFreeSpace:
+    """The space between training cameras and a mesh, training world."""
+
+    def __init__(
+        self, views: Sequence[MeshView | None], cameras: Cameras, similarity: Similarity
+    ) -> None:
+        """Of `views`, by index of `cameras` [C], both in the world of the capture."""
+        moved = similarity.cameras_to_training(cameras)
+        self._views = [
+            _of_view(view.inverse_depth, moved.Ks[i] @ moved.viewmats[i, :3], similarity.scale)
+            for i, view in enumerate(views)
+            if view is not None
+        ]
+
+    def holds(self, means: torch.Tensor) -> torch.Tensor:
+        """[N] bool: which of `means` [N, 3] lie in it, as seen from at least one camera."""
+        inside = means.new_zeros(len(means), dtype=torch.bool)
+        for view in self._views:
+            inside |= _before(view, means)
+        return inside
+
+
+def _of_view(inverse_depth: np.ndarray, projection: np.ndarray, scale: float) -> _View:
+    """A view [H, W] in cells: each is free up to the nearest that the mesh comes in it and around
+    it, where the mesh covers all of that."""
+    cell = -(-max(inverse_depth.shape) // _SIDE)
+    rows, columns = (-(-side // cell) for side in inverse_depth.shape)
+    padded = np.zeros((rows * cell, columns * cell), np.float32)
+    padded[: inverse_depth.shape[0], : inverse_depth.shape[1]] = inverse_depth
+    cells = padded.reshape(rows, cell, columns, cell)
+    nearest, farthest = cells.max(axis=(1, 3)), cells.min(axis=(1, 3))
+    around = np.pad(nearest, 1, mode="edge"), np.pad(farthest, 1)
+    nearest, farthest = (np.lib.stride_tricks.sliding_window_view(part, (3, 3)) for part in around)
+    nearest, covered = nearest.max(axis=(2, 3)), farthest.min(axis=(2, 3)) > 0
+    begins = np.where(covered, scale * (1 - _MARGIN) / np.where(covered, nearest, 1), 0)
+    return _View(
+        torch.from_numpy((np.diag([1 / cell, 1 / cell, 1]) @ projection).astype(np.float32)),
+        torch.from_numpy(begins.astype(np.float32)),
+    )
+
+
+def _before(view: _View, means: torch.Tensor) -> torch.Tensor:
+    """[N] bool: which of `means` [N, 3] lie before the mesh of a view."""
+    x, y, z = torch.addmm(view.projection[:, 3], means, view.projection[:, :3].T).T
+    height, width = view.begins.shape
+    u, v = x / z, y / z
+    inside = (z > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    found = torch.zeros_like(inside)
+    rows = inside.nonzero().flatten()
+    found[rows] = z[rows] < view.begins[v[rows].long(), u[rows].long()]
+    return found

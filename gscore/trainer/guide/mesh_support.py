@@ -1,0 +1,139 @@
+"""What structure from motion saw where photos see a mesh: whether the mesh is there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...datasets import Dataset
+from ...datasets.tracks import tracks_of
+from .mesh_views import MeshView
+
+ON_MESH = 0.05
+"""Relative difference of depth up to which a point lies on a mesh."""
+FEW = 50
+"""MeshSightings of points below which nothing is said of them."""
+_JUDGES, _REACH = 3, 0.1
+"""A pixel is judged by so many sightings at most, those nearest to it in the photo and within this
+share of its longer side."""
+_COLUMNS = 400
+"""Of the grid on which pixels are judged."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshSupport:
+    """The points that one photo saw where it sees the mesh."""
+
+    pixels: np.ndarray
+    """[M, 2] float64."""
+    ratios: np.ndarray
+    """[M] float64, depth of the point over that of the mesh."""
+
+    @property
+    def on(self) -> np.ndarray:
+        """[M] bool: which lie on the mesh."""
+        return np.abs(self.ratios - 1) <= ON_MESH
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshSupportTotals:
+    """How many sightings in all photos lie where."""
+
+    on: int
+    before: int
+    behind: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.on + self.before + self.behind
+
+    def __str__(self) -> str:
+        if self.total < FEW:
+            return "hardly a point of the capture is seen where it is"
+        shares = [f"{part / self.total:.0%}" for part in (self.on, self.before, self.behind)]
+        return (
+            f"of the points seen there {shares[0]} lie on it within {ON_MESH:.0%}, {shares[1]} "
+            f"before it and {shares[2]} behind it"
+        )
+
+
+def measure_mesh_support(
+    views: Sequence[MeshView | None], photos: Dataset
+) -> list[MeshSupport | None]:
+    """Compare a mesh with the points that each photo saw, by index of the view.
+
+    None where a photo does not see the mesh, and throughout where the capture does not say which
+    points its photos saw: others may be hidden by the mesh.
+    """
+    known, cameras = tracks_of(photos), photos.scene.cameras
+    found: list[MeshSupport | None] = [None] * len(views)
+    for index, view in enumerate(views):
+        if view is None or known is None:
+            continue
+        local = known.points[known.seen[index]] @ cameras.viewmats[index, :3, :3].T
+        local += cameras.viewmats[index, :3, 3]
+        x, y, z = (local[local[:, 2] > 0] @ cameras.Ks[index].T).T
+        height, width = view.inverse_depth.shape
+        inside = (x >= 0) & (y >= 0) & (x < width * z) & (y < height * z)
+        pixels, z = np.stack([x, y], axis=1)[inside] / z[inside, None], z[inside]
+        at = pixels.astype(np.int64)
+        ratios = z * view.inverse_depth[at[:, 1], at[:, 0]]  # 0 where the mesh is not
+        found[index] = MeshSupport(pixels=pixels[ratios > 0], ratios=ratios[ratios > 0])
+    return found
+
+
+def total_support(found: Sequence[MeshSupport | None]) -> MeshSupportTotals:
+    """Of all photos together."""
+    known = [one for one in found if one is not None]
+    ratios = np.concatenate([one.ratios for one in known]) if known else np.zeros(0)
+    return MeshSupportTotals(
+        on=int((np.abs(ratios - 1) <= ON_MESH).sum()),
+        before=int((ratios < 1 - ON_MESH).sum()),
+        behind=int((ratios > 1 + ON_MESH).sum()),
+    )
+
+
+def weighted_views(
+    views: Sequence[MeshView | None], found: Sequence[MeshSupport | None]
+) -> list[MeshView | None]:
+    """The views, trusted as far as sightings have it: a pixel counts by the share of those around
+    it that lie on the mesh.
+
+    What stands before a mesh, and what is seen through it, is known by its points, so that a floor
+    needs no hole where a vase stands on it. Where there are none a mesh counts by how seldom it
+    hides points in all photos together, so that one in the wrong place does less harm.
+    """
+    said = total_support(found)
+    elsewhere = said.on / (said.on + said.behind) if said.on + said.behind >= FEW else 1.0
+    out: list[MeshView | None] = []
+    for view, one in zip(views, found, strict=True):
+        if view is not None and one is not None:
+            share = _shares(view.confidence.shape, one, elsewhere)
+            view = replace(view, confidence=view.confidence * share)
+        out.append(view)
+    return out
+
+
+def _shares(shape: tuple[int, ...], found: MeshSupport, elsewhere: float) -> np.ndarray:
+    """[H, W] float32: of the sightings that judge a pixel, the share that lies on the mesh, and
+    `elsewhere` without any."""
+    from scipy.spatial import KDTree
+
+    if len(found.ratios) == 0:
+        return np.full(shape, elsewhere, np.float32)
+    height, width = shape
+    step = max(1, round(width / _COLUMNS))
+    rows, columns = np.arange(0, height, step), np.arange(0, width, step)
+    v, u = np.meshgrid(rows + 0.5 * step, columns + 0.5 * step, indexing="ij")
+    places = np.stack([u.ravel(), v.ravel()], axis=1)
+    count = min(_JUDGES, len(found.ratios))
+    distances, at = KDTree(found.pixels).query(
+        places, k=count, distance_upper_bound=_REACH * max(height, width)
+    )
+    near = np.isfinite(distances).reshape(-1, count)
+    on = np.append(found.on, False)[at].reshape(-1, count) & near
+    heard = near.sum(axis=1)
+    share = np.where(heard > 0, on.sum(axis=1) / np.maximum(heard, 1), elsewhere)
+    grid = share.astype(np.float32).reshape(v.shape).repeat(step, axis=0).repeat(step, axis=1)
+    return grid[:height, :width]

@@ -1,0 +1,111 @@
+"""What a checkpoint states, checked before a run goes on with it: ValueError where it cannot be.
+
+A checkpoint whose CRC is right may still come from elsewhere, and the rasterizer trusts shapes.
+"""
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import torch
+
+from ...quoting import quoted
+from ...splats import Splats
+from .model import Model
+
+_MOST = 1 << 53
+"""Larger counts are none: JSON numbers are not exact beyond."""
+
+
+def as_int(what: str, value: Any, *, low: int = 0, high: int = _MOST) -> int:
+    """`value` if it is an integer from `low` to `high`."""
+    if type(value) is not int or not low <= value <= high:
+        raise ValueError(f"{what} is {quoted(value)}, expected a whole number, {low} to {high}")
+    return value
+
+
+def as_float(what: str, value: Any, *, finite: bool = True, low: float = -math.inf) -> float:
+    """`value` if it is a number, at least `low` or, where not `finite`, NaN."""
+    if type(value) is int:
+        value = float(as_int(what, value, low=-_MOST))
+    if type(value) is not float or (finite and not math.isfinite(value)) or value < low:
+        raise ValueError(f"{what} is {quoted(value)}, expected a number")
+    return value
+
+
+def as_int_list(what: str, value: Any, allowed: Collection[int]) -> list[int]:
+    """`value` if it is a list of integers that are all `allowed`."""
+    if not isinstance(value, list) or not all(type(v) is int and v in allowed for v in value):
+        raise ValueError(f"{what} is {quoted(value)}, expected views of the capture")
+    return list(value)
+
+
+def as_measurements(what: str, value: Any) -> list[tuple[int, float]]:
+    """`value` if it is a list of steps, or views, and numbers."""
+    pairs = isinstance(value, list) and all(isinstance(v, list | tuple) for v in value)
+    if not pairs or any(len(v) != 2 for v in value):
+        raise ValueError(
+            f"{what} is {quoted(value)}, expected pairs of a whole number and a number"
+        )
+    return [(as_int(what, at), as_float(what, found, finite=False)) for at, found in value]
+
+
+def as_records(what: str, value: Any) -> list[dict[str, Any]]:
+    """`value` if it is a list of objects of numbers, each with its step; a phase is text."""
+    if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
+        raise ValueError(f"{what} is {quoted(value)}, expected a list of objects")
+    for row in value:
+        as_int(f"a step of {what}", row.get("step"))
+        for key, found in row.items():
+            if found is not None and not (key == "phase" and isinstance(found, str)):
+                as_float(f"{key} of {what}", found, finite=False)
+    return list(value)
+
+
+def as_str_list(what: str, value: Any) -> list[str]:
+    """`value` if it is a list of texts."""
+    if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
+        raise ValueError(f"{what} is {quoted(value)}, expected texts")
+    return list(value)
+
+
+def as_str_dict(what: str, value: Any) -> dict[str, str]:
+    """`value` if it is an object of texts."""
+    if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
+        raise ValueError(f"{what} is {quoted(value)}, expected an object of texts")
+    return dict(value)
+
+
+def as_int_dict(what: str, value: Any) -> dict[str, int]:
+    """`value` if it is an object of whole numbers."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{what} is {quoted(value)}, expected an object")
+    return {name: as_int(f"{name} of {what}", count) for name, count in value.items()}
+
+
+def check_tensors(tensors: Mapping[str, torch.Tensor], like: Model) -> None:
+    """ValueError or KeyError unless the tensors of a trainer fit each other and those of `like`,
+    another model of the same run, in all but the number of splats and of SH coefficients."""
+    splats = Splats(**{name: tensors[f"param/{name}"].numpy() for name in like.params})
+    for name in like.params:
+        expected = tensors[f"param/{name}"]
+        _same(f"m1/{name}", tensors[f"m1/{name}"], expected.shape, expected.dtype)
+        _same(f"m2/{name}", tensors[f"m2/{name}"], expected.shape, expected.dtype)
+    for key in tensors:
+        if key.startswith("gathered/"):
+            _same(key, tensors[key], tensors["param/shN"].shape, torch.float32)
+    _same("drift", tensors["drift"], like.drift.shape, like.drift.dtype)
+    for name, counter in like.rows.items():
+        _same(f"row/{name}", tensors[f"row/{name}"], (len(splats),), counter.dtype)
+    for key in tensors:
+        if key.startswith("row/") and key.removeprefix("row/") not in like.rows:
+            raise ValueError(f"{key} is not known")
+
+
+def _same(
+    name: str, tensor: torch.Tensor, shape: torch.Size | tuple[int, ...], dtype: torch.dtype
+) -> None:
+    if tensor.shape != shape or tensor.dtype != dtype:
+        raise ValueError(
+            f"{name} is {list(tensor.shape)} {tensor.dtype}, expected {list(shape)} {dtype}"
+        )

@@ -1,0 +1,89 @@
+"""From SfM points to the first splats, and between numpy Splats and the trainer's tensors."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+
+from ...errors import DatasetError
+from ...scene import PointCloud
+from ...sh import rgb_to_sh0
+from ...splats import PARAMETERS, Splats
+from .nearest_points import NearestPoints
+
+
+def splats_from_points(
+    cloud: PointCloud,
+    *,
+    extent: float,
+    opacity: float,
+    scale: float,
+    max_splats: int,
+    seed: int,
+    near: NearestPoints | None = None,
+) -> Splats:
+    """One round splat at each point, as large as the distance to its neighbours (Kerbl et al.
+    2023).
+
+    Args:
+        cloud: P points in the training world.
+        extent: Camera extent in training units; the size of a lone point is a hundredth of it.
+        opacity: Of all splats, in (0, 1).
+        scale: Standard deviation in root-mean-square distances to the three nearest neighbours.
+        max_splats: More points than this are thinned at random.
+        seed: Of that thinning.
+        near: Who is near to the points that are finite; None: is found out.
+
+    Returns:
+        At most `max_splats` splats of SH degree 0, training world.
+
+    Raises:
+        DatasetError: no points.
+    """
+    points, colors = cloud.points, cloud.colors
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        points, colors = points[finite], colors[finite]
+    if len(points) == 0:
+        raise DatasetError(
+            "The capture has no 3D points to start from (0 finite points); "
+            "run the SfM again so that it writes points3D."
+        )
+    near = NearestPoints(points, asked=max_splats) if near is None else near
+    if len(points) > max_splats:
+        rng = np.random.default_rng(seed)
+        chosen = np.sort(rng.choice(len(points), max_splats, replace=False))
+        points, colors = points[chosen], colors[chosen]
+    sizes = _neighbour_distance(points, near, lone=0.01 * extent) * scale
+    n = len(points)
+    quats = np.zeros((n, 4), np.float32)
+    quats[:, 0] = 1
+    logit = np.log(opacity / (1 - opacity))
+    return Splats(
+        means=points.astype(np.float32),
+        quats=quats,
+        scales=np.repeat(np.log(sizes)[:, None], 3, axis=1).astype(np.float32),
+        opacities=np.full(n, logit, np.float32),
+        sh0=rgb_to_sh0(colors / 255.0)[:, None, :].astype(np.float32),
+        shN=np.zeros((n, 0, 3), np.float32),
+    )
+
+
+def tensors_from_splats(splats: Splats) -> dict[str, torch.Tensor]:
+    """Copies of the arrays as float32 CPU tensors."""
+    return {name: torch.from_numpy(getattr(splats, name).copy()) for name in PARAMETERS}
+
+
+def splats_from_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
+    """The tensors as Splats, which share their memory."""
+    return Splats(**{name: params[name].detach().numpy() for name in PARAMETERS})
+
+
+def _neighbour_distance(points: np.ndarray, near: NearestPoints, *, lone: float) -> np.ndarray:
+    """[P] root-mean-square distance of some of the points `near` to the three nearest others, at
+    least sqrt(1e-7)."""
+    neighbours = min(3, len(near) - 1)
+    if neighbours == 0:
+        return np.full(len(points), lone)
+    distances = near.distances(points, neighbours + 1)
+    return np.sqrt(np.maximum((distances[:, 1:] ** 2).mean(axis=1), 1e-7))

@@ -1,0 +1,63 @@
+"""The finest detail that photos can tell: no axis of a splat need be shorter.
+
+A splat thinner than a pixel of every photo is as thin as chance left it. Its photos do not show
+that, since the rasterizer widens it to half a pixel; a picture taken from nearer does.
+"""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+
+from ...raster.memory import empty, ones, zeros
+from ...raster.request import Frustum
+from .model import Model
+
+_MARGIN = 0.15
+"""Splats so far outside of a picture, as a share of its sides, may still reach into it."""
+
+
+def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tensor:
+    """How finely photos sample places: pixels per world unit in the photo that is nearest, among
+    those that have the place in their picture, hidden or not (Yu et al. 2024, Mip-Splatting,
+    section 4.2).
+
+    Args:
+        means: [N, 3] float32, world units.
+        views: Perspective ones.
+
+    Returns:
+        [N] float32; 0 where no photo has the place.
+    """
+    rates = zeros(len(means))
+    if not len(means):
+        return rates
+    places = torch.cat([means.T, ones(1, len(means))])
+    found = empty(3, len(means))
+    for view in views:
+        viewmat, K = (torch.from_numpy(np.asarray(m, np.float32)) for m in (view.viewmat, view.K))
+        x, y, z = torch.mm(K @ viewmat[:3], places, out=found)
+        inside = z > view.near
+        for at, side in ((x, view.width), (y, view.height)):
+            inside &= (at > -_MARGIN * side * z) & (at < (1 + _MARGIN) * side * z)
+        rate = float(max(K[0, 0], K[1, 1])) / z
+        torch.maximum(rates, rate.where(inside, rates), out=rates)
+    return rates
+
+
+def apply_min_scale(model: Model, views: Iterable[Frustum], pixels: float) -> None:
+    """Make axes as long as `pixels` of the photo that is nearest, where they are shorter.
+
+    Args:
+        model: Changed in place; the number of rows stays.
+        views: Those trained on, with photos at full size.
+        pixels: Standard deviation, above 0.
+    """
+    rates = sampling_rates(model.params["means"], views)
+    floor = math.log(pixels) - torch.log(rates)
+    scales = model.params["scales"]
+    # No photo, no limit: log 0 would be one of infinite size.
+    floor.masked_fill_(rates == 0, -math.inf)
+    torch.maximum(scales, floor[:, None], out=scales)
+    model.replace("scales", scales, *model.moments("scales"), grad=model.grads["scales"])

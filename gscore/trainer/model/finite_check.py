@@ -1,0 +1,22 @@
+"""A guard against numbers that are not finite; `Model.step` leaves out the rows it meets."""
+
+import math
+
+import torch
+
+from ...errors import GsError
+from ...text_format import count_words
+from .model import Model
+
+
+def assert_finite(model: Model, loss: float, *, step: int, view: str) -> None:
+    """Raise GsError if the loss or any gradient is not finite, and say which."""
+    if not math.isfinite(loss):
+        raise GsError(f"Step {step}, view {view}: the loss is {loss}.")
+    for name, grad in model.grads.items():
+        bad = int((~torch.isfinite(grad)).reshape(len(model), -1).any(dim=1).sum())
+        if bad:
+            raise GsError(
+                f"Step {step}, view {view}: the gradient of {name} is not finite for {bad} of "
+                f"{count_words(len(model), 'splat')}."
+            )

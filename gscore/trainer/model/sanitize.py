@@ -1,0 +1,105 @@
+"""Bounds that healthy splats never meet: rows beyond them are taken out, saturated numbers held.
+
+A row that ran away (one that is not finite, or colours of 1e30) costs every view that sees it, and
+nothing in its gradients brings it back. Taken out means transparent and neutral in everything else,
+without moments: the strategy removes or relocates it as it does with other transparent splats.
+"""
+
+import math
+
+import torch
+
+from .model import Model
+
+MAX_MEAN = 1e6
+"""Farthest coordinate, in camera extents."""
+MAX_SCALE = 1e3
+"""Largest standard deviation, in camera extents."""
+MAX_SPREAD = 5.0
+"""Axes are held below this, in camera extents plus the distance from the middle of the cameras.
+Such a splat is one colour all over every picture. Trained captures reach 1.4, sky and walls."""
+MAX_VALUE = 1e4
+"""Largest quaternion component, logit and SH coefficient."""
+MAX_LOGIT = 20.0
+"""Opacities are held within this: the slope of a sigmoid beyond drowns in the optimizer's epsilon,
+so they would never come back. Trained captures reach 17."""
+MAX_RATIO = 1e5
+"""Longest against shortest axis. Thinner pancakes look the same and cost float32 its digits."""
+_LARGEST = 1e37
+"""Second moments above this are infinite after a few more steps."""
+_GONE = -MAX_LOGIT
+_NEUTRAL = {"means": 0.0, "quats": 1.0, "scales": -10.0, "opacities": _GONE, "sh0": 0.0, "shN": 0.0}
+
+
+def clamp_runaways(model: Model, *, extent: float) -> int:
+    """Take out the rows that ran away and hold opacities and thin axes within their bounds.
+
+    Args:
+        model: Changed in place; the number of rows stays.
+        extent: Camera extent in training units.
+
+    Returns:
+        Number of rows taken out.
+    """
+    limits = {
+        "means": MAX_MEAN * extent,
+        "quats": MAX_VALUE,
+        "opacities": MAX_VALUE,
+        "sh0": MAX_VALUE,
+        "shN": MAX_VALUE,
+    }
+    with torch.no_grad():
+        scales = model.params["scales"]
+        # However short, an axis does no harm.
+        good = ((scales <= math.log(MAX_SCALE * extent)) & scales.isfinite()).all(dim=1)
+        for name, limit in limits.items():
+            p = model.params[name].detach()
+            if p.numel() > 0 and not _all_within(p, limit):
+                # Comparisons that NaN fails.
+                good = good & (p.reshape(len(p), -1).abs() <= limit).all(dim=1)
+        count = len(model) - int(good.sum())
+        if count:
+            _remove_rows(model, ~good)
+        model.params["opacities"].clamp_(-MAX_LOGIT, MAX_LOGIT)
+        _clamp_spread(model, extent)
+        floor = scales.amax(dim=1, keepdim=True) - math.log(MAX_RATIO)
+        torch.maximum(scales, floor, out=scales)
+        for name, p in model.params.items():
+            _reset_overflowed_moments(model, name)
+            # Tells the model that its numbers are not what they were.
+            model.replace(name, p, *model.moments(name), grad=model.grads[name])
+    return count
+
+
+def _clamp_spread(model: Model, extent: float) -> None:
+    scales = model.params["scales"]
+    if scales.numel() == 0 or float(scales.max()) <= math.log(MAX_SPREAD * extent):
+        return
+    distance = model.params["means"].norm(dim=1, keepdim=True)  # cameras lie about the origin
+    torch.minimum(scales, torch.log(MAX_SPREAD * (extent + distance)), out=scales)
+
+
+def _all_within(values: torch.Tensor, limit: float) -> bool:
+    """Whether all lie in [-limit, limit] and are finite; one pass, which NaN survives."""
+    low, high = torch.aminmax(values)
+    return -limit <= float(low) and float(high) <= limit and math.isfinite(float(low))
+
+
+def _remove_rows(model: Model, bad: torch.Tensor) -> None:
+    for name, value in _NEUTRAL.items():
+        model.params[name][bad] = value
+        model.grads[name][bad] = 0
+        for moment in model.moments(name):
+            moment[bad] = 0
+    for counter in model.rows.values():
+        counter[bad] = 0
+
+
+def _reset_overflowed_moments(model: Model, name: str) -> None:
+    """Clear moments that overflowed, as of one gradient of 1e20: such a row never moved again."""
+    first, second = model.moments(name)
+    if second.numel() == 0 or _all_within(second, _LARGEST):
+        return
+    frozen = ~(second.reshape(len(second), -1) <= _LARGEST).all(dim=1)
+    first[frozen] = 0
+    second[frozen] = 0

@@ -1,0 +1,89 @@
+"""The training world: where it lies in COLMAP world, and the lengths that belong to it."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...scene import Scene, checked_origin, distances, within_reach
+from ...transforms import SMALLEST, Similarity
+from .checkpoint_schema import as_float
+
+_MARGIN = 1.1
+_DEGENERATE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingFrame:
+    """Recentred and scaled, so that learning rates and thresholds mean the same for any capture."""
+
+    similarity: Similarity
+    """From COLMAP world to the training world."""
+    extent: float
+    """1.1 times the largest distance of a camera from their mean (Kerbl et al. 2023), training
+    units."""
+    near: float
+    """Near plane, training units."""
+    origin: np.ndarray | None = None
+    """Local origin of the world, as `Cameras.origin`."""
+
+    @classmethod
+    def of(cls, scene: Scene, *, near: float) -> "TrainingFrame":
+        """The frame of a capture.
+
+        Args:
+            scene: Cameras and points in COLMAP world.
+            near: Near plane, world units; lowered where it is more than a hundredth of the extent.
+
+        Raises:
+            ShapeError: a camera is farther than `FARTHEST`; such points are not counted.
+        """
+        centers = scene.cameras.centers
+        similarity = Similarity.fit(centers)
+        middle = centers.mean(axis=0)
+        radius = float(np.linalg.norm(centers - middle, axis=1).max(initial=0.0))
+        radius = radius if radius > SMALLEST else 0.0
+        points = scene.points.points
+        away = distances(points, middle)[within_reach(points)]
+        if len(away):
+            # One camera, or all in one place: only the points tell a length.
+            distance = float(np.median(away))
+            if distance > SMALLEST and radius < _DEGENERATE * distance:
+                radius = distance
+                scale = 2.0 ** -math.ceil(math.log2(distance))
+                similarity = Similarity(scale=scale, shift=middle)
+        extent = _MARGIN * (radius or 1.0)
+        near = min(near, 0.01 * extent)
+        return cls(
+            similarity=similarity,
+            extent=extent * similarity.scale,
+            near=near * similarity.scale,
+            origin=scene.cameras.origin,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The frame as JSON values, of which `from_dict` makes exactly this frame again."""
+        facts = {
+            "scale": self.similarity.scale,
+            "shift": self.similarity.shift.tolist(),
+            "extent": self.extent,
+            "near": self.near,
+        }
+        return facts if self.origin is None else facts | {"origin": self.origin.tolist()}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "TrainingFrame":
+        """The frame that `to_dict` described; ValueError or KeyError where it did not."""
+        shift = np.array(data["shift"], np.float64)
+        scale, extent, near = (as_float(key, data[key]) for key in ("scale", "extent", "near"))
+        if not (extent > 0 and near > 0):
+            raise ValueError(f"extent and near must be positive, got {extent} and {near}")
+        origin = checkpoint_origin(data) if "origin" in data else None
+        similarity = Similarity(scale=scale, shift=shift)
+        return cls(similarity=similarity, extent=extent, near=near, origin=origin)
+
+
+def checkpoint_origin(data: dict[str, Any]) -> np.ndarray:
+    """[3] the local origin in what `TrainingFrame.to_dict` made, zeros where it has none."""
+    return checked_origin(data.get("origin", [0.0, 0.0, 0.0]))

@@ -1,0 +1,112 @@
+"""The views of a capture at the size that a step of the training wants."""
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from ...datasets.resolution import scale_intrinsics
+from ...io.images.read_image import resize
+from ...raster.request import Frustum
+from ...scene import Cameras
+from .raster_skips import tiles_of_mask
+from .view_sampler import Photos, training_camera
+
+AHEAD = 3
+"""Views that are made before they are needed."""
+_WORKERS = 2
+"""Threads that make them."""
+
+
+class SizedView(NamedTuple):
+    """A view with its photo at some size."""
+
+    view: Frustum
+    image: np.ndarray
+    """[H, W, 3] uint8."""
+    mask: np.ndarray | None
+    """[H, W] uint8, or None."""
+    tiles: torch.Tensor | None
+    """[ceil(H / 16), ceil(W / 16)] uint8, 0 where an `ignore` mask hides a whole tile; None where
+    every tile counts."""
+    counted: float = 1.0
+    """Share of the pixels that count: less than 1 where an `ignore` mask hides some."""
+
+
+class ImagePyramid:
+    """Photos scaled down on first use; those of one factor are kept at a time.
+
+    Where not all may be kept, the first ones to come are, which of all choices wastes least when
+    each is used once an epoch, and the next ones are made in the background. The pixels are the
+    same either way.
+    """
+
+    def __init__(
+        self, photos: Photos, cameras: Cameras, *, near: float, limit: int | None = None
+    ) -> None:
+        """`cameras` are those of `photos` in the training world, `near` is their near plane there;
+        `limit`: bytes to keep."""
+        self._photos = photos
+        self._cameras = cameras
+        self._near = near
+        self._limit = limit
+        self._factor = 1.0
+        self._kept: dict[int, SizedView] = {}
+        self._nbytes = 0
+        self._coming: dict[int, Future[SizedView]] = {}
+        self._pool = None if limit is None else ThreadPoolExecutor(_WORKERS, "gscore-photos")
+
+    def at(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
+        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size.
+
+        `upcoming`: views that will be asked for next.
+        """
+        if factor != self._factor:
+            self._factor, self._kept, self._nbytes = factor, {}, 0
+            for future in self._coming.values():
+                future.cancel()
+            self._coming = {}
+        found = self._kept.get(index)
+        if found is None:
+            future = self._coming.pop(index, None)
+            found = self._scaled(index, factor) if future is None else future.result()
+            self._keep(index, found)
+        if self._pool is not None:
+            for i in upcoming[:AHEAD]:
+                if i not in self._kept and i not in self._coming:
+                    self._coming[i] = self._pool.submit(self._scaled, i, factor)
+        return found
+
+    def _keep(self, index: int, found: SizedView) -> None:
+        nbytes = found.image.nbytes + (0 if found.mask is None else found.mask.nbytes)
+        if self._limit is None or self._nbytes + nbytes <= self._limit:
+            self._kept[index] = found
+            self._nbytes += nbytes
+
+    def view(self, index: int, factor: float = 1.0) -> Frustum:
+        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size."""
+        cameras = self._cameras
+        old = int(cameras.widths[index]), int(cameras.heights[index])
+        new = max(1, round(old[0] / factor)), max(1, round(old[1] / factor))
+        K = scale_intrinsics(cameras.Ks[index], old, new) if new != old else cameras.Ks[index]
+        return training_camera(cameras.viewmats[index], K, *new, self._near)
+
+    def _scaled(self, index: int, factor: float) -> SizedView:
+        photos = self._photos
+        image, mask = photos.image(index), photos.mask(index)
+        view = self.view(index, factor)
+        new = view.width, view.height
+        if new != (image.shape[1], image.shape[0]):
+            if mask is None:
+                image = resize(image, *new)
+            else:  # colours that the mask hides do not bleed in
+                both = resize(np.dstack([image, mask]), *new)
+                image = np.ascontiguousarray(both[..., :3])
+                mask = np.ascontiguousarray(both[..., 3])
+        tiles, counted = None, 1.0
+        if mask is not None and photos.mask_mode == "ignore":
+            tiles = torch.from_numpy(tiles_of_mask(mask))
+            counted = float(mask.mean()) / 255
+        return SizedView(view, image, mask, tiles, counted)

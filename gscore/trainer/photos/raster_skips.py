@@ -1,0 +1,31 @@
+"""Which skips of a training belong to the rasterizer, and which tiles a mask leaves to draw."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from ...config import Skip
+from ...raster import backend
+
+_RASTER = {
+    Skip.EXACT_CULL: backend.NO_EXACT_CULL,
+    Skip.OPACITY_EXTENT: backend.NO_OPACITY_EXTENT,
+    Skip.ROW_RANGE: backend.NO_ROW_RANGE,
+    Skip.ZERO_TILE: backend.NO_ZERO_TILE,
+}
+
+
+def disabled_skips(without: Collection[Skip]) -> int:
+    """`disable` of `rasterize` for the skips that are switched off."""
+    return sum(bit for skip, bit in _RASTER.items() if skip in without)
+
+
+def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
+    """[ceil(H / 16), ceil(W / 16)] uint8, 1 where a tile has a pixel that `mask` [H, W] keeps."""
+    tile = backend.TILE
+    height, width = mask.shape
+    rows, columns = -(-height // tile), -(-width // tile)
+    padded = np.zeros((rows * tile, columns * tile), bool)
+    padded[:height, :width] = mask > 0
+    blocks = padded.reshape(rows, tile, columns, tile)
+    return np.asarray(blocks.any(axis=(1, 3)), np.uint8)

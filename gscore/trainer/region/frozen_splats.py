@@ -1,0 +1,161 @@
+"""Splats that stand still: drawn with those that are trained, and no bit of them changes."""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from torch import Tensor
+
+from ...config import TrainConfig
+from ...errors import ConfigError
+from ...raster.memory import empty, zeros
+from ...raster.request import Frustum, Settings
+from ...raster.training_rasterizer import Picture, TrainingRasterizer
+from ...splats import PARAMETERS, SH_REST_BY_DEGREE, Splats
+from ...text_format import number
+from ...transforms import Similarity
+from ..model.conversion import tensors_from_splats
+from ..model.initial_splats import check_splat_count
+from ..model.training_frame import TrainingFrame
+from .region_box import RegionBox
+
+
+class FrozenSplats:
+    """Splats around a region, in COLMAP world as they were given and in the training world."""
+
+    def __init__(self, world: Splats, similarity: Similarity) -> None:
+        self.world = world
+        """As they were given: what is written is this."""
+        self._tensors = tensors_from_splats(similarity.splats_to_training(world))
+        self._joined: dict[str, Tensor] = {}
+
+    def __len__(self) -> int:
+        return len(self.world)
+
+    def content_hash(self) -> str:
+        """Short hash of all their numbers."""
+        digest = hashlib.sha256()
+        for name in PARAMETERS:
+            digest.update(np.ascontiguousarray(getattr(self.world, name)).data)
+        return digest.hexdigest()[:16]
+
+    def parts(self, rows: int, sh_degree: int) -> Iterator[Splats]:
+        """They as they were given, at most `rows` at a time, with the coefficients of `sh_degree`,
+        of which those that they do not have are zero."""
+        count = SH_REST_BY_DEGREE[sh_degree]
+        for at in range(0, len(self), rows):
+            part = {name: getattr(self.world, name)[at : at + rows] for name in PARAMETERS}
+            missing = count - part["shN"].shape[1]
+            part["shN"] = np.pad(part["shN"], ((0, 0), (0, missing), (0, 0)))
+            yield Splats(**part)
+
+    def before(self, params: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """All splats of a picture, those that stand still first, then raw `params`; in memory that
+        the next call overwrites."""
+        return {name: self._with(name, p.detach()) for name, p in params.items()}
+
+    def _with(self, name: str, trained: Tensor) -> Tensor:
+        shape = (len(self) + len(trained), *trained.shape[1:])
+        found = self._joined.get(name)
+        if found is None or found.shape != shape:
+            found = self._joined[name] = empty(*shape)
+            still = self._tensors[name]
+            found[: len(self)] = 0
+            if still.numel():
+                # Bands that they do not have stay zero.
+                found[: len(self)][tuple(slice(n) for n in still.shape)] = still
+        found[len(self) :] = trained
+        return found
+
+
+def split_frozen(
+    start: Splats, box: RegionBox, config: TrainConfig, frame: TrainingFrame
+) -> tuple[Splats, FrozenSplats | None]:
+    """Given splats (world) that lie in `box` (world), and those around it; None: there are none.
+
+    Raises:
+        ConfigError: none lies in it, there are more than `max_splats`, or their SH degree is one
+            that this run would cut.
+    """
+    check_splat_count(start, config)
+    inside = box.holds(start.means)
+    if not inside.any():
+        raise ConfigError(
+            f"None of the {number(len(start))} splats of {config.start_splats} lies in the region "
+            f"{config.region}. Is it a box in the world of the capture?"
+        )
+    if start.sh_degree > config.sh_degree:
+        raise ConfigError(
+            f"The splats around a region stay as they are, of SH degree {start.sh_degree}, and "
+            f"this run has {config.sh_degree}: give --sh-degree {start.sh_degree}."
+        )
+    if inside.all():
+        return start, None
+    return start.subset(inside), FrozenSplats(start.subset(~inside), frame.similarity)
+
+
+class FrozenRasterizer(TrainingRasterizer):
+    """A painter that is given the splats of a region, and draws those that stand still with them.
+
+    Radii, gradients and weights are those of the region's alone.
+    """
+
+    def __init__(self, still: FrozenSplats) -> None:
+        super().__init__()
+        self._still = still
+        self._into: dict[str, Tensor] = {}
+
+    def draw(
+        self, splats: Sequence[Tensor], view: Frustum, settings: Settings | None = None
+    ) -> Picture:
+        """As `TrainingRasterizer.draw`, with those that stand still."""
+        named: dict[str, Tensor] = dict(zip(PARAMETERS, splats, strict=True))
+        return super().draw(tuple(self._still.before(named).values()), view, settings)
+
+    @property
+    def radii(self) -> Tensor:
+        """[N] int32 px, as `TrainingRasterizer.radii`."""
+        return super().radii[len(self._still) :]
+
+    def gradients(
+        self,
+        into: Mapping[str, Tensor],
+        rgb: Tensor,
+        alpha: Tensor | None = None,
+        inverse_depth: Tensor | None = None,
+        *,
+        viewmat: Tensor | None = None,
+    ) -> Tensor:
+        """As `TrainingRasterizer.gradients`."""
+        count = len(self._still)
+        room = {name: self._room(name, grad) for name, grad in into.items()}
+        room["shN"][count:] = into["shN"]  # they are added to
+        means2d = super().gradients(room, rgb, alpha, inverse_depth, viewmat=viewmat)
+        for name, grad in into.items():
+            grad.copy_(room[name][count:])
+        return means2d[count:]
+
+    def weights(
+        self,
+        splats: Mapping[str, Tensor],
+        view: Frustum,
+        settings: Settings,
+        shares: Tensor,
+        scratch: Mapping[str, Tensor],
+    ) -> np.ndarray:
+        """As `TrainingRasterizer.weights`."""
+        room = {name: self._room(name, grad) for name, grad in scratch.items()}
+        found = super().weights(self._still.before(splats), view, settings, shares, room)
+        return found[len(self._still) :]
+
+    def release(self) -> None:
+        """As `TrainingRasterizer.release`."""
+        super().release()
+        self._into = {}
+
+    def _room(self, name: str, like: Tensor) -> Tensor:
+        shape = (len(self._still) + len(like), *like.shape[1:])
+        found = self._into.get(name)
+        if found is None or found.shape != shape:
+            found = self._into[name] = zeros(*shape)
+        return found

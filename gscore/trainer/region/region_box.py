@@ -1,0 +1,105 @@
+"""The box of a region: what lies in it, what may not leave it, and which pixels look at it."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...io.region_file import read_region
+from ...scene import offset_between
+from ...transforms import Similarity
+
+_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+
+
+class RegionBox:
+    """A box in some world; float64 inside, for it may be small and far from the origin."""
+
+    def __init__(self, matrix: np.ndarray) -> None:
+        """Take over [4, 4] float64 that takes the cube [-1, 1]^3 to the box."""
+        self.matrix = matrix
+        self.to_unit = np.linalg.inv(matrix)
+        """[4, 4] float64, from the world to one in which the box is that cube."""
+
+    @classmethod
+    def read(cls, path: Path) -> "RegionBox":
+        """The box of a region's file; errors are those of `read_region`."""
+        return cls(read_region(path))
+
+    def about(self, origin: np.ndarray | None) -> "RegionBox":
+        """The same box, of a capture, in the world about its local origin."""
+        matrix = self.matrix.copy()
+        matrix[:3, 3] -= offset_between(origin, None)
+        return RegionBox(matrix)
+
+    def in_training(self, similarity: Similarity) -> "RegionBox":
+        """The same box in the training world."""
+        matrix = self.matrix.copy()
+        matrix[:3, 3] = similarity.points_to_training(matrix[:3, 3][None])[0]
+        matrix[:3, :3] *= similarity.scale
+        return RegionBox(matrix)
+
+    def content_hash(self) -> str:
+        """Short hash of where it is."""
+        return hashlib.sha256(self.matrix.tobytes()).hexdigest()[:16]
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """[N] bool: which of `points` [N, 3] lie in it; what lies on its sides does."""
+        return np.abs(self._local(points)).max(axis=1, initial=0) <= 1
+
+    def keep_inside(self, means: torch.Tensor) -> None:
+        """Move those of `means` [N, 3] that left the box back to the side where they left it."""
+        local = self._local(means.numpy())
+        out = np.flatnonzero(~(np.abs(local).max(axis=1, initial=0) <= 1))
+        if len(out) == 0:
+            return
+        # Numbers that are not finite stay as they are: `bounds` takes such splats out.
+        inside = np.clip(local[out], -1, 1) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        finite = np.isfinite(local[out]).all(axis=1)
+        rows = torch.from_numpy(out[finite])
+        means[rows] = torch.from_numpy(inside[finite].astype(np.float32))
+
+    def may_be_seen(
+        self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float
+    ) -> bool:
+        """Whether a camera may have some of it in its picture: false only where all corners lie
+        beyond one side of it.
+
+        Args:
+            K: [3, 3] pixels.
+            viewmat: [4, 4] world to camera.
+            width: Pixels.
+            height: Pixels.
+            near: World units.
+        """
+        corners = _CORNERS @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        seen = corners @ viewmat[:3, :3].T + viewmat[:3, 3]
+        z = seen[:, 2]
+        x, y = (seen @ K[:2].T).T  # times z, so that nothing is divided by it
+        beyond = (z <= near, x < 0, x > width * z, y < 0, y > height * z)
+        return not any(side.all() for side in beyond)
+
+    def outline(self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> np.ndarray:
+        """[H, W] bool: whether the ray through a pixel's centre meets the box before the camera.
+
+        Args: as of `may_be_seen`.
+        """
+        rays = np.linalg.inv(K)
+        turned = self.to_unit[:3, :3] @ viewmat[:3, :3].T
+        origin = self.to_unit[:3, :3] @ (-viewmat[:3, :3].T @ viewmat[:3, 3]) + self.to_unit[:3, 3]
+        across = (turned @ rays[:, 0])[:, None] * (np.arange(width) + 0.5)
+        down = (turned @ rays[:, 1])[:, None] * (np.arange(height) + 0.5)
+        ahead = turned @ rays[:, 2]
+        first, last = np.zeros((height, width)), np.full((height, width), np.inf)
+        for axis in range(3):
+            along = across[axis][None, :] + (down[axis] + ahead[axis])[:, None]
+            # A ray beside a slab it runs along has no number for where it meets it.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                one, other = (-1 - origin[axis]) / along, (1 - origin[axis]) / along
+            np.maximum(first, np.fmin(one, other), out=first)
+            np.minimum(last, np.fmax(one, other), out=last)
+        return first <= last
+
+    def _local(self, points: np.ndarray) -> np.ndarray:
+        return points @ self.to_unit[:3, :3].T + self.to_unit[:3, 3]

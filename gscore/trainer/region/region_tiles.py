@@ -1,0 +1,84 @@
+"""The part of a picture that the splats of a region can change; the rest need not be drawn."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+
+from ...raster import backend
+from ...raster.request import Frustum
+from ..photos.image_pyramid import SizedView
+from ..photos.raster_skips import tiles_of_mask
+
+_REACH = 3.34
+"""Standard deviations beyond which no splat is drawn: sqrt(2 log(255 * 0.99)), rounded up."""
+_EPS2D = 0.3
+"""px^2, added to each splat's covariance in the picture."""
+_BESIDE = 0.3
+"""Directions are clamped to the picture plus this share of its half-angle on each side."""
+
+
+def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> SizedView:
+    """A view whose mask shows only the tiles that splats with raw `params` may be drawn in.
+
+    All other pixels are the same whatever becomes of these splats.
+    """
+    view, side = found.view, backend.TILE
+    tiles = tiles_of_splats(params, view)
+    shown = np.repeat(np.repeat(tiles, side, axis=0), side, axis=1) * np.uint8(255)
+    mask = np.ascontiguousarray(shown[: view.height, : view.width])
+    if found.mask is not None:
+        np.minimum(mask, found.mask, out=mask)
+    return found._replace(
+        mask=mask,
+        tiles=torch.from_numpy(tiles_of_mask(mask)),
+        counted=float(mask.mean()) / 255,
+    )
+
+
+def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.ndarray:
+    """[ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with raw `params` may be drawn: the disc
+    that holds a round splat as wide as the widest axis of one."""
+    viewmat, K = (np.asarray(a, np.float64) for a in (view.viewmat, view.K))
+    place = params["means"].numpy() @ viewmat[:3, :3].T + viewmat[:3, 3]
+    widest = params["scales"].numpy().max(axis=1, initial=-np.inf)
+    drawn = (place[:, 2] > view.near) & np.isfinite(place).all(axis=1) & np.isfinite(widest)
+    (x, y, z), sigma = place[drawn].T, np.exp(widest[drawn].astype(np.float64))
+    x, y, focal = x / z, y / z, max(K[0, 0], K[1, 1])
+    # The norm of the projection's Jacobian is at most this.
+    tangents = np.minimum(np.abs(x), _most(K[0, 0], K[0, 2], view.width)) ** 2
+    tangents += np.minimum(np.abs(y), _most(K[1, 1], K[1, 2], view.height)) ** 2
+    radius = _REACH * np.sqrt((focal / z * sigma) ** 2 * (1 + tangents) + _EPS2D) + 1
+    left, right = _tiles(K[0, 0] * x + K[0, 2], radius, view.width)
+    top, bottom = _tiles(K[1, 1] * y + K[1, 2], radius, view.height)
+    return _covered(top, bottom, left, right, (view.height, view.width))
+
+
+def _most(focal: float, centre: float, size: int) -> float:
+    """The largest tangent of a direction that the projection's Jacobian is taken at."""
+    return (max(centre, size - centre) + _BESIDE * size) / focal
+
+
+def _tiles(centre: np.ndarray, radius: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """First tile and the one after the last, of each splat, along an axis; none beyond it."""
+    count = -(-size // backend.TILE)
+    first = np.clip(np.floor((centre - radius) / backend.TILE), 0, count)
+    end = np.clip(np.floor((centre + radius) / backend.TILE) + 1, 0, count)
+    return first.astype(np.int64), end.astype(np.int64)
+
+
+def _covered(
+    top: np.ndarray,
+    bottom: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    size: tuple[int, int],
+) -> np.ndarray:
+    """Which tiles any of the rectangles covers: corners are counted, then added up."""
+    rows, columns = (-(-n // backend.TILE) for n in size)
+    counts = np.zeros((rows + 1) * (columns + 1), np.int64)
+    corners = ((top, left, 1), (bottom, right, 1), (top, right, -1), (bottom, left, -1))
+    for row, column, sign in corners:
+        counts += sign * np.bincount(row * (columns + 1) + column, minlength=len(counts))
+    sums = counts.reshape(rows + 1, columns + 1).cumsum(axis=0).cumsum(axis=1)
+    return (sums[:rows, :columns] > 0).astype(np.uint8)

@@ -1,0 +1,190 @@
+"""What a run begins with: nothing, given splats, a checkpoint, or its own end."""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import DataConfig, TrainConfig, limited_as, unlimited
+from ..config_file import differences, load_config
+from ..errors import ConfigError, FormatError, GsError
+from ..formats import Decoded, read_decoded
+from ..options import flag_of
+from .files import checkpoint
+from .files.checkpoint import Checkpoint
+from .files.run_folder import RunFolder
+from .files.run_result import TrainResult, finished_run
+from .model.checkpoint_schema import as_int_dict
+from .model.training_frame import TrainingFrame, checkpoint_origin
+from .photos.view_sampler import Photos
+from .session import Session
+from .trainer import Trainer
+
+
+class RunStart:
+    """Read before the photos are, so that what cannot be used is refused at once."""
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        config: TrainConfig,
+        data: DataConfig,
+        *,
+        resume: bool,
+        start_checkpoint: Path | None,
+    ) -> None:
+        """Find the checkpoint and read the splats that the run begins with, if there are any.
+
+        Args:
+            folder: Of the run.
+            config: How to train.
+            data: What to train on.
+            resume: Go on from the last checkpoint in `folder`.
+            start_checkpoint: Go on from this one, of another folder.
+
+        Raises:
+            ConfigError: both are asked for, or a file that was named is not there.
+            FormatError: the checkpoint that was named, each one in the folder, or the file of
+                splats is damaged.
+        """
+        if resume and start_checkpoint is not None:
+            raise ConfigError("Give either --resume or --start-checkpoint, not both.")
+        self._folder, self._data = folder, data
+        self._resumes = resume
+        self._damaged: list[Path] = []
+        self._checkpoint = self._last() if resume else None
+        if start_checkpoint is not None:
+            self._checkpoint = checkpoint.load(start_checkpoint)
+        asked: dict[str, int] = {}
+        if self._checkpoint is not None:
+            with checkpoint.checkpoint_errors(self._checkpoint.path):
+                asked = as_int_dict("asked", self._checkpoint.session.get("asked", {}))
+            config = limited_as(config, asked, self._checkpoint.config)
+        self._config = config
+        """As the checkpoint has them, where the same is asked for."""
+        self.config = unlimited(config, asked)
+        """The options to train with, before photos limit them."""
+        self.ended = self._end()
+        """How the run ended if it has nothing left to do."""
+        self.splats: Decoded | None = None
+        """Given splats in COLMAP world, until `go_on`."""
+        if config.start_splats is not None and self.ended is None:
+            self.splats = read_decoded(config.start_splats)
+
+    @property
+    def resumes(self) -> bool:
+        """Whether steps were taken before."""
+        return self._checkpoint is not None
+
+    @property
+    def taken(self) -> int:
+        """How many they were."""
+        return 0 if self._checkpoint is None else self._checkpoint.steps
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """The local origin of the steps before, zeros where they had none; None: there are none."""
+        found = self._checkpoint
+        if found is None:
+            return None
+        with checkpoint.checkpoint_errors(found.path):
+            return checkpoint_origin(found.trainer["frame"])
+
+    @property
+    def wants_stereo(self) -> bool:
+        """Whether stereo is to be asked for points: those before steps that were taken without it
+        started from others."""
+        found = self._checkpoint
+        return found is None or bool(found.session.get("stereo"))
+
+    def facts(self) -> dict[str, Any]:
+        """What others who train along need to begin alike, as JSON values."""
+        found = self._checkpoint
+        return {
+            "taken": self.taken,
+            "stereo": self.wants_stereo,
+            "frame": None if found is None else found.trainer.get("frame"),
+        }
+
+    def frame(self, photos: Photos) -> TrainingFrame | None:
+        """The training world of the steps before; None: there are none, so `photos` make it.
+
+        Raises:
+            ConfigError: the checkpoint is of other photos, or of options that may not change.
+            FormatError: it states no such world.
+        """
+        found = self._checkpoint
+        if found is None:
+            return None
+        changed = self._other_capture_options() if self._resumes else []
+        checkpoint.check_compatible(found, self._config, photos, changed=changed)
+        with checkpoint.checkpoint_errors(found.path):
+            return TrainingFrame.from_dict(found.trainer["frame"])
+
+    def resume(self, trainer: Trainer, session: Session) -> None:
+        """Put trainer and session where the checkpoint has them, and let go of what was read.
+
+        Raises:
+            ConfigError: the checkpoint's depth maps, region or guides are not those of `trainer`.
+            FormatError: it states what no run writes.
+            GsError: a damaged checkpoint cannot be set aside.
+        """
+        self.splats = None  # as large as the parameters
+        found = self._checkpoint
+        if found is None:
+            return
+        checkpoint.check_same_depth(found, trainer)
+        checkpoint.check_same_region(found, trainer)
+        checkpoint.check_same_guide(found, trainer)
+        with checkpoint.checkpoint_errors(found.path):
+            trainer.restore(found.trainer, found.tensors)
+            session.restore(found.session)
+        found.tensors.clear()  # the model replaces them as it grows
+        if other_isa := checkpoint.isa_warning(found):
+            session.warn(other_isa, "isa")
+        for path in self._damaged:
+            session.warn(_set_aside(path, found.steps), "damaged_checkpoint")
+
+    def _last(self) -> Checkpoint | None:
+        """The last checkpoint of the folder that is whole; damaged ones after it are noted."""
+        paths = self._folder.checkpoints()
+        for path in reversed(paths):
+            try:
+                return checkpoint.load(path)
+            except FormatError as error:
+                self._damaged.append(path)
+                if len(self._damaged) < len(paths):
+                    continue
+                if len(paths) == 1:
+                    raise FormatError(f"{error} Or start anew with --overwrite.") from error
+                raise FormatError(
+                    f"All {len(paths)} checkpoints in {path.parent} are damaged, the oldest: "
+                    f"{error} Start anew with --overwrite."
+                ) from error
+        return None
+
+    def _end(self) -> TrainResult | None:
+        """How the run in the folder ended, if it did and its last checkpoint is whole."""
+        if not self._resumes or self._checkpoint is None or self._damaged:
+            return None
+        return finished_run(self._folder, self._checkpoint, self._config, self._data)
+
+    def _other_capture_options(self) -> list[str]:
+        """How the capture's options differ from those of the run in the folder, as given."""
+        with contextlib.suppress(ConfigError):
+            stored, _ = load_config(self._folder.config)
+            found = differences(stored, self._data, ignore=("source", "rig", "test_list"))
+            pairs = [change.partition(" ") for change in found]
+            return [f"{flag_of(name)} {rest}" for name, _, rest in pairs]
+        return []
+
+
+def _set_aside(path: Path, step: int) -> str:
+    """Rename a damaged checkpoint, so that it is not looked at again; a sentence about it."""
+    aside = path.with_name(f"{path.name}.damaged")
+    try:
+        path.replace(aside)
+    except OSError as error:
+        raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
+    return f"{path.name} is damaged (now {aside.name}); going on from step {step} before it."

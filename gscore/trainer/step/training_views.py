@@ -1,0 +1,163 @@
+"""What a step looks at: views, their photos and what these are drawn over."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import torch
+
+from ...config import Background, TrainConfig
+from ...errors import GsError
+from ...raster.request import Frustum
+from ..distributed import batch_losses
+from ..distributed.load_balance import batches_of_equal_cost
+from ..distributed.process_group import ProcessGroup
+from ..host.random import uniform
+from ..model.checkpoint_schema import as_float, as_int, as_int_list, as_measurements
+from ..photos.image_pyramid import AHEAD, SizedView
+from ..photos.view_sampler import ViewSampler
+from ..schedule.plan import Plan
+from ..views.model_renderer import COLORS, ModelRenderer
+from ..views.photo_parameters import PhotoParameters
+
+
+class TrainingView(NamedTuple):
+    """What a step of one model looks at."""
+
+    indices: list[int]
+    """Views of the batch, one for each rank."""
+    index: int
+    """This rank's view."""
+    sized: SizedView
+    """It, with its photo."""
+    background: tuple[float, float, float]
+    gain: torch.Tensor | None
+    """[3]: how its photo was exposed, where that is learnt."""
+
+    @property
+    def view(self) -> Frustum:
+        """This rank's view."""
+        return self.sized.view
+
+
+class ViewBatcher:
+    """Draws the views of each step, for each model others."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        sampler: ViewSampler,
+        renderer: ModelRenderer,
+        photo_parameters: PhotoParameters,
+        generator: torch.Generator,
+        *,
+        mask_mode: str,
+        team: ProcessGroup | None,
+    ) -> None:
+        """Take views in the order of `sampler`, which `generator` shuffles, as `sight` has them."""
+        self._sampler = sampler
+        self._renderer = renderer
+        self._photo_parameters = photo_parameters
+        self._generator = generator
+        self._team = team
+        self._background = config.background
+        if self._background is Background.AUTO:
+            composite = mask_mode == "composite"
+            self._background = Background.RANDOM if composite else Background.BLACK
+        self._costs: dict[int, float] = {}
+        """What drawing each view took when a team last did; the same on all ranks."""
+        self.factor = math.inf
+        """What the sides of the photos of the last step were divided by."""
+
+    def draw(self, plan: Plan, step: int, *, photos: int, models: int) -> list[TrainingView]:
+        """Draw the views of a step that takes `photos` at once, and take out this rank's.
+
+        Raises:
+            DatasetError, FormatError: one cannot be had; nothing was done.
+        """
+        batches = self._next_views(photos, models)
+        # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
+        place = min(self._team.rank, photos - 1) if self._team else 0
+        # A run that becomes longer does not go back to smaller photos.
+        self.factor = min(self.factor, plan.factor_at(step))
+        try:
+            found = [
+                self._renderer.sized(indices[place], self.factor, upcoming=self._upcoming(models))
+                for indices in batches
+            ]
+        except GsError as error:  # a checkpoint can be gone on from
+            self.put_back(photos)
+            if self._team:
+                batch_losses.fail(self._team, error)
+            raise
+        return [
+            TrainingView(
+                indices=indices,
+                index=indices[place],
+                sized=sized,
+                background=[self._step_background() for _ in range(photos)][place],
+                gain=self._photo_parameters.gain_of(indices[place]),
+            )
+            for indices, sized in zip(batches, found, strict=True)
+        ]
+
+    def put_back(self, count: int) -> None:
+        """Let the views drawn last come again."""
+        self._sampler.put_back(count)
+
+    def note_costs(self, indices: list[int], costs: list[float]) -> None:
+        """Remember what drawing these views took, by which they are put together."""
+        self._costs.update(zip(indices, costs, strict=True))
+
+    def training_views(self) -> Iterator[SizedView]:
+        """All training views at the size of the last step."""
+        indices = self._sampler.indices
+        for i, index in enumerate(indices):
+            yield self._renderer.sized(index, self.factor, upcoming=indices[i + 1 :])
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` needs, as JSON values."""
+        return {
+            "order": self._sampler.order,
+            "position": self._sampler.position,
+            "costs": sorted(self._costs.items()),
+            "factor": self.factor if math.isfinite(self.factor) else None,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` of other glances returned.
+
+        Raises:
+            ValueError, KeyError: it is not what that returns.
+        """
+        factor, sampler = state.get("factor"), self._sampler
+        self.factor = math.inf if factor is None else as_float("factor", factor, low=1)
+        sampler.order = as_int_list("order", state["order"], set(sampler.indices))
+        sampler.position = as_int("position", state["position"], high=len(state["order"]))
+        self._costs = dict(as_measurements("costs", state.get("costs", [])))
+
+    def _next_views(self, count: int, models: int) -> list[list[int]]:
+        """The views of a batch for each model; in a team of photos that cost alike."""
+        rows, sampler = [], self._sampler
+        for missing in range(count, 0, -1):
+            if self._team and sampler.through:
+                sampler.begin(self._generator)
+                size = self._team.size
+                sampler.order = batches_of_equal_cost(
+                    sampler.order, self._costs, size, first=missing % size
+                )
+            sampler.next(self._generator)
+            rows.append(sampler.batch_neighbours(models))
+        return [list(views) for views in zip(*rows, strict=True)]
+
+    def _upcoming(self, models: int) -> list[int]:
+        """Views that this rank will need, as far as they are drawn already."""
+        rank, size = (self._team.rank, self._team.size) if self._team else (0, 1)
+        batches = self._sampler.upcoming(AHEAD * size, models)[rank::size]
+        return [view for views in batches for view in views]
+
+    def _step_background(self) -> tuple[float, float, float]:
+        if self._background is Background.RANDOM:
+            r, g, b = uniform(3, self._generator).tolist()
+            return (r, g, b)
+        return COLORS[self._background]

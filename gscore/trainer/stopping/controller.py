@@ -1,0 +1,66 @@
+"""The length of a run in progress: set by what is left of its time and by how good it is."""
+
+from typing import Any
+
+from ...events import CONVERGED, FINISHED, TARGET
+from ..evaluation import Evaluator
+from ..trainer import Trainer
+from .criteria import StoppingCriteria
+from .progress_meter import ProgressMeter
+from .step_budget import FIRST_STEPS, StepBudget
+
+
+class StoppingController:
+    """Changes the plan of a trainer between two steps, where its options ask for that."""
+
+    def __init__(self, trainer: Trainer, meter: ProgressMeter, evaluator: Evaluator) -> None:
+        self._trainer = trainer
+        self._meter = meter
+        budget = trainer.config.time_budget
+        self._pace = StepBudget(budget, trainer.plan_of) if budget else None
+        if budget and trainer.plan.iterations < FIRST_STEPS:
+            trainer.replan(FIRST_STEPS)  # a budget knows no number of steps before these
+        self._goals = StoppingCriteria(trainer.config, trainer, evaluator)
+        self._reached = False
+
+    @property
+    def reason(self) -> str:
+        """Why no more steps are to be taken, one of `events.ENDED`; empty: there are some."""
+        if self._reached:
+            return TARGET
+        if self._trainer.steps < self._trainer.plan.iterations:
+            return ""
+        return CONVERGED if 0 < self._goals.length <= self._trainer.steps else FINISHED
+
+    def steer(self) -> float | None:
+        """Look at time and quality; the PSNR if it was measured."""
+        trainer, meter, goals = self._trainer, self._meter, self._goals
+        found = None
+        if goals.due():
+            found = goals.measure()
+            self._reached = goals.reached()
+            if goals.converged():
+                trainer.replan(goals.length)
+        if self._pace and self._pace.due(trainer.steps, meter.train_seconds):
+            length = self._pace.length(
+                trainer.steps,
+                splats=trainer.splat_count,
+                elapsed=meter.train_seconds,
+                pace=meter.pace,
+            )
+            trainer.replan(min(length, goals.length) if goals.length else length)
+        meter.plan = trainer.plan
+        return found
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
+        return self._goals.state()
+
+    def restore(self, state: dict[str, Any] | None) -> None:
+        """Go on from what `state` returned; None: from a run that had none."""
+        if state is not None:
+            self._goals.restore(state)
+        self._reached = self._goals.reached()
+        if self._goals.length:
+            self._trainer.replan(self._goals.length)
+        self._meter.plan = self._trainer.plan

@@ -1,0 +1,183 @@
+"""Smoothed numbers of a run, its clock, and the history that the report draws."""
+
+import math
+import time
+from collections import deque
+from typing import Any
+
+from ...events import Progress
+from ..estimate.cost import Cost
+from ..model.checkpoint_schema import as_float, as_int, as_records
+from ..schedule.plan import Plan
+
+_EVENTS_PER_SECOND = 5.0
+_HISTORY = 500
+_HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
+_WINDOW = 50
+_WARMING_UP = 5
+"""First steps, whose time tells nothing of the others'."""
+_EXPECTED = 0.5
+"""Seconds of the plan that the pace counts for that was expected before: steps soon know better."""
+_REMEMBERED = (2.0, 0.1)
+"""Over which the pace is a mean: seconds of the plan, at least, and a share of what is left of it.
+Where other programs work too, the last dozens of steps alone say one thing now and another then."""
+
+
+class ProgressMeter:
+    """Follows a run step by step; only time spent in steps counts."""
+
+    def __init__(
+        self, plan: Plan, *, splats: int, pace: float = 1.0, budget: float = math.inf
+    ) -> None:
+        """`splats`: how many there are before the first step; `pace`: seconds expected for each
+        second of the plan, before steps tell; `budget`: seconds after which the run ends."""
+        self._cost = Cost(plan)
+        self.train_seconds = 0.0
+        """Seconds spent in steps, without evaluation, files and pauses."""
+        self.history: list[dict[str, Any]] = []
+        """Some fields of Progress and what the sides of the photos were divided by, at about 500
+        steps evenly spread; what is not finite is None."""
+        self._loss = math.nan
+        self._mse = math.nan
+        self._count = 0
+        self._step = 0
+        self._splats = splats
+        self._budget = budget
+        self._expect(pace)
+        self._unsteady = _WARMING_UP
+        self._recent: deque[tuple[float, int]] = deque(maxlen=_WINDOW)
+        self._last_event = -math.inf
+
+    @property
+    def plan(self) -> Plan:
+        """What is to come; may be replaced on the way."""
+        return self._cost.plan
+
+    @plan.setter
+    def plan(self, plan: Plan) -> None:
+        if plan is not self._cost.plan:
+            self._cost = Cost(plan)
+
+    def update(
+        self,
+        *,
+        step: int,
+        loss: float,
+        mse: float,
+        splats: int,
+        seconds: float,
+        photos: int = 1,
+        photo_factor: float = 1.0,
+    ) -> None:
+        """Take note of a step that took `seconds`, on so many photos at once, whose sides were
+        divided by `photo_factor`."""
+        self.train_seconds += seconds
+        if self._unsteady:
+            self._unsteady -= 1
+        else:
+            planned = self._cost.seconds_at(step, self._splats) * photos
+            kept = math.exp(-planned / self._memory)
+            self._spent = kept * self._spent + seconds
+            self._planned = kept * self._planned + planned
+        self._recent.append((seconds, photos))
+        self._step, self._splats = step, splats
+        if math.isfinite(loss) and math.isfinite(mse):
+            # A mean over the first steps, then an exponential one over about _WINDOW.
+            self._count += 1
+            weight = 1.0 / min(self._count, _WINDOW)
+            first = self._count == 1
+            self._loss = loss if first else self._loss + weight * (loss - self._loss)
+            self._mse = mse if first else self._mse + weight * (mse - self._mse)
+        every = max(1, self.plan.iterations // _HISTORY)
+        if step // every > (step - photos) // every or step == self.plan.iterations:
+            self._remember()
+            fields = vars(self.progress())
+            row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
+            self.history.append(row | {"photo_factor": photo_factor})
+
+    @property
+    def psnr(self) -> float:
+        """The PSNR of the smoothed mean squared error, dB."""
+        return -10 * math.log10(max(self._mse, 1e-12))
+
+    @property
+    def pace(self) -> float:
+        """Seconds to expect for each second of the plan: what was expected before, at first, and
+        more and more what steps take."""
+        return self._spent / self._planned
+
+    def _planned_left(self) -> float:
+        """Seconds of the plan that are left."""
+        return self._cost.seconds_after(self._step, self._splats)
+
+    def _remember(self) -> None:
+        """Fit the time over which the pace is a mean to what is left."""
+        self._memory = max(_REMEMBERED[0], _REMEMBERED[1] * self._planned_left())
+
+    def _expect(self, pace: float) -> None:
+        """Take a pace for known, as far as something can be known before the steps."""
+        self._planned = _EXPECTED
+        self._spent = _EXPECTED * pace
+        self._remember()
+
+    def progress(self, *, phase: str = "") -> Progress:
+        """Where the run stands."""
+        spent = sum(seconds for seconds, _ in self._recent)
+        left = self.pace * self._planned_left()
+        rate = sum(photos for _, photos in self._recent) / spent if spent > 0 else 0.0
+        return Progress(
+            step=self._step,
+            iterations=self.plan.iterations,
+            loss=self._loss,
+            psnr=self.psnr,
+            splats=self._splats,
+            steps_per_s=rate,
+            eta_s=min(left, max(self._budget - self.train_seconds, 0.0)),
+            elapsed_s=self.train_seconds,
+            phase=phase or ("adding splats" if self._step <= self.plan.refine_stop else "refining"),
+        )
+
+    def due(self) -> bool:
+        """Whether a progress event should be sent now; at most a few a second."""
+        now = time.monotonic()
+        last = self._step >= self.plan.iterations
+        if not last and now - self._last_event < 1 / _EVENTS_PER_SECOND:
+            return False
+        self._last_event = now
+        return True
+
+    def rewind(self, step: int, *, splats: int) -> None:
+        """Forget the steps after `step`, at which there were `splats`: they will be taken anew.
+        Their time was spent."""
+        self.history = [entry for entry in self.history if entry["step"] <= step]
+        self._step, self._splats, self._count = step, splats, 0
+        self._expect(self.pace)
+        self._recent.clear()
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
+        return {
+            "train_seconds": self.train_seconds,
+            "history": self.history,
+            "loss": self._loss,
+            "mse": self._mse,
+            "count": self._count,
+            "step": self._step,
+            "splats": self._splats,
+            "pace": self.pace,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        self.train_seconds = as_float("train_seconds", state["train_seconds"], low=0)
+        self.history = as_records("history", state["history"])
+        self._loss = as_float("loss", state["loss"], finite=False)
+        self._mse = as_float("mse", state["mse"], finite=False)
+        self._count = as_int("count", state["count"])
+        self._step = as_int("step", state.get("step", 0))
+        self._splats = as_int("splats", state.get("splats", self._splats))
+        self._expect(as_float("pace", state.get("pace", self.pace), low=0))
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

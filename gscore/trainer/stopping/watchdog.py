@@ -1,0 +1,163 @@
+"""Notices that a training runs away, and says how far to go back and how much slower to go on.
+
+Pure bookkeeping on steps and errors, without a clock: the same run comes to the same decisions on
+any machine, and after a resume. The error is the root of the mean squared error of the step's view,
+smoothed: unlike the loss it has no terms that fade in.
+"""
+
+import math
+from typing import Any
+
+from ...errors import GsError
+from ..model.checkpoint_schema import as_float, as_int, as_measurements
+from ..schedule.plan import Plan
+
+MAX_RESCUES = 3
+"""A run that runs away once more ends with an error."""
+SLOWER = 0.2
+"""Each rescue multiplies all learning rates by this."""
+_WINDOW = 50
+"""Steps over which errors are smoothed; the first of them are only listened to."""
+_RATIO, _MARGIN = 1.7, 0.05
+"""Diverged: the error is above `_RATIO` times its best and `_MARGIN` above it (of 1, white against
+black). Healthy runs stay below 1.2 times, with photos that get sharper on the way."""
+_SPOILT = 0.5
+"""Diverged: more than this share of the last steps had no finite loss."""
+_LOST = 0.5
+"""Diverged: as many splats ran away, as a share of those there were, as this."""
+_EMPTIED = 0.01
+"""As many splats were taken out before a guide at once, as a share of those there were, as to leave
+holes in pictures."""
+_FADES = 1000
+"""Steps after which splats that ran away count a third."""
+_HEALTHY = 1.2
+"""A state is worth going back to while the error is at most this times its best."""
+_GOOD_KEPT = 2
+
+
+class Watchdog:
+    """Watches the errors of one run."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        """Of the trainer, which may change it on the way."""
+        self.rescues = 0
+        """How often the run was taken back."""
+        self._good: list[tuple[int, float]] = []  # step and best error by then
+        self._begin(math.inf)
+
+    @property
+    def rate_factor(self) -> float:
+        """What learning rates are to be multiplied by."""
+        return SLOWER**self.rescues
+
+    @property
+    def good(self) -> tuple[int, ...]:
+        """Steps whose checkpoints can be gone back to, the latest last."""
+        return tuple(step for step, _ in self._good)
+
+    def start(self, error: float) -> None:
+        """A run begins, with this error of its first splats and nothing to go back to."""
+        self._good = []
+        self._begin(error)
+
+    def observe(
+        self, step: int, mse: float, *, skipped: bool, lost: float = 0.0, cleared: float = 0.0
+    ) -> bool:
+        """Take note of a step; whether the run diverged.
+
+        Args:
+            step: The step just taken.
+            mse: Mean squared error of its view.
+            skipped: Whether its loss was not finite.
+            lost: Share of the splats that were taken out because they ran away.
+            cleared: Share of the splats that were taken out before a guide.
+        """
+        self._lost += lost - self._lost / _FADES
+        self._spoilt += (float(skipped) - self._spoilt) / _WINDOW
+        if not skipped and math.isfinite(mse):
+            error = math.sqrt(max(mse, 0.0))
+            self._count += 1
+            weight = 1.0 / min(self._count, _WINDOW)
+            self._error = (
+                error if self._count == 1 else self._error + weight * (error - self._error)
+            )
+        if self.plan.resets_at(step):
+            # Lowered opacities darken the picture; what counts begins anew once they are back.
+            self._quiet_until = step + self.plan.reset_every // 2
+            self._best = math.inf
+        if cleared > _EMPTIED:
+            # So do holes, until what stood behind is seen and learnt.
+            self._quiet_until = max(self._quiet_until, step + 2 * _WINDOW)
+            self._best = math.inf
+        if self._spoilt > _SPOILT or self._lost > _LOST:
+            return True
+        if self._count < _WINDOW or step < self._quiet_until:
+            return False
+        self._best = min(self._best, self._error)
+        return self._error > max(_RATIO * self._best, self._best + _MARGIN)
+
+    def worth_keeping(self, step: int) -> bool:
+        """Whether the state after `step` should be kept to go back to."""
+        if step % self.plan.kept_every or step < self._quiet_until or self._spoilt > 0.1:
+            return False
+        return self._count >= _WINDOW and self._error <= _HEALTHY * self._best
+
+    def keep(self, step: int) -> None:
+        """The checkpoint of `step`, about to be written, can be gone back to."""
+        earlier = [entry for entry in self._good if entry[0] < step]
+        self._good = [*earlier, (step, self._best)][-_GOOD_KEPT:]
+
+    def rescue(self, step: int) -> int:
+        """The step to go back to from `step`; what was seen since is forgotten.
+
+        Another divergence goes back further, unless a new good state was reached before.
+
+        Raises:
+            GsError: there is no state to go back to, or it has happened too often.
+        """
+        if self.rescues >= MAX_RESCUES or not self._good:
+            again = f" again, after {self.rescues} times at lower rates" if self.rescues else ""
+            sign = f"the error of pictures was {self._error:.3g}, {self._best:.3g} at best"
+            if self._lost > _LOST:
+                sign = f"the numbers of {self._lost:.0%} of the splats ran away"
+            raise GsError(
+                f"Training diverged{again}: at step {step} {sign}. Lower the learning rates "
+                "(--lr-boost 1, --means-lr), and look whether photos and cameras belong together. "
+                "--detect-anomaly says where numbers stop being finite, --no-watchdog goes on."
+            )
+        self.rescues += 1
+        back, best = self._good.pop() if len(self._good) > 1 else self._good[0]
+        self._begin(best)
+        return back
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
+        return {
+            "rescues": self.rescues,
+            "good": self._good,
+            "error": self._error,
+            "best": None if math.isinf(self._best) else self._best,
+            "count": self._count,
+            "spoilt": self._spoilt,
+            "lost": self._lost,
+            "quiet_until": self._quiet_until,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        self.rescues = as_int("rescues", state["rescues"], high=MAX_RESCUES)
+        self._good = as_measurements("good", state["good"])
+        self._error, self._count = (
+            as_float("error", state["error"]),
+            as_int("count", state["count"]),
+        )
+        self._best = math.inf if state["best"] is None else as_float("best", state["best"])
+        self._spoilt = as_float("spoilt", state["spoilt"])
+        self._quiet_until = as_int("quiet_until", state["quiet_until"])
+        self._lost = as_float("lost", state["lost"])
+
+    def _begin(self, best: float) -> None:
+        self._error, self._best, self._count = 0.0, best, 0
+        self._lost = 0.0
+        self._spoilt, self._quiet_until = 0.0, 0

@@ -1,0 +1,201 @@
+"""The splats in training as cameras see them: pictures for people, metrics and decisions."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from ...config import Background, TrainConfig
+from ...live.viewer_protocol import FrameRequest
+from ...raster.header import OUT_INVERSE_DEPTH
+from ...raster.loss import image_loss
+from ...raster.request import Frustum, Settings
+from ...raster.training_rasterizer import Picture, TrainingRasterizer
+from ...scene import Cameras
+from ..model.ensemble import merge_models
+from ..model.model import Model
+from ..model.training_frame import TrainingFrame
+from ..photos.image_pyramid import ImagePyramid, SizedView, training_camera
+from ..photos.view_sampler import Photos
+from ..region.frozen_splats import FrozenRasterizer, FrozenSplats
+from ..region.region_tiles import mask_to_region
+from .photo_gains import background_before_gain
+from .photo_parameters import PhotoParameters
+from .pose_alignment import align_pose
+
+COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
+"""Backgrounds that stay the same."""
+_ALIGNED_SIDE = 400
+"""Longer side of the picture by which a held-out camera is aligned, px."""
+_GLANCE = 8
+"""Sides of photos are divided by this to see whether a view shows anything."""
+
+_Color = tuple[float, float, float]
+
+
+class ModelRenderer:
+    """Draws views of the models as they are at the moment. Looking changes no bit of the training.
+
+    Pictures are good until the next one is drawn, unless it says otherwise.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        photos: Photos,
+        frame: TrainingFrame,
+        cameras: Cameras,
+        photo_parameters: PhotoParameters,
+        models: Callable[[], list[Model]],
+        *,
+        cache: int | None = None,
+        still: FrozenSplats | None = None,
+    ) -> None:
+        """Look from `cameras`, those of `photos` in the training world, at what `models` gives,
+        shown as one.
+
+        `learnt` says how photos were exposed and where cameras stand; `cache` is how many bytes of
+        photos may be kept, None: all; `still` stands around the splats and is drawn with them.
+        """
+        self._config = config
+        self._photos = photos
+        self._frame = frame
+        self._photo_parameters = photo_parameters
+        self._pyramid = ImagePyramid(photos, cameras, near=frame.near, limit=cache)
+        self._still = still
+        self.rasterizer = TrainingRasterizer() if still is None else FrozenRasterizer(still)
+        """Draws the steps of the training too, so that both use the same memory."""
+        self.models = models
+        """What is looked at."""
+        self._seen: tuple[list[dict[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
+
+    @property
+    def background(self) -> _Color:
+        """Background for pictures that people and metrics look at."""
+        return COLORS.get(self._config.background, COLORS[Background.BLACK])
+
+    def splats(self) -> dict[str, torch.Tensor]:
+        """The raw parameters of what is drawn, training world; good until the next step."""
+        parts = [model.synced(threads=self._config.threads) for model in self.models()]
+        if len(parts) == 1:
+            return parts[0]
+        before, joined = self._seen or ([], {})
+        if len(before) != len(parts) or any(a is not b for a, b in zip(before, parts, strict=True)):
+            joined = merge_models(parts)
+            self._seen = parts, joined
+        return joined
+
+    def forget(self) -> None:
+        """Give back what is kept for pictures between two steps."""
+        self._seen = None
+
+    def view(self, index: int, factor: float = 1.0) -> Frustum:
+        """View `index` with sides divided by `factor`, from where its camera stands."""
+        return self._photo_parameters.at_refined_pose(self._pyramid.view(index, factor), index)
+
+    def sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
+        """View `index` with its photo, sides divided by `factor`, from where its camera stands.
+
+        `upcoming`: views that will be asked for next.
+        """
+        found = self._pyramid.at(index, factor, upcoming=upcoming)
+        if self._still is not None and self._photos.mask_mode == "ignore":
+            found = mask_to_region(found, self.models()[0].params)
+        return found._replace(view=self._photo_parameters.at_refined_pose(found.view, index))
+
+    def background_before_gain(self, background: _Color, gain: torch.Tensor | None) -> _Color:
+        """What splats are drawn over, so that `background` shows once the gain is applied: where
+        photos are laid over it. Elsewhere it is part of the scene, exposed with it."""
+        if gain is None or self._photos.mask_mode != "composite":
+            return background
+        return background_before_gain(background, gain)
+
+    def picture(self, index: int, *, background: _Color) -> torch.Tensor:
+        """The view `index`, [H, W, 3] float32, which may be kept: exposed as its photo where that
+        is learnt of it, else neutral."""
+        return self._exposed(index, self.view(index), background).clone()
+
+    def aligned_picture(self, index: int, *, background: _Color) -> torch.Tensor:
+        """The view `index` from where it looks most like its photo, [H, W, 3] float32, which may be
+        kept; its camera stays."""
+        config, full = self._config, self.view(index)
+        factor = max(1.0, max(full.width, full.height) / _ALIGNED_SIDE)
+        settings = Settings(
+            antialias=config.antialias, threads=config.threads, background=background
+        )
+        synced = self.splats()
+        pose = align_pose(
+            synced if self._still is None else self._still.before(synced),
+            self.sized(index, factor),
+            settings,
+            mask_mode=self._photos.mask_mode,
+            unit=self._frame.extent,
+        )
+        return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
+
+    def seen(self, request: FrameRequest) -> torch.Tensor:
+        """What somebody who watches wants to see, [height, width, 3] float32."""
+        viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
+        size = request.width, request.height
+        view = training_camera(viewmats[0], request.K, *size, self._frame.near)
+        shown = dict(self.splats())
+        if request.scaling != 1:
+            shown["scales"] = shown["scales"] + math.log(request.scaling)
+        return self._draw(shown, view, background=self.background).rgb
+
+    def shows_splats(self, index: int) -> bool:
+        """Whether any splat is drawn in view `index`; looked at in an eighth of its size."""
+        view = self.view(index)
+        factor = min(_GLANCE, view.width, view.height)
+        width, height = view.width // factor, view.height // factor
+        K = view.K / view.K.new_tensor([[factor], [factor], [1]])
+        small = replace(view, K=K, width=width, height=height)
+        return bool((self._show(small).alpha > 0).any())
+
+    def error(self, indices: Sequence[int], factor: float) -> float:
+        """Root of the mean squared error of the pixels that count, in these views with sides
+        divided by `factor`."""
+        background, total = self.background, 0.0
+        for index in indices:
+            view, image, mask, _, counted = self.sized(index, factor)
+            loss = image_loss(
+                self._exposed(index, view, background),
+                torch.from_numpy(image),
+                mask=None if mask is None else torch.from_numpy(mask),
+                mask_mode="none" if mask is None else self._photos.mask_mode,
+                background=background,
+                threads=self._config.threads,
+            )
+            total += mse_of_unmasked(loss.mse, counted)
+        return math.sqrt(total / len(indices))
+
+    def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit, and opacity."""
+        found = self._show(self.view(index), outputs=OUT_INVERSE_DEPTH)
+        assert found.inverse_depth is not None
+        scale = np.float32(self._frame.similarity.scale)
+        return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
+
+    def _exposed(self, index: int, view: Frustum, background: _Color) -> torch.Tensor:
+        """The picture of `view`, that of photo `index` at any size, as the photo was exposed."""
+        gain = self._photo_parameters.gain_of(index)
+        picture = self._show(view, background=self.background_before_gain(background, gain)).rgb
+        return picture if gain is None else picture.mul_(gain)
+
+    def _show(self, view: Frustum, **options: Any) -> Picture:
+        return self._draw(self.splats(), view, **options)
+
+    def _draw(self, splats: dict[str, torch.Tensor], view: Frustum, **options: Any) -> Picture:
+        """The whole view; `options` are those of `Settings`."""
+        config = self._config
+        settings = Settings(antialias=config.antialias, threads=config.threads, **options)
+        return self.rasterizer.draw(tuple(splats.values()), view, settings)
+
+
+def mse_of_unmasked(mse: float, counted: float) -> float:
+    """The mean squared error of the pixels that count, a share `counted` of all, where the others
+    are equal; 0: none do."""
+    return mse / counted if counted > 0 else 0.0

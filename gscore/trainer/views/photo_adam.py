@@ -1,0 +1,66 @@
+"""Adam for a few numbers of each photo, of which a step moves those of one."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..model.checkpoint_schema import as_int
+
+_BETAS, _EPS = (0.9, 0.999), 1e-15
+
+
+def rate_at(first: float, last: float, done: float) -> float:
+    """Learning rate after a share of a course: from the first to the last, exponentially; 0 where
+    one of them is."""
+    if first <= 0 or last <= 0:
+        return 0.0
+    return first * (last / first) ** min(done, 1.0)
+
+
+class PhotoAdam:
+    """The moments of W numbers of each of V views (Kingma and Ba 2015), by view and not by step:
+    a photo that is not looked at keeps its own."""
+
+    def __init__(self, views: int, width: int) -> None:
+        self._moments = np.zeros((2, views, width))
+        self._steps = np.zeros(views, np.int64)
+
+    def step(self, index: int, grad: np.ndarray, rate: float) -> np.ndarray:
+        """[W]: what to add to the numbers of view `index`, whose gradient is `grad`."""
+        self._steps[index] += 1
+        count = int(self._steps[index])
+        means = []
+        for moment, beta, sample in zip(self._moments, _BETAS, (grad, grad * grad), strict=True):
+            moment[index] += (1 - beta) * (sample - moment[index])
+            means.append(moment[index] / (1 - beta**count))
+        return -rate * means[0] / (np.sqrt(means[1]) + _EPS)
+
+    def tensors(self, name: str) -> dict[str, torch.Tensor]:
+        """All that the next step depends on, by name, `name` first; no copies."""
+        return {
+            f"{name}/moments": torch.from_numpy(self._moments),
+            f"{name}/steps": torch.from_numpy(self._steps),
+        }
+
+    def restore(self, name: str, tensors: dict[str, torch.Tensor]) -> None:
+        """Go on from what `tensors` returned.
+
+        Raises:
+            ValueError, KeyError: they are not what that returns.
+        """
+        self._moments = checked_tensor(f"{name}/moments", tensors, self._moments.shape)
+        steps = tensors[f"{name}/steps"].tolist()
+        if not isinstance(steps, list) or len(steps) != len(self._steps):
+            raise ValueError(f"{name}/steps is not a number of steps a view")
+        self._steps = np.array([as_int(f"{name}/steps", count) for count in steps], np.int64)
+
+
+def checked_tensor(name: str, tensors: dict[str, torch.Tensor], shape: Sequence[int]) -> np.ndarray:
+    """A copy of a float64 tensor of this shape; ValueError where it is another, or not finite."""
+    found = tensors[name].numpy()
+    if found.shape != tuple(shape) or found.dtype != np.float64:
+        raise ValueError(f"{name} is {found.dtype} {list(found.shape)}, expected {list(shape)}")
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name} is not finite")
+    return found.copy()

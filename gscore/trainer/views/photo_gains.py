@@ -1,0 +1,121 @@
+"""How each photo was exposed: gains by channel that are learnt beside the splats.
+
+A neutral picture times its photo's gain is what is compared with the photo. Values are encoded
+(sRGB), where a change of exposure by s stops is a gain of about 2^(s / 2.2), and white balance a
+gain by channel. A gain is kept as three numbers, see `_BASIS`: Adam then moves the exposure of a
+photo, the one thing that differs most, along one axis.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from .photo_adam import PhotoAdam, checked_tensor
+
+_Color = tuple[float, float, float]
+
+_BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
+"""Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
+_NAME = "gain"
+"""Of its tensors in checkpoints."""
+
+
+class PhotoGains:
+    """The gains of the training photos; held-out photos keep a gain of one.
+
+    Their geometric mean over the training photos is one after every step: else the splats could
+    become darker and all gains larger, and new views would have no exposure of their own.
+    """
+
+    def __init__(self, train: Sequence[int], log_gains: np.ndarray) -> None:
+        """Begin with `log_gains`, [V, 3] float64: ln gain of R, G, B of all views; those of `train`
+        are learnt, the others not used."""
+        self._train = list(train)
+        self._value = np.zeros_like(log_gains)
+        self._value[self._train] = log_gains[self._train] @ np.linalg.inv(_BASIS)
+        self._adam = PhotoAdam(len(log_gains), 3)
+        self._centre()
+
+    @property
+    def log_gains(self) -> np.ndarray:
+        """[V, 3] float64: ln gain of R, G, B of each view."""
+        return self._value @ _BASIS
+
+    def of(self, index: int) -> torch.Tensor:
+        """[3] float32: the gain of view `index`."""
+        return torch.from_numpy(np.exp(self._value[index] @ _BASIS).astype(np.float32))
+
+    def learn(self, index: int, v_log_gain: Sequence[float], rate: float) -> None:
+        """A step of Adam for the gain of one photo; then all are centred.
+
+        Args:
+            index: Of a training view.
+            v_log_gain: Derivative of the loss in ln gain of R, G, B; not learnt from unless finite.
+            rate: Learning rate.
+        """
+        grad = _BASIS @ np.asarray(v_log_gain, np.float64)
+        if np.isfinite(grad).all():
+            self._value[index] += self._adam.step(index, grad, rate)
+            self._centre()
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that the next step depends on, by name; no copies."""
+        return {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
+
+    @staticmethod
+    def are_in(tensors: dict[str, torch.Tensor]) -> bool:
+        """Whether a checkpoint has gains."""
+        return f"{_NAME}/value" in tensors
+
+    @classmethod
+    def restored(
+        cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
+    ) -> "PhotoGains":
+        """Those that `tensors` returned, of so many views.
+
+        Raises:
+            ValueError, KeyError: they are not what that returns.
+        """
+        out = cls(train, np.zeros((views, 3)))
+        out._value = checked_tensor(f"{_NAME}/value", tensors, (views, 3))
+        out._adam.restore(_NAME, tensors)
+        return out
+
+    def _centre(self) -> None:
+        self._value[self._train] -= self._value[self._train].mean(axis=0)
+
+
+def background_before_gain(background: _Color, gain: torch.Tensor) -> _Color:
+    """The colour that looks like `background` once it is multiplied by a gain [3].
+
+    Where photos are laid over a background (`composite`), their exposure is not its own: splats are
+    drawn over this colour instead.
+    """
+    r, g, b = (colour / by for colour, by in zip(background, gain.tolist(), strict=True))
+    return (r, g, b)
+
+
+def without_background(
+    v_log_gain: _Color,
+    background: _Color,
+    gain: torch.Tensor,
+    v_rgb: torch.Tensor,
+    alpha: torch.Tensor,
+) -> _Color:
+    """The derivative in ln gain where `background_before_gain` moves with the gain, so that the
+    visible background stays as it is.
+
+    Args:
+        v_log_gain: The derivative for a colour behind the splats that stays.
+        background: The colour that shows.
+        gain: [3].
+        v_rgb: [H, W, 3] gradient in the neutral picture.
+        alpha: [H, W] opacity of the picture.
+    """
+    if not any(background):
+        return v_log_gain
+    through = torch.mv(v_rgb.reshape(-1, 3).t(), (1 - alpha).flatten()).tolist()
+    parts = zip(v_log_gain, through, background, gain.tolist(), strict=True)
+    r, g, b = (whole - t * colour / by for whole, t, colour, by in parts)
+    return (r, g, b)

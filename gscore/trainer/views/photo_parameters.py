@@ -1,0 +1,100 @@
+"""What is learnt of the photos beside the splats: how they were exposed, where they were taken."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ...config import TrainConfig
+from ...raster.request import Frustum
+from ..model.training_frame import TrainingFrame
+from .photo_adam import rate_at
+from .photo_gains import PhotoGains
+from .photo_poses import PhotoPoses
+from .pose_check import PoseCheck
+
+
+class PhotoParameters:
+    """Gains and poses of photos, as far as there are any, and the steps that they take."""
+
+    def __init__(
+        self, config: TrainConfig, gains: PhotoGains | None, poses: PhotoPoses | None
+    ) -> None:
+        self._config = config
+        self.gains = gains
+        """How photos were exposed; None: they are taken as they are."""
+        self.poses = poses
+        """Where training cameras stand; None: where the capture has them."""
+
+    def gain_of(self, index: int) -> torch.Tensor | None:
+        """[3] float32: the gain of photo `index`, where that is learnt."""
+        return None if self.gains is None else self.gains.of(index)
+
+    def at_refined_pose(self, view: Frustum, index: int) -> Frustum:
+        """`view`, that of photo `index` at any size, from where its camera stands."""
+        return view if self.poses is None else replace(view, viewmat=self.poses.of(index))
+
+    def pose_rate(self, done: float) -> float:
+        """Learning rate of poses after this share of the run; 0: they stay."""
+        if self.poses is None or not self.poses.learns:
+            return 0.0
+        config = self._config
+        since, span = done - config.pose_start, config.pose_stop - config.pose_start
+        if not 0 <= since < span:
+            return 0.0
+        return rate_at(config.pose_lr, config.pose_lr_final, since / span)
+
+    def learn(
+        self, indices: Sequence[int], slopes: np.ndarray, *, done: float, factor: float
+    ) -> None:
+        """Let gains and poses take a step for each photo of a batch, one after the other.
+
+        Args:
+            indices: Of training views.
+            slopes: [P, 19] float64, a row for each of them: derivatives of the loss in ln gain of
+                R, G, B, and in the 16 numbers of the pose.
+            done: Share of the run that is done.
+            factor: All rates are multiplied by this.
+        """
+        pose_rate, config = factor * self.pose_rate(done), self._config
+        gain_rate = factor * rate_at(config.exposure_lr, config.exposure_lr_final, done)
+        for index, numbers in zip(indices, slopes, strict=False):
+            if self.poses is not None and pose_rate:
+                v_viewmat = torch.from_numpy(numbers[3:].astype(np.float32).reshape(4, 4))
+                self.poses.learn(index, v_viewmat, pose_rate)
+            if self.gains is not None:
+                self.gains.learn(index, numbers[:3].tolist(), gain_rate)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that the next step depends on, by name; no copies."""
+        out: dict[str, torch.Tensor] = {}
+        for photo_parameters in (self.gains, self.poses):
+            if photo_parameters is not None:
+                out |= photo_parameters.tensors()
+        return out
+
+    def restore(self, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]) -> None:
+        """Go on from what `tensors` returned. A run that began without goes on without.
+
+        Raises:
+            ValueError, KeyError: they are not what that returns.
+        """
+        found = PhotoGains.are_in(tensors)
+        self.gains = PhotoGains.restored(train, views, tensors) if found else None
+        found = PhotoPoses.are_in(tensors)
+        self.poses = PhotoPoses.restored(train, views, tensors) if found else None
+
+
+def initial_poses(
+    placing: PoseCheck | None, train: Sequence[int], frame: TrainingFrame
+) -> PhotoPoses | None:
+    """The poses to begin with in the training world; None: the capture's are kept."""
+    if placing is None or placing.viewmats is None:
+        return None
+    return PhotoPoses(
+        train,
+        frame.similarity.viewmats_to_training(placing.viewmats),
+        unit=frame.extent,
+        learns=placing.learns,
+    )

@@ -1,0 +1,117 @@
+"""Poses of the training photos that are learnt beside the splats."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from .photo_adam import PhotoAdam, checked_tensor
+from .pose_math import moved_pose, pose_distances, pose_gradient
+
+LIMIT = 0.05
+"""Most that a learnt camera moves from where it began: rad, and shares of the extent."""
+_NAME = "pose"
+"""Of its tensors in checkpoints."""
+
+
+class PhotoPoses:
+    """The poses of the training photos in the training world; held-out cameras stay.
+
+    All cameras moving together would only move the scene away from those that stay: after each
+    step the mean motion is taken back, to first order, from all of them.
+    """
+
+    def __init__(
+        self,
+        train: Sequence[int],
+        viewmats: np.ndarray,
+        *,
+        unit: float,
+        limit: float = LIMIT,
+        learns: bool = True,
+    ) -> None:
+        """Begin at `viewmats`, [V, 4, 4] float64.
+
+        Args:
+            train: Views whose poses are learnt.
+            viewmats: World to camera, of all views.
+            unit: Shift that counts as much as a turn by 1 rad: about how far cameras are from what
+                they show, training units.
+            limit: Most that a camera moves from where it began, rad and `unit`.
+            learns: Whether the poses are learnt, not only kept.
+        """
+        self._train = list(train)
+        self._first, self._viewmats = viewmats.copy(), viewmats.copy()
+        self._unit, self._limit = unit, limit
+        self.learns = learns
+        """Whether the poses are learnt, not only kept."""
+        self._adam = PhotoAdam(len(viewmats), 6)
+
+    @property
+    def viewmats(self) -> np.ndarray:
+        """[V, 4, 4] float64, world to camera; do not write to it."""
+        return self._viewmats
+
+    def of(self, index: int) -> torch.Tensor:
+        """[4, 4] float32: the pose of view `index`."""
+        return torch.from_numpy(self._viewmats[index].astype(np.float32))
+
+    def learn(self, index: int, v_viewmat: torch.Tensor, rate: float) -> None:
+        """A step of Adam for the pose of one photo, on its tangent.
+
+        Args:
+            index: Of a training view.
+            v_viewmat: [4, 4] derivative of the loss in the pose; not learnt from unless finite.
+            rate: Learning rate, rad and units.
+        """
+        before = self._viewmats[index].copy()
+        scale = np.repeat([1.0, self._unit], 3)
+        grad = pose_gradient(before, v_viewmat.numpy().astype(np.float64)) * scale
+        if not np.isfinite(grad).all():
+            return
+        motion = self._adam.step(index, grad, rate) * scale
+        self._viewmats[index] = self._limited(index, moved_pose(before, motion))
+        self._take_back(np.linalg.inv(before) @ self._viewmats[index])
+
+    def _limited(self, index: int, pose: np.ndarray) -> np.ndarray:
+        """`pose`, or where it lies beyond the limit the one that the camera has."""
+        angle, distance = pose_distances(pose[None], self._first[index][None])
+        far = angle[0] > self._limit or distance[0] > self._limit * self._unit
+        return self._viewmats[index] if far else pose
+
+    def _take_back(self, motion: np.ndarray) -> None:
+        """Take the mean of a motion of one camera, [4, 4] in the world, back from all."""
+        turn, count = motion[:3, :3], len(self._train)
+        axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+        mean = np.concatenate([np.array(axis) / 2, motion[:3, 3]]) / count
+        self._viewmats[self._train] = self._viewmats[self._train] @ moved_pose(np.eye(4), -mean)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that the next step depends on, by name; no copies."""
+        facts = [self._unit, self._limit, float(self.learns)]
+        return {
+            f"{_NAME}/viewmats": torch.from_numpy(self._viewmats),
+            f"{_NAME}/first": torch.from_numpy(self._first),
+            f"{_NAME}/facts": torch.tensor(facts, dtype=torch.float64, device="cpu"),
+        } | self._adam.tensors(_NAME)
+
+    @staticmethod
+    def are_in(tensors: dict[str, torch.Tensor]) -> bool:
+        """Whether a checkpoint has poses."""
+        return f"{_NAME}/viewmats" in tensors
+
+    @classmethod
+    def restored(
+        cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
+    ) -> "PhotoPoses":
+        """Those that `tensors` returned, of so many views.
+
+        Raises:
+            ValueError, KeyError: they are not what that returns.
+        """
+        first = checked_tensor(f"{_NAME}/first", tensors, (views, 4, 4))
+        unit, limit, learns = checked_tensor(f"{_NAME}/facts", tensors, (3,)).tolist()
+        out = cls(train, first, unit=unit, limit=limit, learns=learns == 1)
+        out._viewmats = checked_tensor(f"{_NAME}/viewmats", tensors, (views, 4, 4))
+        out._adam.restore(_NAME, tensors)
+        return out

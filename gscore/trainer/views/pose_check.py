@@ -1,0 +1,117 @@
+"""Whether training cameras stand where photos were taken; those that do not are placed anew."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...config import Switch, TrainConfig
+from ...datasets import Dataset
+from ...datasets.tracks import Tracks
+from ...text_format import count_words
+from .resection import PointObservations, median_residual, resection_pose
+
+BAD = 2.0
+"""Pixels of a photo of 1,000 by which a camera misses the points it saw, in the median, from which
+on it stands elsewhere. Structure from motion misses them by 0.4 to 1.4."""
+_BETTER = 0.5
+"""Share of that which a new place has to leave at most."""
+_DOUBT = 0.1
+"""Share of the training cameras that points could not help from which on poses are learnt from the
+photos: some few are as likely to have seen wrong points."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseCheck:
+    """The cameras of the training photos."""
+
+    viewmats: np.ndarray | None = None
+    """[V, 4, 4] float64, world to camera of all views, where training cameras were placed anew or
+    are learnt; None: they stay where the capture has them."""
+    learns: bool = False
+    """Whether they are learnt from the photos too."""
+    why: str = ""
+    """A sentence that says so; empty: nobody asked."""
+
+
+def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> PoseCheck:
+    """Compare the training cameras with the points they saw, and decide what becomes of them.
+
+    Args:
+        config: Its option `refine_poses` says what is asked for.
+        photos: Of the capture.
+        tracks: The points that its views saw; None where nothing is known of them.
+    """
+    if config.refine_poses is Switch.OFF:
+        return PoseCheck()
+    asked = config.refine_poses is Switch.ON
+    viewmats = photos.scene.cameras.viewmats.copy()
+    seen = _sights(photos, tracks) if tracks is not None else {}
+    errors = {i: _pixels(photos, i, median_residual(viewmats[i], one)) for i, one in seen.items()}
+    known = [error for error in errors.values() if np.isfinite(error)]
+    if not known:
+        return _unknown(viewmats, asked=asked)
+    fact = f"{float(np.median(known)):.1f} px of 1,000"
+    bad = [i for i, error in errors.items() if error > BAD]
+    if not bad:
+        if asked:
+            return PoseCheck(
+                viewmats=viewmats, learns=True, why="Training poses are learnt (asked for)."
+            )
+        why = f"Cameras agree with the points they saw ({fact}), so they stay where they are."
+        return PoseCheck(why=why)
+    better = _place(photos, seen, errors, viewmats, bad)
+    left = len(bad) - better
+    why = (
+        f"{count_words(len(bad), 'training camera misses', 'training cameras miss')} the points "
+        f"seen from there ({fact} in the median of all): {better} placed anew by these points"
+    )
+    learns = asked or left > _DOUBT * len(photos.train)
+    why += ", and poses are learnt from the photos." if learns else "."
+    return PoseCheck(viewmats=viewmats, learns=learns, why=why)
+
+
+def _unknown(viewmats: np.ndarray, *, asked: bool) -> PoseCheck:
+    if asked:
+        return PoseCheck(
+            viewmats=viewmats, learns=True, why="Training poses are learnt (asked for)."
+        )
+    return PoseCheck(
+        why="No points tell whether cameras stand where the photos were taken; they stay "
+        "(--refine-poses on learns their poses)."
+    )
+
+
+def _sights(photos: Dataset, tracks: Tracks) -> dict[int, PointObservations]:
+    """What each training camera saw."""
+    found = {}
+    for i in photos.train:
+        good = np.isfinite(tracks.rays[i]).all(axis=1)
+        found[i] = PointObservations(
+            points=tracks.points[tracks.seen[i][good]], rays=tracks.rays[i][good]
+        )
+    return found
+
+
+def _place(
+    photos: Dataset,
+    seen: dict[int, PointObservations],
+    errors: dict[int, float],
+    viewmats: np.ndarray,
+    bad: Sequence[int],
+) -> int:
+    """Place cameras anew, in `viewmats`, where that helps; how many that were."""
+    count = 0
+    for i in bad:
+        pose = resection_pose(viewmats[i], seen[i])
+        error = _pixels(photos, i, median_residual(pose, seen[i]))
+        if error <= _BETTER * errors[i]:
+            viewmats[i], count = pose, count + (error <= BAD)
+    return count
+
+
+def _pixels(photos: Dataset, index: int, error: float) -> float:
+    """An error in x / z as pixels of the view, were its longer side 1,000."""
+    cameras = photos.scene.cameras
+    side = max(cameras.widths[index], cameras.heights[index])
+    return 1000 * error * float(cameras.Ks[index, 0, 0]) / float(side)

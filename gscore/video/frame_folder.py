@@ -1,0 +1,203 @@
+"""The folder of the frames: written beside its place, then renamed; known again by a second run."""
+
+import contextlib
+import io
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..errors import ConfigError, GsError
+from ..io.files import atomic_write, read_bytes, reason
+from ..io.images.pillow_images import pillow
+from ..io.images.read_image import write_png
+from ..io.lock import FolderLock
+from ..json_text import parse_json
+from ..quoting import brief
+from .request import ExtractRequest
+
+FRAMES_FILE = "frames.json"
+"""File among the frames that says of which video they are, and when each was."""
+_QUALITY = 97
+"""Of JPEG, with full colour resolution: see docs/video.md for what that costs."""
+_LOCK, _FRAMES = "lock", "frames"
+"""What the folder holds in which frames are written: whoever works there, and the frames."""
+_FRAME = re.compile(r"frame_\d{6,}\.(jpg|png)")
+_COUNTS = ("width", "height", "total", "blurred", "repeated")
+"""Whole numbers of the record."""
+_METHOD = 1
+"""Changes where the same video would give other frames."""
+
+
+class FrameFolder:
+    """Where the frames of a request go."""
+
+    def __init__(self, request: ExtractRequest, *, overwrite: bool = False) -> None:
+        """Look at what is there.
+
+        Args:
+            request: What is asked for.
+            overwrite: Frames of another request may be replaced, and nothing else.
+
+        Raises:
+            ConfigError: the folder holds something else.
+        """
+        self._request, self._place = request, request.output
+        whole = request.output.absolute()
+        self._overwrite = overwrite
+        self._aside = whole.parent / f".{whole.name}.frames"
+        self._work = self._aside / _FRAMES
+        self._lock = FolderLock(self._aside, _LOCK, "run of gscore frames")
+        self._made = [p for p in whole.parents if not p.exists()]
+        self._look()
+
+    def _look(self) -> None:
+        """Find the frames of this request, or what makes room for them."""
+        there = _record(self._place / FRAMES_FILE)
+        self._replaced: list[str] = []
+        """Files of another run that make room, the record last: without it nobody knows them."""
+        self.found: dict[str, Any] | None = None
+        """The record of a run before this one that wrote the same frames; None: there are none."""
+        if there is not None and self._is_same(there) and self._is_whole(there):
+            self.found = there
+        elif self._place.exists() and not _is_empty_folder(self._place):
+            self._check_replaceable(there)
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """A block in which `put` may be called, by one process at a time; nothing is left where it
+        fails. `found` is looked up again: another process may have written the frames meanwhile.
+
+        Raises:
+            ConfigError: what is there now, or in the hidden folder beside it, is somebody else's.
+            GsError: the folder cannot be written, or another process does so.
+        """
+        self._check_aside()
+        self._lock.take()
+        try:
+            self._look()
+            # What a killed run left behind: its frames are soon made again.
+            shutil.rmtree(self._work, ignore_errors=True)
+            self._work.mkdir()
+            yield
+        except OSError as error:
+            raise GsError(f"Cannot write {brief(self._place)}: {reason(error)}") from error
+        finally:
+            shutil.rmtree(self._work, ignore_errors=True)
+            self._lock.release()
+            for folder in (self._aside, *self._made):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()  # only an empty one can be removed
+
+    def _check_aside(self) -> None:
+        """ConfigError where the hidden folder was made by somebody else: ours has a lock."""
+        names = {path.name for path in self._aside.iterdir()} if self._aside.is_dir() else set()
+        if names and (_LOCK not in names or names - {_LOCK, _FRAMES}):
+            raise ConfigError(
+                f"{brief(self._aside)} is where frames are written before they are complete, but "
+                "holds something else. Move it away, or choose another output with -o."
+            )
+
+    def put(self, number: int, pixels: np.ndarray) -> str:
+        """Write one frame; its name.
+
+        Args:
+            number: Of the frame in the video, from 0.
+            pixels: [H, W, 3] uint8.
+        """
+        name = f"frame_{number:06}.{self._request.format}"
+        if self._request.format == "png":
+            write_png(self._work / name, pixels)
+        else:
+            encoded = io.BytesIO()
+            picture = pillow().fromarray(pixels)
+            picture.save(encoded, "JPEG", quality=_QUALITY, subsampling=0)
+            (self._work / name).write_bytes(encoded.getvalue())
+        return name
+
+    def publish(self, facts: dict[str, Any]) -> None:
+        """Put the folder in its place with one rename.
+
+        Args:
+            facts: For the record, with `frames`: rows with a `name` each.
+        """
+        record = {"gscore": __version__, "request": self._stamp(), **facts}
+        atomic_write(self._work / FRAMES_FILE, (json.dumps(record, indent=1) + "\n").encode())
+        if self._place.exists():
+            for name in self._replaced:
+                (self._place / name).unlink(missing_ok=True)
+            self._place.rmdir()
+        self._work.replace(self._place)
+
+    def _stamp(self) -> dict[str, Any]:
+        """What frames must have in common to be the same."""
+        request, stat = self._request, self._request.video.stat()
+        return {
+            "method": _METHOD,
+            "video": request.video.name,
+            "bytes": stat.st_size,
+            "changed": stat.st_mtime_ns,
+            "frames": request.frames,
+            "format": request.format,
+        }
+
+    def _check_replaceable(self, there: dict[str, Any] | None) -> None:
+        """Take note of what makes room, or raise ConfigError."""
+        place = brief(self._place)
+        if there is None:
+            raise ConfigError(
+                f"{place} holds something else. Choose a new folder with -o, or remove it."
+            )
+        if not self._overwrite:
+            raise ConfigError(
+                f"{place} holds frames of another video, of other options, or not all of them. "
+                "Choose a new folder with -o, or replace them with --overwrite."
+            )
+        rows = there.get("frames")
+        listed = rows if isinstance(rows, list) else []
+        names = [str(row.get("name")) for row in listed if isinstance(row, dict)]
+        ours = [name for name in names if _FRAME.fullmatch(name)] + [FRAMES_FILE]
+        others = sorted({path.name for path in self._place.iterdir()} - set(ours))
+        if others:
+            raise ConfigError(
+                f"{place} holds other files than the frames that gscore wrote, such as "
+                f"{brief(others[0])}. Choose a new folder with -o, or move them away."
+            )
+        self._replaced = ours
+
+    def _is_same(self, record: dict[str, Any]) -> bool:
+        return self._request.video.is_file() and record.get("request") == self._stamp()
+
+    def _is_whole(self, record: dict[str, Any]) -> bool:
+        """Whether a record states what `publish` wrote, and its frames are there."""
+        rows, warnings = record.get("frames"), record.get("warnings")
+        return (
+            all(type(record.get(name)) is int for name in _COUNTS)
+            and isinstance(warnings, list)
+            and all(isinstance(text, str) for text in warnings)
+            and isinstance(rows, list)
+            and all(map(self._is_there, rows))
+        )
+
+    def _is_there(self, row: Any) -> bool:
+        if not isinstance(row, dict) or type(row.get("seconds")) not in (int, float):
+            return False
+        name = str(row.get("name"))
+        return _FRAME.fullmatch(name) is not None and (self._place / name).is_file()
+
+
+def _record(path: Path) -> dict[str, Any] | None:
+    try:
+        found = parse_json(read_bytes(path))
+    except (GsError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())

@@ -1,0 +1,134 @@
+"""Which frames are taken: the sharpest of each piece of the camera's way. Numbers only."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from .frame_survey import Survey
+
+SPACING = 0.05
+"""Of the longer side: the way between two frames where no number is asked for."""
+FEWEST, MOST = 30, 300
+"""Frames where no number is asked for."""
+_BLURRED = 0.45
+"""Share of the detail of sharp frames nearby below which a frame is blurred."""
+_NEARBY = 3.0
+"""Seconds to either side that are nearby."""
+_SHARP = 75
+"""Percentile of the detail nearby that counts as sharp."""
+_APART = 0.35
+"""Least way between two frames, in shares of a piece."""
+_CENTRE = 0.5
+"""How much less a frame at the end of its piece counts than one in the middle."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Which frames, and why not others."""
+
+    frames: np.ndarray
+    """[k] int64, numbers of the frames from 0, ascending."""
+    sharpness: np.ndarray
+    """[n] float64: detail as a share of that of sharp frames nearby."""
+    blurred: int
+    """Frames that were too blurred."""
+    repeated: int
+    """Frames that show the picture before them again."""
+    gaps: list[tuple[float, float]]
+    """Seconds from and to, where the camera moves and no frame is sharp."""
+
+
+def choose(survey: Survey, count: int) -> Choice:
+    """Choose frames evenly along the way of the camera, of each piece the sharpest.
+
+    Args:
+        survey: Of all frames.
+        count: How many at most; 0: one each 5 % of the picture's longer side, 30 to 300.
+    """
+    sharpness = relative_sharpness(survey)
+    blurred = sharpness < _BLURRED
+    usable = ~blurred & ~survey.repeated
+    way = _way(survey, blurred)
+    if count == 0:
+        count = int(np.clip(round(way[-1] / SPACING), FEWEST, MOST))
+    taken = _most_pieces(way, sharpness, usable, count)
+    return Choice(
+        frames=taken,
+        sharpness=sharpness,
+        blurred=int((blurred & ~survey.repeated).sum()),
+        repeated=int(survey.repeated.sum()),
+        gaps=_gaps(survey, taken, blurred),
+    )
+
+
+def relative_sharpness(survey: Survey) -> np.ndarray:
+    """[n]: detail as a share of the sharp frames' within three seconds.
+
+    Detail is the variance of the Laplacian over the root of that at a quarter of the size: slight
+    blur leaves the latter as it is, and what is in view changes both. Where a long stretch is
+    blurred as a whole, half of what is usual in the video counts as sharp.
+    """
+    detail = survey.fine / np.sqrt(survey.coarse + 1.0)
+    usual = np.percentile(detail, _SHARP)
+    first = np.searchsorted(survey.seconds, survey.seconds - _NEARBY, side="left")
+    last = np.searchsorted(survey.seconds, survey.seconds + _NEARBY, side="right")
+    sharp = np.array([np.percentile(detail[a:b], _SHARP) for a, b in zip(first, last, strict=True)])
+    return detail / np.maximum(np.maximum(sharp, usual / 2), 1e-12)
+
+
+def _way(survey: Survey, blurred: np.ndarray) -> np.ndarray:
+    """[n]: how far the camera went, in blurred frames no faster than it usually does: a shake goes
+    far and shows nothing, and would take the frames from where there is something to see."""
+    steps = np.diff(survey.travel, prepend=survey.travel[0])
+    sharp = ~blurred & ~survey.repeated
+    usual = float(steps[sharp].mean()) if sharp.any() else 0.0
+    return np.where(blurred, np.minimum(steps, usual), steps).cumsum()
+
+
+def _most_pieces(
+    way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, count: int
+) -> np.ndarray:
+    """The frames of as many pieces as give no more than `count`; some pieces have none."""
+    best = _taken(way, sharpness, usable, count)
+    low, high = count, max(4 * count, count + 1)
+    while low + 1 < high and len(best) < count:
+        middle = (low + high) // 2
+        found = _taken(way, sharpness, usable, middle)
+        if len(found) > count:
+            high = middle
+        else:
+            low = middle
+            best = found if len(found) > len(best) else best
+    return best
+
+
+def _taken(way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, pieces: int) -> np.ndarray:
+    length = way[-1] / pieces
+    if length <= 0:
+        return np.flatnonzero(usable)[:1]
+    place = way / length
+    piece = np.minimum(place.astype(np.int64), pieces - 1)
+    worth = np.minimum(sharpness, 1.5) * (1 - _CENTRE * (2 * np.abs(place - piece - 0.5)) ** 2)
+    taken: list[int] = []
+    ends = np.searchsorted(piece, np.arange(pieces + 1))
+    for a, b in pairwise(ends):
+        fits = usable[a:b].copy()
+        if taken:
+            fits &= place[a:b] - place[taken[-1]] >= _APART
+        if fits.any():
+            taken.append(int(a + np.where(fits, worth[a:b], -1.0).argmax()))
+    return np.array(taken, np.int64)
+
+
+def _gaps(survey: Survey, taken: np.ndarray, blurred: np.ndarray) -> list[tuple[float, float]]:
+    """Where two taken frames lie more than three usual distances apart, with blur between."""
+    if len(taken) < 3:
+        return []
+    ways = np.diff(survey.travel[taken])
+    usual = np.median(ways)
+    found = []
+    for a, b, way in zip(taken, taken[1:], ways, strict=False):
+        if way > 3 * usual and blurred[a:b].any():
+            found.append((float(survey.seconds[a]), float(survey.seconds[b])))
+    return found

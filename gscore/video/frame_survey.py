@@ -1,0 +1,132 @@
+"""The first look at a video: for every frame when it is, how sharp, and how far the camera went."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import Cancelled
+from .camera_motion import BLOCK_SIDE, Travel
+from .source import Video
+
+_SHARP_SIDE = 1280
+"""Pixels of the longer side at which sharpness is looked at: blur of a pixel there is seen."""
+_REDUCED = 4
+"""How many times smaller pictures are compared for motion."""
+_ALIKE = 0.2
+"""Mean difference of pixels below which two frames are one that is shown twice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """One entry a frame, in the order of display."""
+
+    seconds: np.ndarray
+    """[n] float64, from the first frame on."""
+    travel: np.ndarray
+    """[n] float64, in shares of the longer side; never falls."""
+    fine: np.ndarray
+    """[n] float64, variance of the Laplacian at 1280 px."""
+    coarse: np.ndarray
+    """[n] float64, variance of the Laplacian at 320 px, which slight blur does not change."""
+    repeated: np.ndarray
+    """[n] bool, the same picture as the frame before."""
+
+
+def survey(
+    video: Video, *, on_frame: Callable[[int], None], cancelled: Callable[[], bool]
+) -> Survey:
+    """Look at every frame once; memory does not grow with the length but by 33 bytes a frame.
+
+    Args:
+        video: Its frames are used up.
+        on_frame: Told how many are done.
+        cancelled: Asked at every frame.
+
+    Raises:
+        Cancelled: `cancelled` said so.
+    """
+    size = _look_size(video.facts.width, video.facts.height)
+    travel = Travel(size[0] // _REDUCED, size[1] // _REDUCED)
+    rows: list[tuple[float, float, float, float, bool]] = []
+    before: np.ndarray | None = None
+    for count, frame in enumerate(video.frames(), 1):
+        if cancelled():
+            raise Cancelled("Looking at the video was stopped.")
+        grey = _grey(frame, size)
+        small = _reduced(grey)
+        repeated = before is not None and _alike(grey, before)
+        # One that stands still takes no part, or its reference would be compared with itself.
+        way = travel.so_far if repeated else travel.add(small)
+        rows.append((_seconds(frame, count), way, _edges(grey), _edges(small), repeated))
+        before = grey
+        on_frame(count)
+    seconds, ways, fine, coarse, repeated_rows = (np.array(c) for c in zip(*rows, strict=True))
+    return Survey(
+        seconds=_continuous(seconds),
+        travel=np.maximum.accumulate(ways),
+        fine=fine,
+        coarse=coarse,
+        repeated=repeated_rows.astype(bool),
+    )
+
+
+def _continuous(seconds: np.ndarray) -> np.ndarray:
+    """[n] from 0 on. Where recordings were joined the time begins anew: it goes on with the usual
+    distance of two frames."""
+    steps = np.diff(seconds)
+    if (steps >= 0).all():
+        return seconds - seconds[0]
+    forward = steps[steps > 0]
+    steps[steps < 0] = np.median(forward) if len(forward) else 0.0
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _seconds(frame: Any, count: int) -> float:
+    return float(frame.time) if frame.time is not None else (count - 1) / 30
+
+
+def _look_size(width: int, height: int) -> tuple[int, int]:
+    """The longer side at most 1280 px, both a multiple of 4 and at least 256."""
+    scale = min(1.0, _SHARP_SIDE / max(width, height))
+    least = BLOCK_SIDE * _REDUCED
+    wide, high = (
+        max(round(side * scale) // _REDUCED * _REDUCED, least) for side in (width, height)
+    )
+    return wide, high
+
+
+def _grey(frame: Any, size: tuple[int, int]) -> np.ndarray:
+    """[h, w] uint8 of this width and height."""
+    from av.video.reformatter import Interpolation
+
+    made = frame.reformat(
+        width=size[0], height=size[1], format="gray", interpolation=Interpolation.AREA
+    )
+    return made.to_ndarray()
+
+
+def _reduced(grey: np.ndarray) -> np.ndarray:
+    """Means of 4 x 4 pixels."""
+    rows = grey.reshape(grey.shape[0] // _REDUCED, _REDUCED, grey.shape[1])
+    lines = rows.sum(axis=1, dtype=np.uint16)
+    blocks = lines.reshape(lines.shape[0], -1, _REDUCED).sum(axis=2, dtype=np.uint16)
+    return (blocks >> 4).astype(np.uint8)
+
+
+def _edges(grey: np.ndarray) -> float:
+    """Variance of the Laplacian (Pech-Pacheco et al. 2000)."""
+    values = grey.astype(np.int16)
+    middle = values[1:-1, 1:-1] * np.int16(4)
+    middle -= values[:-2, 1:-1]
+    middle -= values[2:, 1:-1]
+    middle -= values[1:-1, :-2]
+    middle -= values[1:-1, 2:]
+    flat = middle.ravel().astype(np.float32)
+    return float(flat @ flat / flat.size - flat.mean() ** 2)
+
+
+def _alike(grey: np.ndarray, before: np.ndarray) -> bool:
+    far = np.maximum(grey, before) - np.minimum(grey, before)
+    return float(far.mean()) < _ALIKE

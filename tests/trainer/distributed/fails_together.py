@@ -1,0 +1,51 @@
+"""Run by two ranks: one of them cannot have its photo; both end with what a checkpoint needs."""
+
+import sys
+from typing import NoReturn
+
+import torch
+
+from gscore.config import TrainConfig
+from gscore.errors import DatasetError
+from gscore.stress.capture import toy_photos
+from gscore.trainer.distributed.process_group import ProcessGroup
+from gscore.trainer.trainer import Trainer
+
+CONFIG = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_every=9, threads=1)
+
+
+def gone(*_: object, **__: object) -> NoReturn:
+    """In place of what reads a photo."""
+    raise DatasetError("the photo is gone")
+
+
+def main() -> int:
+    """0: both raise, and rank 0 has what rank 1 has gathered, whether that came before or not."""
+    torch.set_num_threads(1)
+    with ProcessGroup() as team:
+        trainer = Trainer(CONFIG, toy_photos(), team=team)
+        for act in (trainer.step, trainer.step, trainer.collect)[: 2 + ("before" in sys.argv)]:
+            if not team.is_rank0:
+                team.receive()
+            act()
+        gathered = trainer.model.grads["shN"].clone()
+        if team.rank == 1:
+            trainer.renderer.sized = gone
+        if not team.is_rank0:
+            team.receive()
+        try:
+            trainer.step()
+        except DatasetError as error:
+            assert "the photo is gone" in str(error)
+        else:
+            raise AssertionError("no error")
+        if team.is_rank0:
+            found = trainer.tensors()
+            assert torch.equal(found["gathered/shN"], gathered)
+            assert found["gathered/shN/1"].any()
+            assert not torch.equal(found["gathered/shN/1"], gathered)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

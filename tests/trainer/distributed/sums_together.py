@@ -1,0 +1,56 @@
+"""Run by some ranks: rows added up by the team, and in a plain loop in the order of the ranks."""
+
+import itertools
+import sys
+
+import numpy as np
+import torch
+
+from gscore.raster.packing import Table, unpack_rows
+from gscore.trainer.distributed.process_group import ProcessGroup
+from gscore.trainer.distributed.row_sums import RowSums
+
+ROWS, WIDTH = 1000, 7
+PARTS = slice(0, 3), slice(3, 4), slice(4, 7)
+"""Columns of the tables that are added up together."""
+
+
+def of_rank(rank: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that a rank has, and their values; the last rank has none in the second round."""
+    rng = np.random.default_rng(rank)
+    rows = np.sort(rng.choice(ROWS, 300 + 50 * rank, replace=False))
+    return rows, rng.normal(size=(len(rows), WIDTH)).astype(np.float32)
+
+
+def main() -> int:
+    """0: equal to the loop to the bit, also where a rank has nothing, or all have nothing."""
+    with ProcessGroup() as team:
+        sums_of = RowSums(team)
+        silent_ones = (), (team.size - 1,), tuple(range(team.size))
+        for silent, known in itertools.product(silent_ones, (False, True)):
+            table, had = np.zeros((ROWS, WIDTH), np.float32), np.zeros(ROWS, bool)
+            for rank in range(team.size):
+                rows, values = of_rank(rank)
+                if rank not in silent:
+                    table[rows] += values
+                    had[rows] = True
+            rows, values = of_rank(team.rank)
+            if team.rank in silent:
+                rows, values = rows[:0], values[:0]
+            mine = np.full((ROWS, WIDTH), np.nan, np.float32)  # what is not asked for is not read
+            mine[rows] = values
+            parts = [torch.from_numpy(np.ascontiguousarray(mine[:, at])) for at in PARTS]
+            sums = [torch.zeros_like(part) for part in parts]
+            found = np.zeros(ROWS, bool)
+            have = sums_of.sorted(torch.from_numpy(rows))
+            told = team.all_gather(have.sizes) if known else None
+            for piece in sums_of(have, list(map(Table, parts)), told=told):
+                unpack_rows([Table(sum_, adds=True) for sum_ in sums], piece)
+                found[piece[:, 0].numpy()] = True
+            assert (found == had).all()
+            assert (torch.cat(sums, dim=1).numpy() == table).all()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

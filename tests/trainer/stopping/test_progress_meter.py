@@ -1,0 +1,113 @@
+"""Numbers told about a run; oracle: a run whose times are made up."""
+
+import math
+
+import pytest
+
+from gscore.config import TrainConfig
+from gscore.trainer.estimate.cost import Cost
+from gscore.trainer.schedule.plan import Plan
+from gscore.trainer.stopping.progress_meter import ProgressMeter
+
+
+def test_the_time_left_holds_while_photos_grow() -> None:
+    """Oracle: steps that take exactly the share of the work that they are said to."""
+    config = TrainConfig(iterations=2000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    seconds = [3 * Cost(plan).seconds_at(step, 100) for step in range(1, 2001)]
+    meter = ProgressMeter(plan, splats=100, pace=3.0)
+    for step, spent in enumerate(seconds, start=1):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
+        left = sum(seconds[step:])
+        assert meter.progress().eta_s == pytest.approx(left, rel=0.02, abs=1e-9)
+    assert meter.train_seconds == pytest.approx(sum(seconds))
+    assert meter.progress().psnr == pytest.approx(20)
+    assert seconds[0] < 0.35 * seconds[-1], "else the time left would be easy to tell"
+
+
+def test_what_was_expected_gives_way_to_what_steps_take() -> None:
+    """Oracle: a machine twice as slow as it seemed, whose first step takes a hundred times as long;
+    the time left is known to a tenth once a tenth of the work is done, and never told twofold."""
+    config = TrainConfig(iterations=2000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    planned = [Cost(plan).seconds_at(step, 100) for step in range(1, 2001)]
+    seconds = [2 * planned[0] * 100, *(2 * each for each in planned[1:])]
+    meter = ProgressMeter(plan, splats=100, pace=1.0)
+    for step, spent in enumerate(seconds, start=1):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
+        left, told = sum(seconds[step:]), meter.progress().eta_s
+        assert 0.5 * left <= told * (1 + 1e-9) and told <= 2 * left + 1e-9
+        if sum(planned[:step]) > 0.1 * sum(planned):
+            assert told == pytest.approx(left, rel=0.1, abs=1e-9)
+        if sum(planned[:step]) > 0.25 * sum(planned):
+            assert told == pytest.approx(left, rel=0.02, abs=1e-9)
+
+
+def test_a_machine_that_is_busy_now_and_then_is_not_told_anew_each_moment() -> None:
+    """Oracle: steps that take three times as long as the plan says in every other half second, and
+    are as fast as it in between; a mean of the last fifty steps jumps between both."""
+    config = TrainConfig(iterations=4000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    planned = [Cost(plan).seconds_at(step, 100) for step in range(1, 4001)]
+    seconds, clock = [], 0.0
+    for each in planned:
+        seconds.append(each * (3 if clock % 1 < 0.5 else 1))
+        clock += seconds[-1]
+    meter, told = ProgressMeter(plan, splats=100), []
+    for step, spent in enumerate(seconds, start=1):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
+        if 5 < meter.train_seconds < 0.9 * clock:
+            told.append(meter.progress().eta_s / sum(seconds[step:]))
+    assert len(told) > 1000 and min(told) > 0.75 and max(told) < 1.35
+
+
+def test_no_more_time_is_left_than_the_budget() -> None:
+    """Oracle: the definition; a plan that takes far longer."""
+    plan = Plan.of(TrainConfig(iterations=2000), extent=1.0, points=100, side=600, pixels=360_000)
+    meter = ProgressMeter(plan, splats=100, budget=1.0)
+    for step, left in ((1, 0.75), (2, 0.5), (5, 0.0)):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=0.25 * (1 + (step == 5)))
+        assert meter.progress().eta_s == pytest.approx(left)
+
+
+def test_a_resumed_run_stands_where_it_stood() -> None:
+    """Oracle: the same meter, not stopped."""
+    config = TrainConfig(iterations=2000, max_splats=5000)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    meter, resumed = ProgressMeter(plan, splats=100), ProgressMeter(plan, splats=100)
+    for step in range(1, 61):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100 + step, seconds=0.01)
+    resumed.restore(meter.state())
+    there, here = meter.progress(), resumed.progress()
+    assert (here.step, here.splats) == (there.step, there.splats) == (60, 160)
+    assert here.eta_s == pytest.approx(there.eta_s)
+    resumed.rewind(40, splats=140)
+    assert (resumed.progress().step, resumed.progress().splats) == (40, 140)
+
+
+def test_steps_that_are_taken_anew_are_forgotten_but_not_how_fast_they_were() -> None:
+    """Oracle: by hand: steps that take three times what the plan says, one of them a hundredfold;
+    after the rewind the same pace is expected, as little trusted as at the start."""
+    config = TrainConfig(iterations=2000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    meter = ProgressMeter(plan, splats=100)
+
+    def take(first: int, last: int, pace: float) -> None:
+        for step in range(first, last + 1):
+            seconds = pace * Cost(plan).seconds_at(step, 100)
+            meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=seconds)
+
+    take(1, 1200, 3.0)
+    assert meter.pace == pytest.approx(3, rel=0.05)
+    take(1201, 1201, 300.0)
+    assert 3.5 < (known := meter.pace) < 6, "a mean of many steps"
+    meter.rewind(40, splats=100)
+    assert meter.pace == pytest.approx(known)
+    left = Cost(plan).seconds_after(40, 100)
+    assert meter.progress().eta_s == pytest.approx(known * left)
+    assert [entry["step"] for entry in meter.history] == list(range(4, 41, 4))
+    assert meter.state()["pace"] == pytest.approx(known)
+    take(41, 41, 300.0)
+    done = Cost(plan).seconds_at(41, 100)
+    kept = 0.5 * math.exp(-done / max(2, 0.1 * left))
+    assert meter.pace == pytest.approx((kept * known + 300 * done) / (kept + done))
