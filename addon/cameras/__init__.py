@@ -1,1 +1,1 @@
-"""A capture as Blender objects: cameras with their photos, and points."""
+"""Captures in the scene: cameras with photos, SfM points, alignment, import and export."""

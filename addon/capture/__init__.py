@@ -1,1 +1,1 @@
-"""What a capture's folder holds; no bpy."""
+"""Facts about a capture for the panel; no bpy."""

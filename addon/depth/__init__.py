@@ -1,1 +1,1 @@
-"""Depth maps of a capture: predicted, compared, and shown on its cameras."""
+"""Depth maps of a capture: prediction, comparison, display on the cameras."""

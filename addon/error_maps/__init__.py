@@ -1,1 +1,1 @@
-"""Where a result is wrong: errors of photos on cameras, and of pixels on splats."""
+"""Error maps of a result: errors of photos on cameras and of pixels on splats."""

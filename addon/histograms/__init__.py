@@ -1,1 +1,1 @@
-"""Histograms of splats: counted, shown in a panel, and with handles in 3D views."""
+"""Histograms of opacities and sizes: counting, panel icons, handles in 3D views."""

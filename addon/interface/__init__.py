@@ -1,1 +1,1 @@
-"""What operators and panels share to speak with the user."""
+"""Shared code of operators and panels: base operators, undo, images, icons, text in views."""

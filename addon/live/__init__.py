@@ -1,1 +1,1 @@
-"""Splats drawn by the graphics card in every 3D view: sorted, blended, with full colour."""
+"""Live splats: drawn by the graphics card in every 3D view, sorted and blended."""

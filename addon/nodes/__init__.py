@@ -1,1 +1,1 @@
-"""Node trees built in Python: filters, colours, materials, display."""
+"""Geometry and shader nodes built in Python: filters, colours, materials, display."""

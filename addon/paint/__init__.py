@@ -1,1 +1,1 @@
-"""Splats painted with a brush: colours, opacities, selections."""
+"""Brush for splats: colours, opacities, selections."""

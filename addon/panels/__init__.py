@@ -1,4 +1,4 @@
-"""The tab "Train Splats" of the 3D view's sidebar, in the order of the work."""
+"""Panels of the sidebar tab "Train Splats", in the order of the work."""
 
 from . import (
     cameras,

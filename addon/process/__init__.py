@@ -1,1 +1,1 @@
-"""What runs beside Blender, and the beat that follows it."""
+"""Background processes and threads, the poll timer for their results, incremental tasks."""

@@ -1,1 +1,1 @@
-"""What steers a training from the scene: regions that are trained again, masks that are painted."""
+"""Region training jobs, and masks painted on photos."""

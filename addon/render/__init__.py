@@ -1,1 +1,1 @@
-"""Rendering splats in Blender: the engine, comparison with photos, compositing with meshes."""
+"""Render engine: F12, viewport, comparison with photos, compositing with meshes."""

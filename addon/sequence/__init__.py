@@ -1,1 +1,1 @@
-"""Sequences of captures, such as multi-view videos, trained frame by frame beside Blender."""
+"""Training jobs for sequences, frame by frame."""

@@ -1,1 +1,1 @@
-"""Cameras of photos or of a video, found beside Blender and brought in."""
+"""Structure from motion jobs: cameras of photos or a video, found in the background."""

@@ -1,1 +1,1 @@
-"""Splats as Blender objects."""
+"""Splats as Blender objects: import, display, filters, edits, export."""

@@ -1,1 +1,1 @@
-"""Sequences of splats on Blender's timeline."""
+"""Splat sequences on the timeline."""

@@ -1,1 +1,1 @@
-"""The Python that trains: found, checked and made."""
+"""Python environment for training: search, check, installation."""

@@ -1,4 +1,4 @@
-"""Training beside Blender, for scripts: `train`, `resume`, `wait_for`, `discard` and `job_of`.
+"""Training jobs for panel and scripts: `train`, `resume`, `wait_for`, `discard` and `job_of`.
 
 `job.pause()`, `job.unpause()`, `job.stop()` and `job.snapshot()` are methods of the job that
 `train` returns. The modules job, session, curve, options, loader, registry, earlier and lookups

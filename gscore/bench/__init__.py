@@ -1,1 +1,1 @@
-"""Measurements a user can repeat."""
+"""Benchmarks that a user can repeat: speed, memory, run time against error, held-out quality."""

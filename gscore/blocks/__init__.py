@@ -1,1 +1,1 @@
-"""A capture cut into blocks that are trained by themselves, and what comes of them put together."""
+"""Blocks of a large capture: cells, photos per block, and the merge of the trained blocks."""

@@ -1,5 +1,4 @@
-"""What is done to splats after a training: crop, clean up, thin out, join, turn. Each act is a file
-of pure functions, most of which say which splats stay."""
+"""Edits of splats after a training: crop, clean, thin out, join, transform."""
 
 from ..importance import importance_of, most_important
 from .clusters import cluster_sizes, reached_from

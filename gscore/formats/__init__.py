@@ -1,4 +1,4 @@
-"""Models of splats as files: every format in, every one with a public layout out."""
+"""Splat file formats: readers for every known format, writers for those with a public layout."""
 
 from .registry import (
     FORMATS,

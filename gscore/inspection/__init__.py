@@ -1,4 +1,4 @@
-"""A capture looked into before a training: what it holds, and what a training will say of it."""
+"""Inspection of a capture before a training: its content and its problems."""
 
 from .capture_facts import CaptureFacts, Problem
 from .find_capture import find_capture

@@ -1,4 +1,4 @@
-"""A training watched by viewers: the remote protocol of the 3DGS authors' viewer, over TCP.
+"""Viewer server: the network protocol of the SIBR viewer of 3DGS, over TCP.
 
 `protocol` knows the messages, `server` the connections; the training meets `onlookers`.
 """

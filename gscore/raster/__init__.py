@@ -1,1 +1,1 @@
-"""Rasterization of splats: the native library, its torch wrapper and its float64 twin."""
+"""Rasterizer: the native library, its torch wrapper and its float64 twin."""

@@ -1,4 +1,4 @@
-"""report.html and the page that compares two runs: tables, curves and pictures as HTML and SVG."""
+"""Reports as HTML: report.html of a run and the page of `gscore compare`."""
 
 from .cameras_plan import cameras_section
 from .histograms import splat_histograms

@@ -1,4 +1,4 @@
-"""Cameras and points found from photos alone; pycolmap does the work."""
+"""Structure from motion: cameras and points from photos, by pycolmap."""
 
 from .camera_search import SearchResult, find_cameras
 from .search_request import SearchRequest

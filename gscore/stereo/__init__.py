@@ -1,4 +1,4 @@
-"""Depth from the photos themselves: multi-view stereo over cameras that are known."""
+"""Multi-view stereo: depth maps from photos with known cameras."""
 
 from .cloud import dense_points
 from .maps import StereoMaps, stereo_maps

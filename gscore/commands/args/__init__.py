@@ -1,1 +1,1 @@
-"""What verbs are given: options, the names that 3DGS has for them, models."""
+"""Arguments of verbs: options of a run, captures, models, and the option names of 3DGS."""

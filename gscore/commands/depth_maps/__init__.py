@@ -1,1 +1,1 @@
-"""Depth maps made, aligned and told of, for `gscore depth`."""
+"""Work of `gscore depth`: depth maps predicted, aligned and reported."""

@@ -1,1 +1,1 @@
-"""Pictures that verbs make: which cameras, under which names, as stills, videos and pages."""
+"""Pictures of verbs: cameras, file names, stills, videos and pages."""

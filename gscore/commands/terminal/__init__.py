@@ -1,1 +1,1 @@
-"""What a verb says and hears: streams, lines on a terminal, events, signals."""
+"""Terminal of a verb: streams, progress lines, events, signals."""

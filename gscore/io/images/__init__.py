@@ -1,1 +1,1 @@
-"""Pictures as bytes: whole, of a bearable size and of known formats, or refused in words."""
+"""Image files: decoding with limits of size and format, masks, PNG, EXIF."""

@@ -1,1 +1,1 @@
-"""Depth maps in a training: whether they are used, the targets and points of them, the loss."""
+"""Depth supervision: decision, targets, added points and loss."""

@@ -1,1 +1,1 @@
-"""One training on many processes: how they speak, what they agree on, how gradients are summed."""
+"""Distributed training on several processes: communication, consistency, gradient sums."""

@@ -1,1 +1,1 @@
-"""What a training will take, in seconds and in memory; nothing here needs torch."""
+"""Forecast of time and memory of a training; no torch."""

@@ -1,1 +1,1 @@
-"""The output folder of a run: who may write there, checkpoints, results."""
+"""Files of a run: output folder, checkpoints, results."""

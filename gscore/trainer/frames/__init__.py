@@ -1,1 +1,1 @@
-"""The frames of a sequence: how each is trained, which belong together, which are complete."""
+"""Frames of a sequence: plan, dependencies and results."""

@@ -1,1 +1,1 @@
-"""Meshes that guide a training: surfaces that splats lie on, and what nothing stands before."""
+"""Guide meshes: surfaces that splats lie on, and free space in front of meshes."""

@@ -1,1 +1,1 @@
-"""The process that a training runs in: its memory, random numbers, settings of torch, and clock."""
+"""Host process of a training: memory allocation, random numbers, torch settings, timers."""

@@ -1,1 +1,1 @@
-"""The splats in training: their rows, where these come from, and what keeps them healthy."""
+"""Model in training: parameters, Adam moments, initial splats, sanitizing, checkpoint schema."""

@@ -1,1 +1,1 @@
-"""The photos of a capture as steps want them: in which order, at which size, from where."""
+"""Photos of a training: loading, sampling order, image pyramid, sky."""

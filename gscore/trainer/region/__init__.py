@@ -1,1 +1,1 @@
-"""Training a part of a result again while all else stands still."""
+"""Region training: a box is trained again among frozen splats."""

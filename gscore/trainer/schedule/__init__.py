@@ -1,1 +1,1 @@
-"""When things happen in a run of so many steps, and at which rates."""
+"""Schedule of a run: learning rates, refinement steps, photo sizes, caps."""

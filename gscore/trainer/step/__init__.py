@@ -1,1 +1,1 @@
-"""The parts of a training step that need no state of the trainer."""
+"""Parts of a training step without state of the trainer: views, loss, result."""

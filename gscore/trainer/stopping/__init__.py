@@ -1,1 +1,1 @@
-"""How long a run in progress goes on: budget, goals, and the steps that it takes anew."""
+"""Length of a run: time budget, stopping criteria, watchdog for divergence."""

@@ -1,4 +1,4 @@
-"""Strategies: how the number of splats changes during training."""
+"""Densification strategies: how splats are added, moved and removed."""
 
 from ...config import Strategy, TrainConfig
 from ..schedule.plan import Plan

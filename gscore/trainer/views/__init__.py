@@ -1,1 +1,1 @@
-"""What is learnt of each photo beside the splats, and from which facts: how it was exposed."""
+"""Photo parameters and rendering: exposure gains, camera poses, track colours, model renderer."""
