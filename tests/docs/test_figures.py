@@ -319,7 +319,7 @@ def test_presets_are_those_of_the_readme() -> None:
     """Oracle: `PRESETS`; the README's table has their steps, splats and widths."""
     rows = [
         row
-        for table in _tables("README.md", "Use")
+        for table in _tables("README.md", "Presets")
         for row in table[1:]
         if row[0].strip("`") in PRESETS
     ]
