@@ -1,4 +1,4 @@
-// Alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
+// Blending kernel: alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
 // A tile belongs to one thread. Its pixels are kept in blocks of 4 x 4, of which a splat's ellipse wastes fewer than of
 // rows. Splats are taken in batches, whose exponentials are computed several at a time, for their chains are long.
 // Forward, block follows block: one's pixels stay in registers while all splats of the batch that reach it pass.

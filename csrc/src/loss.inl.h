@@ -1,4 +1,4 @@
-// Fused L1 + SSIM loss of one tile of the picture, and its gradient (Wang et al. 2004; zero padding as in 3DGS).
+// Loss kernel: fused L1 + SSIM of one tile and its gradient (Wang et al. 2004; zero padding as in 3DGS).
 // Gaussian windows are separable: what is filtered lies in rings of rows, is combined downwards, five rows at once, which
 // reads each row three times instead of eleven, and then along the rows. The gradient filters the derivatives once more,
 // five rows behind, from rings of its own: nothing as large as the image is written but the gradient itself.

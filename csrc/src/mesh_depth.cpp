@@ -1,4 +1,4 @@
-// Triangles against the rays of pixels in homogeneous coordinates (Olano and Greer 1997), so that none has to be clipped.
+// Mesh depth: triangles against pixel rays in homogeneous coordinates (Olano and Greer 1997), without clipping.
 //
 // With the corners p0, p1, p2 as (u z, v z, z) and the ray r = (u, v, 1) of a pixel, z r = sum of l_i p_i gives
 // l_i / z = r . (p_j x p_k) / D with D = p0 . (p1 x p2). The ray hits in front where all three are >= 0, and as the l_i

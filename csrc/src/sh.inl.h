@@ -1,4 +1,4 @@
-// Real spherical harmonics of degree 0 to 4: colours and their gradients.
+// Spherical harmonics kernel: real SH of degree 0 to 4: colours and their gradients.
 // Signs and order are those of 3D Gaussian Splatting: bands in ascending order, within a band m = -l..l.
 #pragma once
 

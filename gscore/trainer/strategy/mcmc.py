@@ -1,5 +1,4 @@
-"""3DGS as Markov chain Monte Carlo: relocation, slow growth to a cap, noise (Kheradmand et al.
-2024)."""
+"""MCMC strategy: relocation, slow growth to a cap, and noise (Kheradmand et al. 2024)."""
 
 from collections.abc import Mapping
 
