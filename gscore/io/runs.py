@@ -82,7 +82,7 @@ class RunInfo:
     splats: Path | None
     """point_cloud.ply, where it is written already."""
     psnr: float | None
-    """Of the last evaluation, dB; see `gscore.judged_psnr`."""
+    """Of the last evaluation, dB; see `gscore.headline_psnr`."""
     data: DataConfig | None
     """Options of the run, None where config.json is missing or broken."""
     train: TrainConfig | None

@@ -32,7 +32,7 @@ class SequenceIndex:
     frames: list[dict[str, Any]]
     """Complete frames in order: at least `frame` (number) and `folder` (below the sequence's), and
     where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`, and
-    `psnr_masked` where masks hide pixels, see `gscore.judged_psnr`."""
+    `psnr_masked` where masks hide pixels, see `gscore.headline_psnr`."""
     mean: dict[str, Any]
     """Of the complete frames: `psnr`, `psnr_masked`, `ssim`, `lpips`; `train_seconds` of all,
     `frames` and `frames_total`."""

@@ -226,7 +226,7 @@ def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkey
 
 
 def test_a_sequence_is_judged_inside_its_masks(gscore, tmp_path):
-    """Oracle: the figure that `gscore.judged_psnr` gives, under the name that runs give it."""
+    """Oracle: the figure that `gscore.headline_psnr` gives, under the name that runs give it."""
     frame = {"frame": 0, "folder": "frame_000000", "split": "test", "psnr": 30.0}
     frame |= {"psnr_masked": 22.5, "ssim": 0.9}
     write_sequence(tmp_path, SequenceIndex(options={}, frames=[frame], mean={}), version="1")

@@ -36,7 +36,7 @@ class TrainResult:
 
     @property
     def psnr(self) -> float | None:
-        """What the model is judged by, dB: `gscore.judged_psnr` of the metrics."""
+        """What the model is judged by, dB: `gscore.headline_psnr` of the metrics."""
         return headline_psnr(self.metrics)
 
     @property
