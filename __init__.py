@@ -12,6 +12,6 @@ try:
 except ImportError:  # a test run that imports the folders above its tests
     pass
 else:
-    from .__init__.addon import register, unregister
+    from .addon import register, unregister
 
     __all__ = ["register", "unregister"]

@@ -1,4 +1,4 @@
-// Drives Adam: constants of a step, tables of what skipped steps come to, rows in parallel.
+// Adam driver: constants of a step, tables for skipped steps, rows in parallel.
 #include "adam.h"
 
 #include "dispatch.h"

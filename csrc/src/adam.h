@@ -1,4 +1,4 @@
-// Adam over the rows of splats in training: the driver and what its kernels read.
+// Adam over the rows of splats in training: driver interface and kernel arguments.
 #pragma once
 
 #include "types.h"

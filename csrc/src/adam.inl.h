@@ -1,4 +1,4 @@
-// Adam (Kingma and Ba 2015) with rows that skip steps and make up for them later.
+// Lazy Adam kernel (Kingma and Ba 2015): rows skip steps without gradient and catch up later.
 //
 // A row without gradient for k steps after step t would have moved, at its j-th step, by
 //   lr sqrt(1 - beta2^(t+j)) / (1 - beta1^(t+j)) (beta1 / sqrt(beta2))^j m / (sqrt(v) + eps),

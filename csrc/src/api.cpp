@@ -1,4 +1,4 @@
-// The C entry points: check arguments, call, turn exceptions into statuses.
+// C API entry points: check arguments, call, turn exceptions into statuses.
 #include "adam.h"
 #include "dispatch.h"
 #include "match.h"

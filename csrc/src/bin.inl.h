@@ -1,4 +1,4 @@
-// Which tiles, and which rows inside them, a projected splat reaches.
+// Tile binning kernel: the tiles, and the rows inside them, that a projected splat reaches.
 // The region alpha >= 1/255 is an ellipse. Cut by a slab of pixel columns it is convex, so its rows form one interval
 // with closed-form ends; with a slab for each strip of a tile, tiles and blocks follow from these intervals alone.
 // Splats within two columns of tiles are cut a splat a lane, wider ones a strip a lane.

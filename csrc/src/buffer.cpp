@@ -1,3 +1,4 @@
+// Buffer allocation: aligned memory, on huge pages where the system has them.
 #include "buffer.h"
 
 #include <cstdint>

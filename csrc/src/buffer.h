@@ -1,4 +1,4 @@
-// Memory that a workspace keeps from call to call.
+// Buffer: memory that a workspace reuses from call to call.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Which instruction sets are compiled in and run here, and the one in use.
+// Dispatch of instruction sets: those compiled in and supported here, and the one in use.
 #pragma once
 
 #include "types.h"

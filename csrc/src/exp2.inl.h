@@ -1,4 +1,4 @@
-// The exponential of the blend loops by itself, so that it can be measured.
+// exp2 kernel: the exponential of the blend loops alone, for measurements.
 #pragma once
 
 #include "simd.h"

@@ -1,4 +1,4 @@
-// All kernels of one instruction set, gathered into its table.
+// Kernel table: all kernels of one instruction set.
 #pragma once
 
 #include "adam.inl.h"

@@ -1,4 +1,4 @@
-// The kernels compiled for AVX2.
+// Kernels compiled for AVX2.
 #define GS_NAMESPACE avx2
 #define GS_ISA_AVX2
 #include "kernels.inl.h"

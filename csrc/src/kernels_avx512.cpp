@@ -1,4 +1,4 @@
-// The kernels compiled for AVX512.
+// Kernels compiled for AVX512.
 #define GS_NAMESPACE avx512
 #define GS_ISA_AVX512
 #include "kernels.inl.h"

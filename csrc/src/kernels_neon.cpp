@@ -1,4 +1,4 @@
-// The kernels compiled for NEON.
+// Kernels compiled for NEON.
 #define GS_NAMESPACE neon
 #define GS_ISA_NEON
 #include "kernels.inl.h"

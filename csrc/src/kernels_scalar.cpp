@@ -1,4 +1,4 @@
-// The kernels compiled for the baseline instruction set.
+// Kernels compiled for the baseline instruction set.
 #define GS_NAMESPACE scalar
 #define GS_ISA_SCALAR
 #include "kernels.inl.h"

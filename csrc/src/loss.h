@@ -1,4 +1,4 @@
-// Sizes of the fused loss, shared by its driver and its kernels.
+// Loss sizes: constants of the fused L1 + SSIM loss, shared by driver and kernels.
 #pragma once
 
 #include "types.h"

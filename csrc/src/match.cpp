@@ -1,4 +1,4 @@
-// Drives the comparison of two photos' descriptors, and judges what is nearest.
+// Feature matching driver: compares the descriptors of two photos and filters the nearest pairs.
 #include "match.h"
 
 #include "dispatch.h"

@@ -1,4 +1,4 @@
-// Features of two photos that match, and the sizes that its driver and its kernels share.
+// Feature matching between two photos: interface and sizes shared by driver and kernels.
 #pragma once
 
 #include "types.h"

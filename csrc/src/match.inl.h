@@ -1,4 +1,4 @@
-// Each descriptor of a photo against each of another: the two nearest, of both photos, from one pass over all products.
+// Feature matching kernel: the two nearest descriptors, in both directions, from one pass over all products.
 #pragma once
 
 #include "match.h"

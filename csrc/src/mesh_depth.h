@@ -1,4 +1,4 @@
-// The depth of a triangle mesh at the centres of pixels.
+// Mesh depth: inverse depth of a triangle mesh at pixel centres.
 #pragma once
 
 #include "gscore.h"

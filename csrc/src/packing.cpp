@@ -1,4 +1,4 @@
-// Rows of several tables side by side in one, and back: what is sent between processes that train together.
+// Packing of rows: rows of several tables next to each other in one array, and back, for exchange between ranks.
 #include "packing.h"
 
 #include "parallel.h"

@@ -1,4 +1,4 @@
-// Rows of several tables side by side in one, and back.
+// Packing of rows: rows of several tables next to each other in one array, and back.
 #pragma once
 
 #include "gscore.h"

@@ -1,4 +1,4 @@
-// A thread pool with one verb: parallel_for.
+// Thread pool: parallel_for.
 #pragma once
 
 #include <cstddef>

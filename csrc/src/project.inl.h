@@ -1,4 +1,4 @@
-// From splats to the screen and back: EWA projection (Zwicker et al. 2001), spherical harmonics, and their gradients.
+// Projection kernel: EWA (Zwicker et al. 2001), spherical harmonics, and their gradients.
 // kLanes splats at a time. With W the rotation of the camera, R that of a splat and S its scales, the 2D covariance is
 // M M^T + eps2d I where M = J W R S is 2 x 3. Its determinant before eps2d is the sum of M's squared 2 x 2 minors
 // (Cauchy-Binet), which does not cancel for needles.

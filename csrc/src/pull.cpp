@@ -1,4 +1,4 @@
-// How hard views pull at splats: sums that strategies decide by.
+// Screen-space gradient statistics: sums over views, the criterion of densification.
 #include "pull.h"
 
 #include "parallel.h"

@@ -1,4 +1,4 @@
-// How hard views pull at splats.
+// Screen-space gradient statistics for densification.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Drives the stages: project, sort, bin, blend; and back.
+// Rasterizer driver: project, sort, bin, blend; and the backward pass.
 #include "raster.h"
 
 #include "dispatch.h"

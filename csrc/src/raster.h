@@ -1,4 +1,4 @@
-// The workspace behind gs_raster and the stages that fill it.
+// Rasterizer workspace behind gs_raster, and the stages that fill it.
 #pragma once
 
 #include "buffer.h"

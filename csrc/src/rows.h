@@ -1,4 +1,4 @@
-// Rows of floats in memory, one for each lane, to vectors and back.
+// Rows: transposes between rows of floats, one row for each lane, and vectors.
 #pragma once
 
 #include "simd.h"

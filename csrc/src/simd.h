@@ -1,4 +1,4 @@
-// Vectors of one instruction set: kLanes floats behind a handful of operations.
+// SIMD vectors of one instruction set: kLanes floats and a small set of operations.
 // Each kernels_<isa>.cpp defines GS_ISA_<NAME> and the namespace it wants before including this.
 // Arithmetic operators come from the compiler's vector types; fused multiply-add is always spelled out and automatic
 // contraction is off, so forward and backward pass compute the same alpha to the last bit.

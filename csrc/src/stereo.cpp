@@ -1,4 +1,4 @@
-// Drives the stereo sweep: sources packed for one look-up a sample, bands of rows in parallel.
+// Stereo driver: packs the sources for one look-up per sample, sweeps bands of rows in parallel.
 #include "stereo.h"
 
 #include "dispatch.h"

@@ -1,4 +1,4 @@
-// Sizes of the stereo sweep, shared by its driver and its kernels; and both stages of stereo.
+// Stereo: sizes of the plane sweep, shared by driver and kernels, and both stages.
 #pragma once
 
 #include "types.h"

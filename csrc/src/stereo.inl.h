@@ -1,4 +1,4 @@
-// Plane sweep: scores of a band of rows, plane after plane, and the highest peaks among them.
+// Stereo kernel, a plane sweep: scores of a band of rows, plane after plane, and their highest peaks.
 //
 // A window of the reference is compared with what a source shows of it by zero-mean normalised cross-correlation. The
 // three sums over windows come from sums over columns, which gain a row and lose a row from one row to the next, and

@@ -1,4 +1,4 @@
-// Depth maps against each other: how many views agree with each pixel of one, and how many look through it.
+// Stereo check of depth maps: views that agree with each pixel, and views that see through it.
 #include "stereo.h"
 
 #include "parallel.h"

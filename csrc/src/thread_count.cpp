@@ -1,4 +1,4 @@
-// How many threads a call uses: the environment's word, or the cores this process may use.
+// Thread count of a call: GSCORE_THREADS, or the cores that this process may use.
 #include "thread_count.h"
 
 #include "gscore.h"

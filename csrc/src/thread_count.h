@@ -1,4 +1,4 @@
-// How many threads a call uses.
+// Thread count of a call.
 #pragma once
 
 namespace gs {

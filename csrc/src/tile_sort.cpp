@@ -1,3 +1,4 @@
+// Tile sort: radix sort of a tile's list by depth.
 // A tile's list mostly fits into the nearest caches, where a sort over all splats waits for memory, and whoever takes them
 // in its order even more. Sixteen bits of the depths of a tile, counted from the nearest to the farthest, tell almost all
 // of its splats apart; neighbours that they do not tell apart are put right afterwards.

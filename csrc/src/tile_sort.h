@@ -1,4 +1,4 @@
-// The list of a tile in the order of depth.
+// Tile sort: the list of a tile in order of depth.
 #pragma once
 
 #include "buffer.h"

@@ -1,4 +1,4 @@
-// Plain data the driver and the kernels of every instruction set share.
+// Types: plain data shared by the driver and the kernels of every instruction set.
 #pragma once
 
 #include "gscore.h"

@@ -1,4 +1,4 @@
-"""Measuring a model in training against the photos, and the pictures of it."""
+"""Evaluation of a model in training: metrics against the photos, and preview pictures."""
 
 import math
 from collections.abc import Callable

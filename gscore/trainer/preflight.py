@@ -1,4 +1,4 @@
-"""What is looked over before the first step: whether cameras and splats can be trained at all."""
+"""Preflight checks before the first step: whether cameras and splats can be trained."""
 
 import math
 from collections.abc import Iterator

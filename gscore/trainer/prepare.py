@@ -1,4 +1,4 @@
-"""From options and a capture to a trainer that has taken no step: the same on every rank."""
+"""Preparation of a training: from options and a capture to a trainer, equal on every rank."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

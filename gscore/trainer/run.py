@@ -1,4 +1,4 @@
-"""`train`: everything that must be right before the first step, then a session."""
+"""Run: `train` checks everything before the first step, then runs a session."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""What a run begins with: nothing, given splats, a checkpoint, or its own end."""
+"""Run start: from points, given splats, a checkpoint, or a run that is already complete."""
 
 import contextlib
 from pathlib import Path

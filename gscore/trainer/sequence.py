@@ -1,4 +1,4 @@
-"""Trains the frames of a sequence one after another, each from the splats of the one before."""
+"""Sequence training: frames one after another, each from the splats of the one before."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence

@@ -1,4 +1,4 @@
-"""A run from its first step to its report: the loop, and what happens between two steps."""
+"""Session of a run from first step to report: the training loop and the work between steps."""
 
 import math
 import time

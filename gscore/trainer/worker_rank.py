@@ -1,4 +1,4 @@
-"""Ranks but the first: they do what rank 0 says, and neither write nor tell anything."""
+"""Worker ranks (all but rank 0): they run rank 0's commands, and write and report nothing."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The depth loss: inverse depth as rendered against priors, in units that suit any capture.
+"""Depth loss: rendered inverse depth against depth priors, in units that suit any capture.
 
 With D the accumulated inverse depth of a pixel (sum of w / z), A its opacity (sum of w), P the
 prior, c its confidence and m the median of all aligned P:

@@ -1,4 +1,4 @@
-"""More points to start from: aligned depth maps back-projected where SfM left holes."""
+"""Additional start points: aligned depth maps back-projected where SfM left holes."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""What photos alone do not decide: splats left out at random; opacity, by masks or everywhere."""
+"""Regularisers: random dropout of splats, and opacity losses inside masks or everywhere."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""How the depth that splats show agrees with the depth that was given, for metrics and report."""
+"""Depth report: errors of the rendered depth against the given depth, for metrics and report."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

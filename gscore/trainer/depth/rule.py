@@ -1,4 +1,4 @@
-"""Whether a capture has a use for depth supervision: a rule on facts that can be told the user."""
+"""Rule of depth supervision: whether a capture needs it, with the reason for the user."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

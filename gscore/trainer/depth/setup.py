@@ -1,4 +1,4 @@
-"""From the depth maps of a capture to what a run needs of them: targets, points, and words."""
+"""Setup of depth supervision: from a capture's depth maps to targets, points and a report."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

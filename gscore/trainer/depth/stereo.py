@@ -1,5 +1,4 @@
-"""A dense start: points of surfaces that the photos themselves show, beside those of SfM, or in
-their place where there are none."""
+"""Stereo start points: dense surface points from the photos, added to or instead of SfM points."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

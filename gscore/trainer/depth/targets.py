@@ -1,4 +1,4 @@
-"""Depth priors as the training step needs them: at its size and in little memory."""
+"""Depth targets: priors at the resolution of a training step, compact in memory."""
 
 import hashlib
 from collections.abc import Sequence

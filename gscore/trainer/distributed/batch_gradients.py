@@ -1,4 +1,4 @@
-"""The gradients and counts of a batch: each rank has those of one photo, all get the mean."""
+"""Batch gradients and counters: every rank has those of one photo, all ranks get the mean."""
 
 import itertools
 import weakref

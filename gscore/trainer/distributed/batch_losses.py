@@ -1,4 +1,4 @@
-"""What the ranks found in their photos, compared before anything is learnt of them."""
+"""Batch losses: exchanged between ranks and checked before any parameter changes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What all ranks must have in common, and the sentence about the first that differs."""
+"""Consistency of ranks: values that must be equal, with a message on the first that differs."""
 
 import json
 import zlib

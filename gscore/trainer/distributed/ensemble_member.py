@@ -1,4 +1,4 @@
-"""One of the models that are trained side by side, and what goes into a checkpoint of it."""
+"""Ensemble member: one of the models trained in parallel, with its checkpoint state."""
 
 import re
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Photos that cost alike in the same batch: it lasts as long as its slowest photo."""
+"""Load balance of a batch: photos of similar cost, since the slowest sets the time."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,4 +1,4 @@
-"""The processes that torchrun started for one training: the only file that speaks with others.
+"""Process group of one training, started by torchrun: the only module that communicates.
 
 What is said are numbers and JSON, never objects. A process that is gone is noticed by its closed
 connection; how long one may take is left to the user, as a pause is.

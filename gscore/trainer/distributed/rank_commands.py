@@ -1,4 +1,4 @@
-"""What rank 0 tells the others to do next, as JSON values."""
+"""Rank commands: JSON messages by which rank 0 tells the other ranks what to run next."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Sums over ranks of rows that few of them have, in the order of the ranks.
+"""Row sums over ranks: sparse rows added in the order of the ranks.
 
 Row i belongs to rank i modulo the number of ranks: it adds up what the ranks found for it, first
 that of rank 0, so that the same ranks give the same bits, and gives the sum to all. Two ranks just

@@ -1,4 +1,4 @@
-"""Memory that is used anew in each step: fresh pages cost more than what is written into them."""
+"""Scratch buffer: memory reused in every step, because fresh pages cost more than writing them."""
 
 import torch
 from torch import Tensor

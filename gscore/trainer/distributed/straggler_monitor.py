@@ -1,4 +1,4 @@
-"""Which rank the others wait for."""
+"""Straggler monitor: finds the rank that the others wait for."""
 
 from collections.abc import Sequence
 

@@ -1,5 +1,4 @@
-"""Pieces of work that know nothing of each other, taken in turn by many processes: each piece is
-done once, by whoever is free, into one folder that all share."""
+"""Work queue: independent jobs in a shared folder, each done once by any free process."""
 
 import contextlib
 import time

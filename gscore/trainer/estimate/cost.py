@@ -1,4 +1,4 @@
-"""What the steps of a plan take, in seconds of one machine that others are compared with."""
+"""Cost model of training steps: seconds on a reference machine."""
 
 import math
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""What a training will take, told before it starts: seconds and memory. Needs no torch."""
+"""Forecast of a training before it starts: seconds and memory. Needs no torch."""
 
 import time
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""How much memory a training needs, and what of it is there."""
+"""Memory estimate of a training, and the memory that is available."""
 
 from ...config import Skip, TrainConfig
 from ...metrics.machine import available_memory_bytes, total_memory_bytes

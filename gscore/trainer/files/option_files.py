@@ -1,4 +1,4 @@
-"""Files that options name, looked at before anything that takes long."""
+"""Files named in options: checked before anything slow begins."""
 
 from collections.abc import Callable
 from pathlib import Path

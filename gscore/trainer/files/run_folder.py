@@ -1,4 +1,4 @@
-"""The output folder of a run: what lies where, whose it is, and that only one run writes there."""
+"""Run folder: paths inside the output folder, its owner, and the lock of the run that writes."""
 
 import contextlib
 from collections.abc import Collection, Iterator

@@ -1,4 +1,4 @@
-"""Writes what a run leaves behind, each file completely or not at all."""
+"""Run outputs: splats, metrics and reports, each file written completely or not at all."""
 
 import argparse
 import datetime

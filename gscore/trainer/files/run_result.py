@@ -1,4 +1,4 @@
-"""How a run ended: what `train` returns, and the same of a run that has nothing left to do."""
+"""Run result: the return value of `train`, also for a run that had already finished."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What came of the frames of a sequence, read from the folders that their trainings left."""
+"""Frame results of a sequence, read from the run folders of its frames."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

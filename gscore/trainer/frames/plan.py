@@ -1,4 +1,4 @@
-"""How each frame of a sequence is trained, and which frames must be trained one after another."""
+"""Plan of a sequence: how each frame is trained, and which frames depend on others."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""sequence.json kept up to date by all who train frames of the sequence, without waiting."""
+"""Sequence index: sequence.json, kept current by all processes that train frames, lock-free."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

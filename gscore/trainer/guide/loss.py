@@ -1,4 +1,4 @@
-"""The loss of splats that do not lie on a guide's surface."""
+"""Guide loss: distance of splats from the surface mesh."""
 
 import torch
 

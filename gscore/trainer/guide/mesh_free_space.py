@@ -1,4 +1,4 @@
-"""Space that a guide keeps free: what lies between a training camera and the mesh it sees."""
+"""Free space of a mesh: the space between a training camera and a free-space mesh."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What structure from motion saw where photos see a mesh: whether the mesh is there."""
+"""Support of a mesh by SfM: whether the points confirm the mesh where photos show it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

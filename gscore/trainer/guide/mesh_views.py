@@ -1,4 +1,4 @@
-"""What training photos see of a mesh."""
+"""Mesh views: inverse depth of a mesh in the training photos."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

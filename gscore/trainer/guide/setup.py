@@ -1,4 +1,4 @@
-"""From the meshes that an artist gives to what a run needs of them: targets, free space, words."""
+"""Guide setup: from the user's meshes to loss targets, free space and messages."""
 
 import hashlib
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""What a host program may have set in torch and numpy for its own sake, put aside for a training.
+"""Isolated torch and numpy state: a host program's settings are set aside during a training.
 
 Torch's default dtype and device are not among it: they hold for all threads of the host, so that
 they are left alone, and every tensor is made with its own (`raster.memory`, `host.random`).

@@ -1,4 +1,4 @@
-"""How the C library hands out large pieces of memory."""
+"""malloc settings: large blocks of the C library come from mmap."""
 
 import contextlib
 import ctypes

@@ -1,4 +1,4 @@
-"""Random numbers of a training, the same ones whatever dtype and device torch makes unasked."""
+"""Random numbers of a training, independent of the default dtype and device of torch."""
 
 import torch
 

@@ -1,4 +1,4 @@
-"""Seconds that the parts of a step take."""
+"""Stage timer: seconds of the parts of a training step."""
 
 import time
 from collections.abc import Mapping

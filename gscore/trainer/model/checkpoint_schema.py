@@ -1,4 +1,4 @@
-"""What a checkpoint states, checked before a run goes on with it: ValueError where it cannot be.
+"""Checkpoint schema: values and tensors are checked before a run resumes, else ValueError.
 
 A checkpoint whose CRC is right may still come from elsewhere, and the rasterizer trusts shapes.
 """

@@ -1,4 +1,4 @@
-"""From SfM points to the first splats, and between numpy Splats and the trainer's tensors."""
+"""Conversions: SfM points to initial splats, and numpy Splats to and from torch tensors."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Models that were trained side by side, shown as one."""
+"""Ensemble: models that were trained in parallel, merged into one."""
 
 from collections.abc import Sequence
 from functools import cache

@@ -1,4 +1,4 @@
-"""The finest detail that photos can tell: no axis of a splat need be shorter.
+"""3D filter: minimum scale of splats by the sampling rate of the photos (Mip-Splatting).
 
 A splat thinner than a pixel of every photo is as thin as chance left it. Its photos do not show
 that, since the rasterizer widens it to half a pixel; a picture taken from nearer does.

@@ -1,4 +1,4 @@
-"""A guard against numbers that are not finite; `Model.step` leaves out the rows it meets."""
+"""Finite check of loss and gradients; `Model.step` skips rows that are not finite."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The splats that a training starts from, in the training world."""
+"""Initial splats of a training, in the training frame."""
 
 from dataclasses import replace
 

@@ -1,5 +1,4 @@
-"""The model in training: parameters, Adam moments and per-splat counters, whose rows move
-together."""
+"""Model in training: parameters, Adam moments and per-splat counters, kept in the same rows."""
 
 from collections.abc import Callable, Mapping
 from enum import Enum, auto

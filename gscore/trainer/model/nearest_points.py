@@ -1,4 +1,4 @@
-"""How far places are from the nearest points of structure from motion."""
+"""Nearest points: distances to the nearest SfM points."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Bounds that healthy splats never meet: rows beyond them are taken out, saturated numbers held.
+"""Sanitizing of the model: runaway rows are reset, saturated parameters are clamped.
 
 A row that ran away (one that is not finite, or colours of 1e30) costs every view that sees it, and
 nothing in its gradients brings it back. Taken out means transparent and neutral in everything else,

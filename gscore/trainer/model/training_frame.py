@@ -1,4 +1,4 @@
-"""The training world: where it lies in COLMAP world, and the lengths that belong to it."""
+"""Training frame: its place in COLMAP world, and the lengths that depend on it."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The views of a capture at the size that a step of the training wants."""
+"""Image pyramid: the views of a capture at the resolution of a training step."""
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

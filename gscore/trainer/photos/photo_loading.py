@@ -1,4 +1,4 @@
-"""The photos of a capture before the first step: what they take, into memory or not, good masks."""
+"""Photo loading before the first step: memory needed, cache in memory or not, checked masks."""
 
 import math
 import time

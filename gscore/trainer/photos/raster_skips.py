@@ -1,4 +1,4 @@
-"""Which skips of a training belong to the rasterizer, and which tiles a mask leaves to draw."""
+"""Rasterizer skips: skips of the training that the rasterizer implements, and masked tiles."""
 
 from collections.abc import Collection
 

@@ -1,4 +1,4 @@
-"""A far background to start from: splats on a sphere around all that the photos show.
+"""Sky: initial splats on a sphere around everything that the photos show.
 
 Where photos look past everything, at a sky or at hills, no point of structure from motion stands,
 and nothing makes a view between the photos show more than black. The sphere has in each direction

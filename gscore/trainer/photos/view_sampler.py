@@ -1,4 +1,4 @@
-"""The views of a capture as the training step needs them, and the order they come in."""
+"""View sampler: the training views of a capture, and the order in which steps use them."""
 
 from collections.abc import Sequence
 from typing import Protocol

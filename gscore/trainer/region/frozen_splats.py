@@ -1,4 +1,4 @@
-"""Splats that stand still: drawn with those that are trained, and no bit of them changes."""
+"""Frozen splats: rendered together with the trained splats, and never changed."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The box of a region: what lies in it, what may not leave it, and which pixels look at it."""
+"""Region box: the splats in it, their bounds, and the pixels whose rays meet it."""
 
 import hashlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A capture as far as it sees a region: its photos, and the pixels by which a region is judged."""
+"""Region photos: the views of a capture that show a region, masked to the region's pixels."""
 
 import math
 from typing import Any

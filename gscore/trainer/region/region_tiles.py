@@ -1,4 +1,4 @@
-"""The part of a picture that the splats of a region can change; the rest need not be drawn."""
+"""Region tiles: the part of a picture that splats of the region can change and must be drawn."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""How many photos a step takes at once, where several processes train together."""
+"""Batch size: photos per step, where several processes train together."""
 
 from collections.abc import Iterable
 

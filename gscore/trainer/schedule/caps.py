@@ -1,5 +1,4 @@
-"""How many steps, splats and points pay: beyond some for each photo a training learns the photos,
-not the scene."""
+"""Caps of steps, splats and points by the number of photos, against overfitting."""
 
 from dataclasses import replace
 

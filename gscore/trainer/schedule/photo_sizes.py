@@ -1,4 +1,4 @@
-"""Through which sizes photos go while a run starts small, and when."""
+"""Photo sizes of the coarse-to-fine start, and the steps at which they change."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What a TrainConfig means for a run of its length: the numbers behind every "0: by itself"."""
+"""Plan of a run: numbers that follow from a TrainConfig and its length, for options set to 0."""
 
 import math
 from dataclasses import dataclass

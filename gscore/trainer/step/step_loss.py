@@ -1,4 +1,4 @@
-"""What a picture of a step is worth: its photo, and what else is known of its view."""
+"""Step loss: the photometric loss of a view, with depth, mask and guide terms."""
 
 from typing import NamedTuple
 

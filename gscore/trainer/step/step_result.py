@@ -1,4 +1,4 @@
-"""What a step measured and did."""
+"""Step result: measurements and changes of one training step."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What a step looks at: views, their photos and what these are drawn over."""
+"""Training views of a step: cameras, photos and backgrounds."""
 
 import math
 from collections.abc import Iterator

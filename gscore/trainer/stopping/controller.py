@@ -1,4 +1,4 @@
-"""The length of a run in progress: set by what is left of its time and by how good it is."""
+"""Stopping controller: the length of a run in progress, from its time budget and its PSNR."""
 
 from typing import Any
 

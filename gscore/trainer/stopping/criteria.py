@@ -1,4 +1,4 @@
-"""Ends of a run other than its last step: a PSNR that is reached, or one that no longer rises."""
+"""Stopping criteria before the last step: a target PSNR, or a PSNR plateau."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""Smoothed numbers of a run, its clock, and the history that the report draws."""
+"""Progress meter: smoothed measurements of a run, its clock, and the history for the report."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""How many steps a run can take so that its schedules end when its time does."""
+"""Step budget: steps that fit a time limit, so that schedules end when the time does."""
 
 import math
 from collections.abc import Callable

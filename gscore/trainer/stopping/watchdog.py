@@ -1,4 +1,4 @@
-"""Notices that a training runs away, and says how far to go back and how much slower to go on.
+"""Watchdog: detects divergence, and decides the step to go back to and the lower rates.
 
 Pure bookkeeping on steps and errors, without a clock: the same run comes to the same decisions on
 any machine, and after a resume. The error is the root of the mean squared error of the step's view,

@@ -1,4 +1,4 @@
-"""What the training loop asks of a strategy, the policy that adds, moves and removes splats."""
+"""Strategy interface: the policy that adds, moves and removes splats, as the loop calls it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What each splat adds to the photos: its blending weights, summed over pixels."""
+"""Contribution of splats to the photos: blending weights, summed over pixels."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple

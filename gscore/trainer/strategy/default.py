@@ -1,4 +1,4 @@
-"""Adaptive density control of the 3DGS paper: double, prune and reset (Kerbl et al. 2023)."""
+"""Adaptive density control of the 3DGS paper: clone, split, prune and reset (Kerbl et al. 2023)."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Free space around the cameras: nothing was seen there, so no splat is kept there.
+"""Free space around cameras: splats in it are removed.
 
 Splats close before one camera hide little from it and everything from a camera beside it; training
 makes them, because they explain one photo each, and as a wall for cameras across the room. Points

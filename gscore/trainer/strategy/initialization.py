@@ -1,4 +1,4 @@
-"""The splats that a training begins with, and the space around them that stays empty."""
+"""Initialization of a run: the first splats, and the free space around the cameras."""
 
 from dataclasses import replace
 

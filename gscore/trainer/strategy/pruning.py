@@ -1,4 +1,4 @@
-"""Splats that go because of what photos, masks and cameras say, whatever the strategy does."""
+"""Pruning by photos, masks and free space, in addition to that of the strategy."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""Surgery on the rows of a model: the only code that adds, removes or overwrites splats."""
+"""Row operations of a model: the only code that adds, removes or overwrites splats."""
 
 import math
 from collections.abc import Mapping

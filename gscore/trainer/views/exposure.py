@@ -1,4 +1,4 @@
-"""Whether the exposure of photos is learnt: how much they differ decides, and gains begin there."""
+"""Exposure decision: whether photo gains are learnt, from their differences, and initial gains."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Gains of photos from the colours of points that several of them show: robust least squares."""
+"""Gain fit: photo gains from the colours of shared points, by robust least squares."""
 
 import numpy as np
 

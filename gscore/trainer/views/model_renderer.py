@@ -1,4 +1,4 @@
-"""The splats in training as cameras see them: pictures for people, metrics and decisions."""
+"""Model renderer: pictures of the splats in training for viewers, metrics and decisions."""
 
 import math
 from collections.abc import Callable, Sequence

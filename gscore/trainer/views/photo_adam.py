@@ -1,4 +1,4 @@
-"""Adam for a few numbers of each photo, of which a step moves those of one."""
+"""Photo Adam: Adam for the parameters of photos, of which a step updates one photo's."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""What is found of the training photos before they are trained on: how exposed, where taken."""
+"""Photo analysis before training: exposure and camera poses of the training photos."""
 
 from ...config import Switch, TrainConfig
 from ...datasets import Dataset

@@ -1,4 +1,4 @@
-"""How each photo was exposed: gains by channel that are learnt beside the splats.
+"""Photo gains: exposure and white balance of each photo, factors by channel that are learnt.
 
 A neutral picture times its photo's gain is what is compared with the photo. Values are encoded
 (sRGB), where a change of exposure by s stops is a gain of about 2^(s / 2.2), and white balance a

@@ -1,4 +1,4 @@
-"""What is learnt of the photos beside the splats: how they were exposed, where they were taken."""
+"""Photo parameters: gains and poses of each photo, optimised together with the splats."""
 
 from collections.abc import Sequence
 from dataclasses import replace

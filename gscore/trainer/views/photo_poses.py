@@ -1,4 +1,4 @@
-"""Poses of the training photos that are learnt beside the splats."""
+"""Photo poses: refinement of training camera poses together with the splats."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The pose from which finished splats look most like a photo."""
+"""Pose alignment: the camera pose from which trained splats match a photo best."""
 
 from collections.abc import Mapping
 

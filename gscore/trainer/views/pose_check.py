@@ -1,4 +1,4 @@
-"""Whether training cameras stand where photos were taken; those that do not are placed anew."""
+"""Pose check: training cameras against their tracks, with realignment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Small motions of cameras: rotation vectors, and how far one pose lies from another."""
+"""Pose math: small camera motions as rotation vectors, and distances between poses."""
 
 import numpy as np
 

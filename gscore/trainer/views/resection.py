@@ -1,4 +1,4 @@
-"""Cameras placed anew by the points that structure from motion saw in them."""
+"""Resection: camera poses from the SfM points observed in their photos."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The colours of points of structure from motion in the photos that show them."""
+"""Track colours: colours of SfM points in the photos that observe them."""
 
 from dataclasses import dataclass
 
