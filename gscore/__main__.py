@@ -1,4 +1,4 @@
-"""The program `gscore`, also `python -m gscore`: signals are dealt with from the first line on."""
+"""The program `gscore`, also `python -m gscore`: command line with early signal handlers."""
 
 import contextlib
 import os

@@ -1,3 +1,3 @@
-"""The one place that states the version."""
+"""Version number of gscore; no other file states it."""
 
 __version__ = "0.1.0"

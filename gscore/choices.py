@@ -1,4 +1,4 @@
-"""What some options of a run may be, with what each choice means."""
+"""Choices: enumerations of option values, with the meaning of each value."""
 
 from enum import StrEnum
 

@@ -1,4 +1,4 @@
-"""Options of a run as commands: a preset and what differs from it, and depth maps for it."""
+"""Config as a command line: a preset plus the options that differ from it; depth commands."""
 
 import shlex
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Options of a run as JSON: the config.json of its folder, and what two of them differ in."""
+"""Config file: the options of a run as JSON (config.json), and differences between two runs."""
 
 import difflib
 import json

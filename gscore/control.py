@@ -1,4 +1,4 @@
-"""Requests to work that is running, from other threads, signal handlers or lines on a pipe."""
+"""Control: stop, pause and other requests to running work from threads, signals or a pipe."""
 
 import os
 import signal

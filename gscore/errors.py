@@ -1,4 +1,4 @@
-"""Errors a user can meet. Each message says what, where, what was expected and what to do."""
+"""Errors for users. Each message has the problem, the place, the expected value and a remedy."""
 
 
 class GsError(Exception):

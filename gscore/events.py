@@ -1,4 +1,4 @@
-"""Events a trainer emits, one JSON object a line: the contract with every front end."""
+"""Events of a training, one JSON object per line: the contract with every front end."""
 
 import json
 import math

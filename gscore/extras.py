@@ -1,4 +1,4 @@
-"""Packages that parts of gscore need: which extra brings each, and the words that say so."""
+"""Optional packages (extras): the extra that installs each, and the message if one is missing."""
 
 import sys
 from collections.abc import Mapping

@@ -1,5 +1,4 @@
-"""What front ends need besides the names of `gscore`: a run's events and files, captures that are
-looked into, COLMAP models, estimates.
+"""Front-end interface in addition to `gscore`: events, runs, inspection, COLMAP, estimates.
 
 The Blender add-on uses no others. A name is loaded when it is first used.
 """

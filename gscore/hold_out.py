@@ -1,4 +1,4 @@
-"""`--hold-out`: which views a training leaves out, in one word."""
+"""Hold-out option: `--hold-out`, the choice of the held-out views in one word."""
 
 import re
 from pathlib import Path

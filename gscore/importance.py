@@ -1,4 +1,4 @@
-"""Which splats to keep where there may only be so many."""
+"""Importance of splats: selection of those to keep under a limit of their number."""
 
 import numpy as np
 

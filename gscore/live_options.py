@@ -1,5 +1,4 @@
-"""Options of watching a training while it runs; no part of a run's config, which may be a
-stranger's and must open nothing."""
+"""Live viewer options; never part of a run's config, which may come from a third party."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Places that lie beside each other, and those that lie far from all others: orders for blocks."""
+"""Morton order of points and detection of far outliers, for the division into blocks."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How an option of a run is declared: once, at its field; all else said of it is derived."""
+"""Option declarations: metadata at the field, from which help, checks and panels are derived."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

@@ -1,4 +1,4 @@
-"""Presets: how long and how carefully to train, in four steps."""
+"""Presets: four levels of training length and quality."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a message repeats of what it was given: short enough to read, and printable anywhere."""
+"""Quoting of untrusted text in messages: short and printable."""
 
 import reprlib
 import shlex

@@ -1,4 +1,4 @@
-"""Cameras and points of a capture, in COLMAP world, float64."""
+"""Scene: cameras and points of a capture, COLMAP world, float64."""
 
 import hashlib
 from dataclasses import dataclass, field, replace

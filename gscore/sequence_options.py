@@ -1,4 +1,4 @@
-"""Options of a sequence, besides those of its frames."""
+"""Sequence options, in addition to the options of its frames."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Imports that leave the process's signals alone."""
+"""Signal guard: imports that cannot change the signal handlers of the process."""
 
 import ctypes
 import os

@@ -1,4 +1,4 @@
-"""Unit quaternions as three numbers: all components but the largest, which follows from them."""
+"""Smallest-three encoding of unit quaternions: the largest component is implied."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The model as raw numpy arrays: exactly what a 3DGS PLY and a checkpoint store."""
+"""Splats: the model as raw numpy arrays, as in a 3DGS PLY and a checkpoint."""
 
 from dataclasses import dataclass, fields, replace
 

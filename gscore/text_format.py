@@ -1,4 +1,4 @@
-"""Counts, sizes, durations and what a model is worth, as people write them."""
+"""Text format of counts, sizes, durations and quality figures in messages."""
 
 from collections.abc import Mapping
 from typing import Any

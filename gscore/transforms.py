@@ -1,4 +1,4 @@
-"""Rotations, camera axes and the training world; nothing else converts frames."""
+"""Transforms: rotations, camera axes and the training frame; no other module converts frames."""
 
 import math
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What is up in a capture's world, by the way its photos were taken, and cameras turned to it."""
+"""Up direction of a capture's world from its cameras, and the rotation that makes it upright."""
 
 from collections.abc import Sequence
 from dataclasses import replace

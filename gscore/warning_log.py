@@ -1,4 +1,4 @@
-"""Warnings that gscore logs, collected by whoever wants to show them itself."""
+"""Warning log: collects the warnings that gscore logs, for callers that show them."""
 
 import logging
 import threading

@@ -1,4 +1,4 @@
-"""Files of camera paths: a cameras.json, nerfstudio's camera_path.json, a transforms.json."""
+"""Camera path files: cameras.json, nerfstudio's camera_path.json and transforms.json."""
 
 import json
 import math

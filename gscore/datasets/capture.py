@@ -1,4 +1,4 @@
-"""What the readers of the different layouts hand to the common rest: views, points, split."""
+"""Capture: views, points and split, the common result of the readers of all layouts."""
 
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Notices that a file of a capture is not the one any more that was read at first."""
+"""Changed files: detection of capture files that changed since they were first read."""
 
 import hashlib
 from collections.abc import Iterable

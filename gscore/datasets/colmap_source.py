@@ -1,4 +1,4 @@
-"""A capture from a COLMAP model and a folder of photos."""
+"""COLMAP source: a capture from a COLMAP model and a folder of photos."""
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath

@@ -1,4 +1,4 @@
-"""A capture ready to train on: scene, photos as bytes, masks and the split."""
+"""Dataset: a capture ready for training, with scene, photos as bytes, masks and split."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""One view decoded: photo and mask undistorted and scaled together, as bytes."""
+"""Decoding of one view: photo and mask undistorted and scaled together, as bytes."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Photos that are copies of one another."""
+"""Duplicate photos: detection of copies of one photo."""
 
 import contextlib
 from collections.abc import Callable

@@ -1,5 +1,4 @@
-"""Files of a folder found by the names a capture uses, which may differ in case, ending or
-Unicode form."""
+"""Folder lookup: files by the names in a capture, despite other case, ending or Unicode form."""
 
 import os
 import unicodedata

@@ -1,4 +1,4 @@
-"""The frames of a sequence of captures, and which of them to take."""
+"""Frames of a sequence of captures, and the selection of frames."""
 
 import re
 import string

@@ -1,4 +1,4 @@
-"""A capture folder read into a Dataset: layout, sizes, masks, points and split."""
+"""Loading of a capture folder into a Dataset: layout, sizes, masks, points and split."""
 
 from collections.abc import Callable
 from dataclasses import replace

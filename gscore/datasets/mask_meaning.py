@@ -1,4 +1,4 @@
-"""What the masks of a folder mean: mattes of a subject, or pixels to leave out."""
+"""Mask meaning: mattes of a subject, or pixels to ignore."""
 
 from collections import Counter
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Where the masks of a capture are and what they mean."""
+"""Masks of a capture: their folder, their files and their mode."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""A local origin for captures whose coordinates are too large for float32."""
+"""Local origin for captures with coordinates too large for float32."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the headers of a capture's photos say of them and their cameras; no photo is decoded."""
+"""Photo headers: sizes and camera data of a capture's photos, without decoding."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Points to start from where the capture has none, and colours where it has only black ones."""
+"""Initial points: random points for captures without any, and colours for black points."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Cameras and points that stand where they cannot be right."""
+"""Pose warnings: implausible positions of cameras and points."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Poses and intrinsics as capture files state them, checked."""
+"""Poses and intrinsics of capture files, validated."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""A capture folder read as its files state it, whatever its layout; numpy alone."""
+"""Reader of a capture folder in any layout; numpy alone."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The size to train at, from the option `-r`."""
+"""Training resolution of the photos, from the option `-r`."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Captures by the same fixed cameras brought together: one set of cameras, one world."""
+"""Camera rig: captures by the same fixed cameras, merged into one set of cameras and one world."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the search that found a capture's cameras says of the photos that have none."""
+"""Search record: photos without a camera, as listed by the camera search of a capture."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Photos of one exposure: two files of one shot, such as HEIC and JPEG, or one saved again."""
+"""Shots with several files: HEIC and JPEG of one exposure, or one photo saved twice."""
 
 import contextlib
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Which views train and which are held out."""
+"""Split of the views into training views and held-out test views."""
 
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath

@@ -1,4 +1,4 @@
-"""Which points of structure from motion were seen in which views."""
+"""Tracks: the views that observe each point of structure from motion."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

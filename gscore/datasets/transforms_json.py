@@ -1,4 +1,4 @@
-"""Captures described by transforms.json: nerfstudio, Instant-NGP and the synthetic NeRF scenes."""
+"""transforms.json captures: nerfstudio, Instant-NGP and the synthetic NeRF scenes."""
 
 import math
 import unicodedata

@@ -1,4 +1,4 @@
-"""Distorted cameras to pinhole cameras, and their photos, masks and depths; numpy alone."""
+"""Undistortion: distorted cameras, photos, masks and depths to pinhole; numpy alone."""
 
 from dataclasses import dataclass, replace
 

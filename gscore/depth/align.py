@@ -1,4 +1,4 @@
-"""Scale and offset of a depth map from the points of structure from motion: two rules."""
+"""Alignment of a depth map: scale and offset from SfM points, by two methods."""
 
 import numpy as np
 

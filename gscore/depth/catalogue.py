@@ -1,4 +1,4 @@
-"""Depth networks known by name: where their ONNX files lie, under which licence, how they are fed.
+"""Catalogue of depth networks: URLs of their ONNX files, licences, input formats.
 
 Sizes and SHA-256 are those that the hub's pages and at least one other project that pins the file
 state; where only one source could be found, the entry says so. No file could be downloaded when

@@ -1,4 +1,4 @@
-"""A depth map with its camera: where its pixels lie, and what it says of points in the world.
+"""Depth chart: a depth map with its camera, for points in the world and their depths.
 
 Values of a map become tones, 0 at its far end and 1 at its near end, so that two positive numbers,
 the inverse depths at the ends, place it in the world whatever its own numbers are.

@@ -1,4 +1,4 @@
-"""How far each pixel of a depth map is to be trusted: unknown, masked and edge pixels are not."""
+"""Confidence of the pixels of a depth map, 0 at unknown, masked and edge pixels."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Scale and offset of maps from each other: what one view's map says of another's surfaces.
+"""Depth consensus: scale and offset of depth maps from the maps of other views.
 
 Points of structure from motion often lie on the subject alone, so that a map's scale is known there
 and guessed for the floor and the walls behind it. Where two views show the same floor, their maps

@@ -1,4 +1,4 @@
-"""The affine map from a depth map's values to inverse depth, and how good it is."""
+"""Affine fit from the values of a depth map to inverse depth, with its quality."""
 
 from dataclasses import dataclass, replace
 from typing import Self

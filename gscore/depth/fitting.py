@@ -1,4 +1,4 @@
-"""Alignment of all maps of a capture: what they hold, whose fit is taken, which are refused."""
+"""Fitting of all depth maps of a capture: samples, choice of the fit, rejections."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Files of known networks: in the cache that all users of the hub share, or downloaded into it."""
+"""Hub files of the known networks: the shared hub cache, and downloads into it."""
 
 import contextlib
 import hashlib

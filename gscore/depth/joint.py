@@ -1,4 +1,4 @@
-"""Where all maps lie, together: the inverse depths of their ends that contradict each other least.
+"""Joint alignment of all depth maps: the end values with the least contradiction.
 
 Let r be the log of the ratio between the inverse depth of a point and that which a map states for
 it, in units of the log ratio between the map's ends. What is minimised is the sum of a bounded

@@ -1,4 +1,4 @@
-"""Depth maps read from files: PNG, TIFF, NPY and EXR, of depth or of inverse depth."""
+"""Depth map files: PNG, TIFF, NPY and EXR, with depth or inverse depth."""
 
 import os
 from enum import StrEnum

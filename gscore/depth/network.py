@@ -1,4 +1,4 @@
-"""Monocular depth networks in ONNX files: told apart by their graphs, run photo by photo."""
+"""Monocular depth networks in ONNX files: recognised by their graphs, run photo by photo."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum

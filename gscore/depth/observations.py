@@ -1,4 +1,4 @@
-"""Where the points of structure from motion are seen in each view, and how far they are."""
+"""Observations of SfM points in each view, with their depths."""
 
 from dataclasses import dataclass
 

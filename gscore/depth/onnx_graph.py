@@ -1,4 +1,4 @@
-"""What an ONNX file says of its graph, read from the file itself; onnxruntime does not tell."""
+"""ONNX graph of a file, parsed without onnxruntime, which does not expose it."""
 
 import mmap
 import struct

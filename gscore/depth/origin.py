@@ -1,4 +1,4 @@
-"""Which photos had a part in depth maps that stereo made, beside the maps themselves."""
+"""Origin of stereo depth maps: the photos that they were made from, stored with the maps."""
 
 import json
 from collections.abc import Collection, Sequence

@@ -1,4 +1,4 @@
-"""depth_params.json: scale and offset of each depth map, as the official 3DGS tools keep them."""
+"""Depth parameters: depth_params.json with scale and offset of each map, as in 3DGS."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Depth maps of all views of a capture by a network, written as 16-bit PNGs; can be continued."""
+"""Prediction of the depth maps of all views, written as 16-bit PNGs; resumable."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Depth maps of a capture as priors: read, aligned with the SfM points, at training resolution."""
+"""Depth priors of a capture: maps aligned with the SfM points, at training resolution."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What depth maps say where structure from motion saw points, and on a coarse grid."""
+"""Depth samples: values of depth maps at SfM points and on a coarse grid."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

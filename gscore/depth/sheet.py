@@ -1,4 +1,4 @@
-"""A contact sheet: photo and depth map of every view side by side, with what its fit says."""
+"""Contact sheet: photo and depth map of every view side by side, with the fit."""
 
 from collections.abc import Callable
 from pathlib import Path

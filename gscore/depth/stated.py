@@ -1,4 +1,4 @@
-"""What depth_params.json says of a capture's maps, without reading a map."""
+"""Stated alignment: the values of depth_params.json, without reading a map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What is found in a capture before a training."""
+"""Capture facts: the findings of an inspection before a training."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

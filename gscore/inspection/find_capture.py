@@ -1,4 +1,4 @@
-"""The capture that somebody means who picks a folder or file of it."""
+"""Capture finder: the capture that a picked file or folder belongs to."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Looks into a capture: a training's own rules, asked before one, and advice besides."""
+"""Inspection of a capture: the checks of a training, run before it, and advice."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence

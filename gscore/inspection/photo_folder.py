@@ -1,4 +1,4 @@
-"""What is known of photos or a video without cameras before these are looked for."""
+"""Photo folder facts: photos or a video without cameras, before a camera search."""
 
 from collections import Counter
 from pathlib import Path

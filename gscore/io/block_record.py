@@ -1,5 +1,4 @@
-"""`block.json`: which part of which capture a block is, so that what is trained on it can be put
-together again; and the same in the folder of a run on it."""
+"""Block record: `block.json`, the part of a capture that a block is, for the later merge."""
 
 import math
 from dataclasses import dataclass

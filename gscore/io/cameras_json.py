@@ -1,4 +1,4 @@
-"""The cameras.json that 3DGS viewers read beside a model."""
+"""cameras.json: camera file of 3DGS viewers, stored with a model."""
 
 import json
 from pathlib import Path

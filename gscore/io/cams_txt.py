@@ -1,4 +1,4 @@
-"""Cameras as text, a file each, in the layout of MVSNet: extrinsic, intrinsic, depth range."""
+"""MVSNet cameras as text, one file per view: extrinsic, intrinsic, depth range."""
 
 import re
 from pathlib import Path

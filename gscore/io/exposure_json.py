@@ -1,4 +1,4 @@
-"""exposure.json: the colours of each photo as an affine map of neutral ones, as 3DGS writes it."""
+"""exposure.json: an affine colour transform per photo, in the format of 3DGS."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The beginning and the end of a file, by which its format is known."""
+"""File sample: the first and last bytes of a file, for format detection."""
 
 import os
 import zlib

@@ -1,4 +1,4 @@
-"""Files written completely or not at all."""
+"""Atomic file writing: a file is written completely or not at all."""
 
 import contextlib
 import errno

@@ -1,5 +1,4 @@
-"""Cameras of other programs that are not read, and indexes of splats in many files: what a file
-among the photos is, by its name and content, and how to export what is read."""
+"""Foreign cameras: detection of unreadable camera and tile files, with export instructions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

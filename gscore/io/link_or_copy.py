@@ -1,4 +1,4 @@
-"""A file under a second name: a link where the file system has them, a copy elsewhere."""
+"""Link or copy: a file under a second name, hard-linked where possible, else copied."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""A folder that one process at a time works in: the lock that says so, and whose it is."""
+"""Folder lock: one process at a time works in a folder; the lock names its owner."""
 
 import contextlib
 import errno

@@ -1,4 +1,4 @@
-"""A file of levels of detail: a header, chunks of raw float32, and the index at its end.
+"""Level-of-detail (LOD) file: a header, chunks of raw float32, and an index at the end.
 
 A chunk is its splats' means, quaternions, log scales, logits of opacities, constant SH coefficients
 and further ones, one after the other, each as `Splats` holds it, little endian.

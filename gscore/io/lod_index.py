@@ -1,4 +1,4 @@
-"""The index of a file of levels of detail: which chunks there are, where, and how coarse."""
+"""Level-of-detail (LOD) index: number, offsets and coarseness of the chunks of an LOD file."""
 
 from dataclasses import dataclass, replace
 from typing import Any

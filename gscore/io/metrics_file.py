@@ -1,4 +1,4 @@
-"""metrics.json read back: what a disk or an editor may have made of it is checked first."""
+"""Metrics file: metrics.json, validated because it may be damaged or edited."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Arrays of NumPy's own format from bytes that may be anything."""
+"""NPY arrays from untrusted bytes."""
 
 import ast
 import math

@@ -1,4 +1,4 @@
-"""Where results may go: not among what they are made from, and not where everything lies."""
+"""Output paths: refusal of outputs inside their inputs or in system folders."""
 
 import contextlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""poses.json: where a training moved the cameras of its photos."""
+"""poses.json: the camera poses after pose refinement."""
 
 import json
 from pathlib import Path

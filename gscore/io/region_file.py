@@ -1,4 +1,4 @@
-"""The file that says which part of a capture is meant: a box, turned as one likes."""
+"""Region file: an oriented box, the part of a capture to train."""
 
 import json
 from pathlib import Path

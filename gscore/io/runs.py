@@ -1,4 +1,4 @@
-"""The folder a training left behind, read without torch: how far it is, and what may be removed."""
+"""Run folder of a training, read without torch: progress, and files that may be removed."""
 
 import contextlib
 import re

@@ -1,4 +1,4 @@
-"""The folder that training a sequence leaves, read without torch: its options and its frames."""
+"""Sequence folder of a sequence training, read without torch: options and frames."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Rows of splats as files hold them: bytes and sizes to raw parameters, bad rows left out."""
+"""Splat rows of files: bytes and linear sizes to raw parameters, invalid rows dropped."""
 
 import logging
 from dataclasses import replace

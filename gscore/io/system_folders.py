@@ -1,4 +1,4 @@
-"""Which folders are the system's, on Linux, macOS and Windows: no place for results."""
+"""System folders of Linux, macOS and Windows, where no results may be written."""
 
 import os
 import re

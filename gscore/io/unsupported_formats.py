@@ -1,4 +1,4 @@
-"""Files and folders that gscore does not read: what they are, by their content, and what to do.
+"""Unsupported formats: detection of files by content, with a remedy for each.
 
 One table for every place where a capture or a PLY was expected and something else was given.
 """

@@ -1,4 +1,4 @@
-"""world.json beside a COLMAP model: what is known of its world that its own files cannot say."""
+"""World file: world.json with facts of a COLMAP model's world that its files cannot store."""
 
 import json
 from pathlib import Path

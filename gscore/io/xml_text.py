@@ -1,4 +1,4 @@
-"""XML that other programs wrote, as a tree; documents that define entities are refused."""
+"""XML parsing of untrusted documents; entity definitions are refused."""
 
 import xml.etree.ElementTree as ET
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE

@@ -1,5 +1,4 @@
-"""The last adjustment of a model, and its lens: freed where it fits badly, held where photos do not
-tell its focal length."""
+"""Final bundle adjustment; the focal length is freed, or fixed where photos do not constrain it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

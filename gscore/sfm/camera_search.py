@@ -1,4 +1,4 @@
-"""The whole search: photos looked over, attempts made, the best model published as a capture."""
+"""Camera search: photos checked, attempts run, the best model published as a capture."""
 
 import math
 import time

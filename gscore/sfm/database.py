@@ -1,4 +1,4 @@
-"""What stands in COLMAP's database, read when nothing fills it.
+"""COLMAP database: its contents, read while nothing writes to it.
 
 Through pycolmap alone: a second SQLite in the process, as Python's own is, would let go of the
 locks of the first when it closes the file, and the database would be torn.

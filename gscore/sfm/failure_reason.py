@@ -1,4 +1,4 @@
-"""Why no cameras were found, in words with what to do."""
+"""Failure reason: a message with a remedy where no camera poses were found."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How long a search for cameras takes: told before it, and what is left while it goes on."""
+"""Forecast of a camera search: total time before it, remaining time during it."""
 
 import math
 import os

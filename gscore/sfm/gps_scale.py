@@ -1,4 +1,4 @@
-"""Size in metres and up of a model, by the places that GPS has written into EXIF."""
+"""GPS scale and up direction of an SfM model, from the positions in EXIF."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""HEIC photos, as phones write them: made JPEG where the package pillow-heif reads them."""
+"""HEIC photos of phones, converted to JPEG with the package pillow-heif."""
 
 import contextlib
 from collections.abc import Iterator

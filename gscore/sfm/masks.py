@@ -1,4 +1,4 @@
-"""Masks as COLMAP's feature extraction takes them: black where no feature is wanted."""
+"""SfM masks in COLMAP's format: no features where they are black."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Features of photos compared with those of others, and the matches written into COLMAP's database.
+"""Feature matches between photos, computed and written to COLMAP's database.
 
 COLMAP's own search on a processor is left out: the BLAS in its packages is called by several
 threads at once and is not made for that, so that in 1 % of the searches with eight threads a photo

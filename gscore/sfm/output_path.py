@@ -1,4 +1,4 @@
-"""Where the capture of a source goes that names none: beside it, or where it was made before."""
+"""Output path: default folder of the capture made from a source, or an earlier capture of it."""
 
 import itertools
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-"""Which photos are compared with which: all with all, or neighbours and far ones of a sequence, and
-those that look alike or were taken near each other."""
+"""Image pairs to match: exhaustive, or sequence neighbours plus similar and nearby photos."""
 
 from collections.abc import Iterable
 from itertools import combinations, product

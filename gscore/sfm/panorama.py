@@ -1,4 +1,4 @@
-"""Photos that show all directions: recognised, and refused with how to cut them into views."""
+"""Panoramas: detection and refusal, with instructions to cut them into views."""
 
 import re
 from collections.abc import Mapping

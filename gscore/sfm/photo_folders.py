@@ -1,4 +1,4 @@
-"""Folders of plain photos, and which photos the capture of an earlier search was made of."""
+"""Photo folders: folders of plain photos, and the photos behind an earlier search."""
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath

@@ -1,4 +1,4 @@
-"""How sharp and how bright photos are: which are blurred, where exposure jumps."""
+"""Photo quality: sharpness and brightness, blurred photos, exposure jumps."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,5 +1,4 @@
-"""What stands in the place of a folder of photos: a video, several sources, photos that are changed
-first; put into the capture before its search, and removed where nothing comes of them."""
+"""Photo sources other than one folder: video, several folders, converted photos; staged first."""
 
 import contextlib
 import shutil

@@ -1,4 +1,4 @@
-"""The photos of a folder: which there are, whether they are whole, which share a camera."""
+"""Photos of a folder: listed, checked for completeness, grouped by camera."""
 
 import os
 import re

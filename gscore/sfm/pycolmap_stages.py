@@ -1,4 +1,4 @@
-"""The steps of pycolmap on a database: photos entered, features, matches, a model."""
+"""Pycolmap stages on a database: import of photos, features, matches, reconstruction."""
 
 from dataclasses import dataclass
 from pathlib import Path

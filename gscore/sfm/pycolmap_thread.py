@@ -1,4 +1,4 @@
-"""Calls into pycolmap in a thread, watched: how far they are, and whether they are to end."""
+"""Pycolmap thread: calls in a worker thread, with progress and cancellation."""
 
 import concurrent.futures
 import contextlib

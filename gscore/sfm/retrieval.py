@@ -1,4 +1,4 @@
-"""Which of many photos look alike, by words made of their own features: no network is needed.
+"""Image retrieval: similar photos by visual words of their own features, without a network.
 
 A bag of visual words (Sivic and Zisserman 2003): features are put into as many groups as there are
 words, and photos that share words which few others have are alike.

@@ -1,4 +1,4 @@
-"""The settings that are tried one after the other while many photos are left out."""
+"""Search attempts: settings tried in turn while many photos have no camera pose."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""What is asked for: which photos, where the capture goes, and how the work is done."""
+"""Search request: photos, output folder and options of a camera search."""
 
 from dataclasses import dataclass
 from pathlib import Path

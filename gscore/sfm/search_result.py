@@ -1,4 +1,4 @@
-"""What a search for cameras has found: numbers for programs, sentences for people."""
+"""Search result: figures and messages of a camera search."""
 
 from dataclasses import dataclass
 from pathlib import Path

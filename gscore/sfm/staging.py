@@ -1,5 +1,4 @@
-"""Photos of several sources, or of a kind that is changed first, gathered into `images` of the
-capture that is to be."""
+"""Staging: photos of several sources or of converted formats in `images` of a new capture."""
 
 import json
 import math

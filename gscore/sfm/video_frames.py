@@ -1,4 +1,4 @@
-"""A video as the source of a search: its frames are taken into the capture that is to be."""
+"""Video frames as the source of a camera search, extracted into its future capture."""
 
 import contextlib
 from collections.abc import Callable

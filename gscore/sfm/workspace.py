@@ -1,4 +1,4 @@
-"""The folder in which cameras are found, beside the capture that it becomes when all is done."""
+"""Workspace: temporary folder of a camera search, which becomes the capture at its end."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Points on the surfaces that depth maps show, thinned evenly as photos see them."""
+"""Stereo point cloud: points on the surfaces of the depth maps, evenly thinned."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Depth maps of stereo as files that a training reads: PNGs, their confidence, their scale."""
+"""Stereo depth files for a training: PNGs with confidence and scale."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Depth maps of the views of a capture from each other: swept, filtered, checked."""
+"""Stereo depth maps of a capture's views: plane sweep, filter, consistency check."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

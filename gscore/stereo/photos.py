@@ -1,4 +1,4 @@
-"""Photos as stereo compares them: small, grey, with their cameras at that size."""
+"""Stereo photos: small and grey, with cameras of that size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

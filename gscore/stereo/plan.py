@@ -1,4 +1,4 @@
-"""Which photos are compared with which, and in which range of depths."""
+"""Stereo plan: the neighbour views of each photo, and its range of depths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How far a camera has gone since the beginning of a video, as its pictures move and change.
+"""Camera motion since the start of a video, from the motion and change of its frames.
 
 Displacements of blocks are found by phase correlation (Kuglin and Hines 1975) with a picture some
 frames back, so that the trembling of a hand does not add up. Around a subject the camera goes far

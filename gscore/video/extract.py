@@ -1,4 +1,4 @@
-"""A video to a folder of frames: looked at once, chosen from, decoded again and written."""
+"""Frame extraction from a video: survey, selection, second decoding, writing."""
 
 import time
 from collections.abc import Callable

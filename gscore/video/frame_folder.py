@@ -1,4 +1,4 @@
-"""The folder of the frames: written beside its place, then renamed; known again by a second run."""
+"""Frame folder: written under a temporary name, renamed, and reused by a second run."""
 
 import contextlib
 import io

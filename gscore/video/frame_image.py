@@ -1,4 +1,4 @@
-"""A frame as a photo: upright, with square pixels, 8 bit sRGB."""
+"""Frame image: a video frame as an upright photo with square pixels, 8-bit sRGB."""
 
 from typing import Any
 

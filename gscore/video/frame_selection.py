@@ -1,4 +1,4 @@
-"""Which frames are taken: the sharpest of each piece of the camera's way. Numbers only."""
+"""Frame selection: the sharpest frame of each section of the camera motion; numbers only."""
 
 from dataclasses import dataclass
 from itertools import pairwise

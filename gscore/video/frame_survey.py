@@ -1,4 +1,4 @@
-"""The first look at a video: for every frame when it is, how sharp, and how far the camera went."""
+"""Frame survey: time, sharpness and camera motion of every frame of a video."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is asked for: which video, where its frames go, how many, and as what."""
+"""Extraction request: video, output folder, number and format of the frames."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A video file opened with PyAV: its frames in the order of display, or why there are none."""
+"""Video source: a file opened with PyAV, its frames in display order, or an error."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

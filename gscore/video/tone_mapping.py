@@ -1,4 +1,4 @@
-"""HDR video brought to the range of a screen: the same curve for every frame.
+"""Tone mapping of HDR video to display range: the same curve for every frame.
 
 Sources: ITU-R BT.2100-2 (PQ and HLG), BT.2408 (reference white at 203 cd/m2), BT.2087 (colours of
 BT.2020 in those of BT.709), IEC 61966-2-1 (sRGB).

@@ -1,4 +1,4 @@
-"""Frames of a multi-view video with a COLMAP model of their own, or with the rig's cams/*.txt."""
+"""PKU-DyMVHumans cams: video frames with a COLMAP model each, or with the rig's cams/*.txt."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Multi-view video in the layouts of PKU-DyMVHumans: which folder is what, and one frame of it."""
+"""PKU-DyMVHumans case: layout detection of a multi-view video, and one of its frames."""
 
 import os
 import re

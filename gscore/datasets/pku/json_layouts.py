@@ -1,4 +1,4 @@
-"""Frames of a multi-view video in the JSON layouts of NeuS2 and Instant-NGP."""
+"""JSON layouts of multi-view video frames: NeuS2 and Instant-NGP."""
 
 from pathlib import Path, PurePosixPath
 from typing import Any

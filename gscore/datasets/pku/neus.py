@@ -1,4 +1,4 @@
-"""Frames of a multi-view video in the layout of NeuS: projection matrices in an npz."""
+"""NeuS layout of multi-view video frames: projection matrices in an npz."""
 
 import re
 import zipfile

@@ -1,4 +1,4 @@
-"""Cameras that other photogrammetry programs exported among the photos."""
+"""Cameras exported by other photogrammetry programs next to the photos."""
 
 from .find import ProgramFile, find_program
 from .read import read_program

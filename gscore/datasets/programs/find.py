@@ -1,4 +1,4 @@
-"""Which program's camera file lies in a folder, by what files hold, not by their names."""
+"""Finder of other programs' camera files in a folder, by content instead of name."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

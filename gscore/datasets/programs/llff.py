@@ -1,4 +1,4 @@
-"""The poses_bounds.npy of LLFF, which many scenes of NeRF papers have.
+"""LLFF poses: the poses_bounds.npy of many NeRF scenes.
 
 Schema: "Using your own poses without running COLMAP" of the readme of Fyusion/LLFF, and its
 `pose_utils.py`: a row for each photo in the order of the sorted names, 3 x 5 numbers row by row and

@@ -1,4 +1,4 @@
-"""Cameras that Agisoft Metashape exports as XML (*Export Cameras*, Agisoft XML).
+"""Agisoft Metashape cameras, exported as XML (*Export Cameras*, Agisoft XML).
 
 The schema is that of files with `<document version="1.2.0">` to `"2.0.0"`, as Metashape 1.5 to 2.3
 write them. Lenses are those of the *Metashape User Manual, Professional Edition*, appendix "Camera

@@ -1,4 +1,4 @@
-"""The reconstruction.json of OpenSfM and OpenDroneMap.
+"""OpenSfM and OpenDroneMap cameras: reconstruction.json.
 
 Schema: "Reconstruction file format" and "Geometric Models" of OpenSfM's documentation, and
 `opensfm/io.py` (0.5 to 0.6), which names the parameters of each `projection_type`. Lengths of the

@@ -1,4 +1,4 @@
-"""What the readers of other programs' files return, and their lens models as COLMAP's."""
+"""Posed photos: results of the readers of other programs, with COLMAP lens models."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""A capture from the camera file of another program and the photos in its folder."""
+"""Reader of a capture from another program's camera file and the photos in its folder."""
 
 import re
 import unicodedata

@@ -1,4 +1,4 @@
-"""Cameras that RealityScan (RealityCapture) exports: its CSV files and its XMP sidecars.
+"""RealityScan (RealityCapture) cameras: its CSV files and its XMP sidecars.
 
 Source of all formulas: M. Hornacek, "On the Coordinate Systems Employed in the Import, Estimation,
 and Export of Camera Geometry by RealityScan", Epic Games, 8 June 2026 (RealityScan 2.2), which the

@@ -1,4 +1,4 @@
-"""COLMAP's binary files: cameras.bin, images.bin, points3D.bin (little endian)."""
+"""COLMAP binary files: cameras.bin, images.bin, points3D.bin (little endian)."""
 
 import logging
 import os

@@ -1,4 +1,4 @@
-"""COLMAP's camera models: ids, names and the meaning of their parameters."""
+"""COLMAP camera models: ids, names and the meaning of their parameters."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""COLMAP reconstructions read from and written to folders, binary or text, with numpy alone."""
+"""COLMAP model folder, binary or text: reader and writer with numpy alone."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator

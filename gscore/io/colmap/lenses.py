@@ -1,4 +1,4 @@
-"""Where lenses that bend lines put what a straight one would see, and back; numpy alone."""
+"""Lens models of COLMAP: distortion and undistortion of pixels; numpy alone."""
 
 from collections.abc import Callable, Sequence
 

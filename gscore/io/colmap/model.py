@@ -1,4 +1,4 @@
-"""A COLMAP reconstruction as plain numpy arrays."""
+"""COLMAP model: a reconstruction as plain numpy arrays."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""COLMAP's text files: cameras.txt, images.txt, points3D.txt."""
+"""COLMAP text files: cameras.txt, images.txt, points3D.txt."""
 
 import itertools
 import logging

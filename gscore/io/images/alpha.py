@@ -1,4 +1,4 @@
-"""Colours that are multiplied by their opacity while pictures are resampled, and back."""
+"""Premultiplied alpha for the resampling of pictures, and its inverse."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How a photo was exposed, by its EXIF data."""
+"""EXIF exposure of a photo: shutter time, aperture and sensitivity."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The size that the header of an OpenEXR file states, looked at before memory is taken for it."""
+"""OpenEXR header: the size of a picture, checked before memory is allocated."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Size, transparency and EXIF turn of PNG and JPEG files, with the standard library alone."""
+"""Image headers of PNG and JPEG: size, transparency and EXIF orientation; standard library."""
 
 import re
 import struct

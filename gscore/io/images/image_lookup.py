@@ -1,4 +1,4 @@
-"""Pictures looked up between their pixels; numpy alone."""
+"""Image lookup at fractional pixels, bilinear or cubic; numpy alone."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How many blocks the data of a JPEG hold, by reading its Huffman codes without decoding it.
+"""JPEG scan: the number of blocks in the data, by their Huffman codes without decoding.
 
 ITU-T T.81: a scan is a sequence of minimum coded units (MCUs), each of some blocks of each
 component, and a block is a code and bits for its mean, then such for its other coefficients.

@@ -1,4 +1,4 @@
-"""Pictures opened with Pillow: of known formats, of a bearable size, whole, or refused in words."""
+"""Pillow images: opened with checks of format, size and completeness."""
 
 import functools
 import re

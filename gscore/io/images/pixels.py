@@ -1,4 +1,4 @@
-"""Pixels of a picture of any kind as bytes: as its maker meant them, or refused in words."""
+"""Pixels of a picture of any mode as 8-bit arrays."""
 
 from pathlib import Path
 from typing import Any

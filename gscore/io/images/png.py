@@ -1,4 +1,4 @@
-"""Pictures of 8 bits as PNG, where no library for pictures can be had."""
+"""PNG writer for 8-bit pictures, without an image library."""
 
 import struct
 import zlib

@@ -1,4 +1,4 @@
-"""Raw photos, and TIFFs that begin with a reduced picture: of both the full-size picture is read.
+"""Raw photos, and TIFFs with a thumbnail first: the full-size picture.
 
 Raw files of most cameras are TIFFs (tags of TIFF 6.0, TIFF/EP and DNG 1.7) whose first directory is
 a preview, which Pillow would take for the photo.

@@ -1,4 +1,4 @@
-"""Photos as bytes: decoding, size without decoding, downscaling, PNG out."""
+"""Image reader: decoding to bytes, size without decoding, downscaling, PNG output."""
 
 import struct
 import zlib

@@ -1,4 +1,4 @@
-"""Scaling photos down with numpy alone: what `images.resize` does with Pillow, bit by bit."""
+"""Resampling of photos to smaller sizes in numpy, with the same bits as Pillow's."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Pictures whose data end before their last pixel, which decoders pass over in silence.
+"""Truncated images: detection of missing data, which decoders ignore silently.
 
 Files that are cut off are refused by the decoders themselves. What they fill up without a word is a
 file whose data end early and properly: a PNG with fewer rows than its header states becomes black

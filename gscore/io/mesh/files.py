@@ -1,4 +1,4 @@
-"""A mesh from a file of either format."""
+"""Mesh files: reader of either format."""
 
 from pathlib import Path
 

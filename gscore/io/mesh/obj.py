@@ -1,4 +1,4 @@
-"""Meshes in OBJ files (Wavefront, appendix B1): vertices and faces; all else says how they look."""
+"""OBJ meshes (Wavefront, appendix B1): vertices and faces; appearance is ignored."""
 
 from pathlib import Path
 

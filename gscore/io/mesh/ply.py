@@ -1,4 +1,4 @@
-"""Meshes in PLY files."""
+"""PLY meshes: reader and writer."""
 
 from pathlib import Path
 from typing import BinaryIO

@@ -1,4 +1,4 @@
-"""A mesh of triangles, and what is looked over in one that comes from a file."""
+"""Triangle mesh, and the checks of one that comes from a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

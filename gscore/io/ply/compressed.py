@@ -1,4 +1,4 @@
-"""Decoding of SuperSplat's compressed PLY: 256 splats a chunk, packed into 16 bytes each.
+"""Compressed PLY of SuperSplat: decoding, 256 splats per chunk, 16 bytes per splat.
 
 Layout of the public format: element `chunk` holds the bounds of positions, log scales and colours
 of 256 splats; element `vertex` four uint32 a splat; element `sh`, if there, one byte a coefficient.

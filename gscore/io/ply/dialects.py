@@ -1,4 +1,4 @@
-"""Raw parameters of the vertices of a splat PLY, whichever program wrote it.
+"""PLY dialects: raw splat parameters from the vertices of any program's PLY.
 
 Sources: the official 3DGS layout; `filter_3D` as the code of Mip-Splatting applies it (Yu et al.
 2024, section 4.1; GOF and RaDe-GS write the same); 2DGS (Huang et al. 2024), whose discs have two

@@ -1,4 +1,4 @@
-"""Any PLY file as named numpy tables, with every broken file turned into one sentence."""
+"""PLY elements of any file as named numpy tables; one error sentence per broken file."""
 
 import io
 import logging

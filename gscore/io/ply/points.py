@@ -1,4 +1,4 @@
-"""Plain point clouds from PLY files."""
+"""PLY point clouds without splat parameters."""
 
 from pathlib import Path
 

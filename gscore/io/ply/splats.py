@@ -1,4 +1,4 @@
-"""Splat models as PLY: every dialect in, the official 3DGS layout out."""
+"""PLY splats: reader of every dialect, writer of the official 3DGS layout."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The axis of a splat PLY that points up, where a comment of its header states it."""
+"""Up axis of a splat PLY, from a comment in its header."""
 
 import re
 from collections.abc import Iterable
