@@ -81,7 +81,8 @@ class Server:
             option = socket.SO_REUSEADDR if alone is None else alone
             listening.setsockopt(socket.SOL_SOCKET, option, 1)
             listening.bind(place)
-            listening.listen(MOST_VIEWERS)
+            # A client whose SYN finds no place in the queue tries again only after 1 s, 2 s, 4 s.
+            listening.listen(socket.SOMAXCONN)
         except OSError as error:
             listening.close()
             raise ConfigError(
@@ -96,6 +97,8 @@ class Server:
             try:
                 connection, _ = self._socket.accept()
                 self._admit(connection)
+            except ConnectionError:  # of that one connection (ECONNABORTED), not of the listener
+                continue
             except (OSError, RuntimeError) as error:  # too many files, too many threads
                 if not self.viewers.closed and not told:
                     _log.warning("A viewer cannot connect: %s", error)
@@ -107,7 +110,6 @@ class Server:
         or is let go.
 
         Raises:
-            OSError: the connection is gone already.
             RuntimeError: there can be no thread more.
         """
         one = self.viewers.enter(MOST_VIEWERS) or self._in_place_of_a_silent_one()
@@ -117,11 +119,10 @@ class Server:
         with self._lock:
             self._connections[connection] = one
         try:
-            _keep_alive(connection)
             threading.Thread(
                 target=self._serve, args=(connection, one), name="gscore-viewer", daemon=True
             ).start()
-        except (OSError, RuntimeError):
+        except RuntimeError:
             self._let_go(connection, one)
             raise
 
@@ -145,6 +146,7 @@ class Server:
     def _serve(self, connection: socket.socket, one: ViewerClient) -> None:
         """Answer until the viewer goes, says what no viewer says, or does not take its answers."""
         try:
+            _keep_alive(connection)  # fails on macOS where the connection was reset already
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             while True:
                 request = viewer_protocol.parse(_request(connection))

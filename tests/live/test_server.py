@@ -1,5 +1,6 @@
 """The server by itself, with pictures of one colour; oracle: the protocol, and what survives."""
 
+import errno
 import json
 import random
 import socket
@@ -329,6 +330,66 @@ def test_a_lasting_fault_is_waited_out(training, monkeypatch, caplog, broken):
     while training.server.viewers._all and time.monotonic() < end:
         time.sleep(0.05)
     assert not training.server.viewers._all and not training.server._connections
+
+
+def reset(connection: socket.socket) -> None:
+    """Close with RST instead of FIN."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, server._NO_LINGERING)
+    connection.close()
+
+
+def test_a_viewer_is_answered_after_a_flood_of_resets():
+    """Oracle: TCP's own state: with nobody accepting yet, 300 connections are established, which
+    needs a place in the queue for each. All are reset, then a viewer gets its picture."""
+    training = Training()
+    flood = [
+        socket.create_connection(("127.0.0.1", training.port), timeout=0.5) for _ in range(300)
+    ]
+    for connection in flood:
+        reset(connection)
+    with training, Client(training.port) as client:
+        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+
+
+@pytest.mark.parametrize("where", ["accept", "option"])
+def test_a_fault_of_one_connection_delays_no_other(training, monkeypatch, caplog, where):
+    """Oracle: the waits of the accepting thread, of which there are none, for faults that systems
+    report of a connection that was reset: ECONNABORTED of Linux, EINVAL of macOS."""
+    waits, faults, real = [], [], time.sleep
+
+    def fail(*_):
+        faults.append(1)
+        raise (
+            ConnectionAbortedError(errno.ECONNABORTED, "aborted")
+            if where == "accept"
+            else (OSError(errno.EINVAL, "Invalid argument"))
+        )
+
+    class Aborting:
+        def accept(self):
+            connection, address = listening.accept()
+            if len(faults) < 20:
+                connection.close()
+                fail()
+            return connection, address
+
+        def __getattr__(self, name):
+            return getattr(listening, name)
+
+    listening = training.server._socket
+    monkeypatch.setattr(server.time, "sleep", lambda s: (waits.append(s), real(s)))
+    with monkeypatch.context() as patch:
+        if where == "accept":
+            patch.setattr(training.server, "_socket", Aborting())
+        else:
+            patch.setattr(server, "_keep_alive", fail)
+        end = time.monotonic() + 30
+        while len(faults) < 20 and time.monotonic() < end:
+            Client(training.port).socket.close()
+    with Client(training.port) as client:
+        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+    assert len(faults) >= 20 and server._REST not in waits
+    assert "cannot connect" not in caplog.text
 
 
 def test_viewers_that_vanish_leave_no_threads(training):

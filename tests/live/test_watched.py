@@ -153,7 +153,7 @@ def test_a_port_in_use_is_told_before_the_work(capture, tmp_path, gscore):  # no
 def test_who_can_watch_from_elsewhere_is_told(capture, tmp_path, gscore):  # noqa: F811
     """Oracle: a warning for all addresses, none for the own computer's."""
     line = ("train", capture, "--iterations", "2", "--port", free_port(), "--events", "jsonl")
-    _, text, _ = gscore(*line, "-o", tmp_path / "a", "--set", "ip=0.0.0.0")
+    _, text, _ = gscore(*line, "-o", tmp_path / "a", "--ip", "0.0.0.0")
     assert "Whoever reaches 0.0.0.0" in text
     _, text, _ = gscore(*line, "-o", tmp_path / "b")
     assert "Whoever" not in text and "Viewers can connect to 127.0.0.1, port" in text
