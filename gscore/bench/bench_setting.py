@@ -1,4 +1,4 @@
-"""What a speed was measured on, without which it says nothing."""
+"""Bench setting: the machine and versions that a measured speed refers to."""
 
 from dataclasses import dataclass
 

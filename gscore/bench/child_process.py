@@ -1,4 +1,4 @@
-"""Work in a Python process of its own, whose memory and warm caches are nobody else's."""
+"""Child process for measurements, with memory and caches of its own."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""When a change of the training becomes a default: one rule for all of them."""
+"""Default rule: the one criterion by which a change of the training becomes a default."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

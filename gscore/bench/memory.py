@@ -1,4 +1,4 @@
-"""How much memory a training takes: a whole run on a synthetic capture, in this process."""
+"""Memory bench: peak memory of a whole training on a synthetic capture, in this process."""
 
 import tempfile
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What many measured views say together, whatever one outlier says, and how sure that is."""
+"""Paired statistics over many views: robust mean differences and their confidence intervals."""
 
 import math
 from collections.abc import Sequence

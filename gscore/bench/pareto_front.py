@@ -1,5 +1,5 @@
-"""What size buys: trainings with several numbers of splats, photo widths and numbers of steps, all
-measured on photos of one size, and which of them no other beats."""
+"""Pareto front of model sizes: trainings by number of splats, photo width and steps, all measured
+on photos of one size, of which no other is both cheaper and better."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Curves of other programs, from the small JSON that docs/metrics.md describes."""
+"""Peer curves: results of other programs, from the small JSON that docs/metrics.md describes."""
 
 import math
 from pathlib import Path

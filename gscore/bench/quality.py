@@ -1,4 +1,4 @@
-"""Held-out quality that no single view decides: captures x seeds x split offsets, in pairs."""
+"""Quality bench: held-out metrics over captures x seeds x split offsets, in pairs."""
 
 import math
 import statistics

@@ -1,4 +1,4 @@
-"""How fast the rasterizer is, forward and backward apart."""
+"""Rasterizer bench: time of the forward and the backward pass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

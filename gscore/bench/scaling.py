@@ -1,5 +1,5 @@
-"""How cost grows with splats, pixels, threads and views: each point in a process of its own, and
-the straight line through the points."""
+"""Scaling bench: cost by splats, pixels, threads and views, each point in a process of its own,
+with a straight line fitted through the points."""
 
 import shutil
 import tempfile

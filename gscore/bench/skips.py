@@ -1,4 +1,4 @@
-"""What each skip brings: the same training without it, and without several together."""
+"""Skip bench: the gain of each skip, from trainings without it, and without several."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

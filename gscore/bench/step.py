@@ -1,4 +1,4 @@
-"""How long a training step takes, and what its parts take."""
+"""Step bench: time of a training step and of its parts."""
 
 import statistics
 import time

@@ -1,4 +1,4 @@
-"""Photos of a synthetic cloud, in memory or on disk, for machines without a capture."""
+"""Synthetic photos of a cloud, in memory or on disk, for machines without a capture."""
 
 import hashlib
 import io

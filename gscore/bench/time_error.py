@@ -1,4 +1,4 @@
-"""Run time against error: held-out quality over seconds of training, for variants and seeds."""
+"""Time-error bench: held-out error over seconds of training, for variants and seeds."""
 
 import math
 import statistics

@@ -1,4 +1,4 @@
-"""Trainings in memory, measured: no files, no events, evaluation outside the clock."""
+"""Measured trainings in memory: no files, no events, evaluation outside the clock."""
 
 import time
 from collections.abc import Callable, Collection, Sequence

@@ -1,4 +1,4 @@
-"""The world cut into upright cells with about equally much to train in each.
+"""Block cells: upright cells of the world with about equal training work in each.
 
 Cells are cut along the ground, as VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1)
 does; by recursive halving of the longer side, so that any number of cells comes out.

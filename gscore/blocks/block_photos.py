@@ -1,4 +1,4 @@
-"""Which photos a block is trained on: those that show enough of its cell."""
+"""Block photos: the training photos of a block, those that show enough of its cell."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Splats trained block by block put together: of each block those in its own cell."""
+"""Merge of block splats: from each trained block the splats inside its own cell."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Which photos and points of a capture make up which block.
+"""Capture split: assignment of photos and points of a capture to blocks.
 
 Blocks are chosen as VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1) does: a photo
 belongs to each block of which it shows enough, and a block has all points that its photos show,

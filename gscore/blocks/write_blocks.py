@@ -1,4 +1,4 @@
-"""Blocks written: an ordinary capture each, whose photos are links where that can be."""
+"""Block writer: an ordinary capture per block, with links to the photos where possible."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Blocks of a split capture, trained one by one: one of them, or all in turn by whoever is free."""
+"""Block runs: trainings of the blocks of a split capture, one block or all of them in turn."""
 
 import argparse
 from collections.abc import Callable, Iterable, Sequence

@@ -1,4 +1,4 @@
-"""`gscore compare`: two runs on one capture, view by view, as a page."""
+"""`gscore compare`: page that compares two runs on one capture, view by view."""
 
 import argparse
 import sys

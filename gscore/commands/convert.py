@@ -1,4 +1,4 @@
-"""`gscore convert`: splats into another file; on the way cropped, cleaned, thinned out, moved."""
+"""`gscore convert`: splats to another format; optional crop, cleanup, pruning and transform."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore depth`: predict depth maps of a capture, align them with its points, show them."""
+"""`gscore depth`: depth maps of a capture, predicted, aligned with its points, and shown."""
 
 import argparse
 

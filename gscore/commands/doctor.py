@@ -1,4 +1,4 @@
-"""`gscore doctor`: what this machine can do, and what is missing."""
+"""`gscore doctor`: capabilities of this machine, and missing packages."""
 
 import argparse
 import importlib

@@ -1,4 +1,4 @@
-"""`gscore eval`: measure trained splats against the photos of a capture."""
+"""`gscore eval`: metrics of trained splats against the photos of a capture."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""A training of plain photos or a video: cameras are found first, and kept in its folder."""
+"""SfM before a training of plain photos or a video, with the cameras kept in the run's folder."""
 
 from collections.abc import Callable
 from dataclasses import replace

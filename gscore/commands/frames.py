@@ -1,4 +1,4 @@
-"""`gscore frames`: choose sharp frames of a video and write them as photos."""
+"""`gscore frames`: sharp frames of a video, written as photos."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore info`: what a capture, photos, a video, a file of splats or the folder of a run holds."""
+"""`gscore info`: summary of a capture, photos, a video, a splat file or a run."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore lod`: levels of detail of a model that outgrows a memory, built once."""
+"""`gscore lod`: levels of detail of a model larger than memory, built once."""
 
 import argparse
 import sys

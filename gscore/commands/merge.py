@@ -1,4 +1,4 @@
-"""`gscore merge`: runs on the blocks of a split capture, as one file of splats."""
+"""`gscore merge`: one splat file from the runs on the blocks of a split capture."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore options`: all options of a training, with their values, ranges and what they do."""
+"""`gscore options`: list of all training options with values, ranges and descriptions."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""The parser of all verbs: what is wrong in a sentence, and what was probably meant."""
+"""Argument parser of all verbs: errors in one sentence, with suggestions for misspelt names."""
 
 import argparse
 import difflib

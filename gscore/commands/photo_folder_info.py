@@ -1,4 +1,4 @@
-"""What `gscore info` says of a folder of plain photos: what finding their cameras would need."""
+"""Photo folder summary of `gscore info`: the photos, and the cost of finding their cameras."""
 
 from collections import Counter
 from pathlib import Path

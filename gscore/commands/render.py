@@ -1,4 +1,4 @@
-"""`gscore render`: pictures of a model from a capture's cameras, or a camera path as a video."""
+"""`gscore render`: pictures of a model at the cameras of a capture, or a camera path as a video."""
 
 import argparse
 import math

@@ -1,4 +1,4 @@
-"""`gscore sequence`: the frames of a multi-view video, each from the splats of the one before."""
+"""`gscore sequence`: training of a multi-view video, each frame from the splats of the last one."""
 
 import argparse
 import sys

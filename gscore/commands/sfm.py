@@ -1,4 +1,4 @@
-"""`gscore sfm`: find the cameras of photos or of a video, and make a capture of them."""
+"""`gscore sfm`: structure from motion of photos or a video, written as a capture."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore split`: a large capture as several small ones, trained one by one or on many machines."""
+"""`gscore split`: blocks of a large capture, trained in turn or on several machines."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore stress`: compare what this machine computes with what it should."""
+"""`gscore stress`: numerical errors of the library on this machine against its definition."""
 
 import argparse
 import sys

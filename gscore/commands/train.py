@@ -1,4 +1,4 @@
-"""`gscore train`: options under the names 3DGS users know, and what comes out of them."""
+"""`gscore train`: training with the option names of 3DGS, and its results."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""What `gscore info` says of a video: what its frames are, and what comes next."""
+"""Video summary of `gscore info`: its frames, and the next step."""
 
 from pathlib import Path
 from typing import Any

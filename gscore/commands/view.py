@@ -1,4 +1,4 @@
-"""`gscore view`: a page that shows splats in a browser, to look at and to send."""
+"""`gscore view`: browser page with splats, to view and to share."""
 
 import argparse
 import sys

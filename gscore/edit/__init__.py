@@ -1,4 +1,4 @@
-"""Edits of splats after a training: crop, clean, thin out, join, transform."""
+"""Edits of splats after a training: crop, cleanup, pruning, merge, transform."""
 
 from ..importance import importance_of, most_important
 from .clusters import cluster_sizes, reached_from

@@ -1,4 +1,4 @@
-"""Which splats hang together: ellipsoids in cells of space that touch, without a gap."""
+"""Clusters of connected splats: ellipsoids that touch without a gap, found by cells of space."""
 
 import math
 

@@ -1,5 +1,5 @@
-"""What each splat adds to the pictures of some cameras: its blending weights, summed over pixels
-(the measure of LightGaussian, Fan et al. 2024, and of pruning in trainings here)."""
+"""Contribution of splats: their blending weights, summed over the pixels of some cameras (the
+measure of LightGaussian, Fan et al. 2024, and of pruning in trainings here)."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Which splats lie in a box, an ellipsoid or what a camera sees; their centres decide."""
+"""Crop by splat centres: inside a box, an ellipsoid or the view of a camera."""
 
 import numpy as np
 

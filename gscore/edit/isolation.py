@@ -1,4 +1,4 @@
-"""How far splats lie from their neighbours, beside how far these lie from theirs."""
+"""Isolation of splats: distance to their neighbours relative to the neighbours' own distances."""
 
 import os
 

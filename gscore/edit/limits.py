@@ -1,4 +1,4 @@
-"""Which splats are opaque enough, and neither too small nor too large."""
+"""Limits of opacity and size: splats that are opaque enough, neither too small nor too large."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""All steps of a request one after the other, and what each of them removed."""
+"""Edit pipeline: all steps of a request in order, and the number of splats each removed."""
 
 import time
 from collections.abc import Callable, Sequence

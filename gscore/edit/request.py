@@ -1,4 +1,4 @@
-"""What is to be done to splats, in the order in which it is done."""
+"""Edit request: the edits of a model, in the order of their execution."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

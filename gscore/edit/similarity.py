@@ -1,4 +1,4 @@
-"""The matrix of a move, a turn and a scale, for `transform_splats`."""
+"""Similarity matrix of a translation, a rotation and a scale, for `transform_splats`."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Half turns between the axes of formats: exact, because they change nothing but signs."""
+"""Axes of formats: exact half turns between them, which only change signs."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Few values for many: codebooks of 256 numbers, palettes of 65,536 rows of SH coefficients."""
+"""Codebooks: 256 numbers for many values, palettes of up to 65,536 rows of SH coefficients."""
 
 import numpy as np
 

@@ -1,5 +1,4 @@
-"""Splats far from all others, and extremes of other numbers, in formats whose steps for all splats
-grow with them."""
+"""Far splats, and extremes of other values, in formats that quantise over all splats."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Splats read from glTF: KHR_gaussian_splatting, plain or packed as SPZ.
+"""glTF splat reader: KHR_gaussian_splatting, plain or packed as SPZ.
 
 Source: the extensions' texts in github.com/KhronosGroup/glTF. Sizes are linear and opacities from 0
 to 1; drafts had logarithms of sizes, which are told by their signs. Axes are left-up-front.

@@ -1,4 +1,4 @@
-"""Splats written as glTF: KHR_gaussian_splatting, plain or packed as SPZ; and the names in it.
+"""glTF splat writer: KHR_gaussian_splatting, plain or packed as SPZ, with its names.
 
 Source: see gltf_splats.py.
 """

@@ -1,4 +1,4 @@
-"""Several models as one."""
+"""Joined models: several models concatenated into one."""
 
 from collections.abc import Sequence
 from dataclasses import replace

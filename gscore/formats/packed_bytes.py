@@ -1,4 +1,4 @@
-"""gzip and zstd of a known size: sizes are checked before memory is taken for them."""
+"""Packed bytes: gzip and zstd of a known size, checked before memory is allocated."""
 
 import zlib
 from typing import Any

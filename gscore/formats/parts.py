@@ -1,4 +1,4 @@
-"""Models in several files: an index that names its parts, which are replaced under new names.
+"""Parts of a model in several files: an index that names them, replaced under new names.
 
 An index is renamed into its place after its parts, whose names no file had: at every moment the
 index that is there finds its own parts, also where a disk is full or the program is killed between

@@ -1,4 +1,4 @@
-"""Models as PLY, read in every dialect and written in the official 3DGS layout."""
+"""PLY models: reader of every dialect, writer of the official 3DGS layout."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""SuperSplat's compressed PLY, read and written: 256 splats a chunk, 16 bytes each.
+"""Compressed PLY of SuperSplat, reader and writer: 256 splats a chunk, 16 bytes each.
 
 Source: the public layout, as `gscore.io.ply.compressed` reads it. A chunk holds the bounds of its
 splats, so they are written in the order of a space-filling curve: the closer they lie, the finer

@@ -1,4 +1,4 @@
-"""Which formats of splats there are; the one place that reads and writes them.
+"""Format registry: all splat formats, and the one place that reads and writes them.
 
 A format is a `SplatFormat` in a file of its own, and an entry of `FORMATS`.
 """

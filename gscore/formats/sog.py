@@ -1,4 +1,4 @@
-"""PlayCanvas' SOG: textures of one byte a value beside a meta.json, in a ZIP archive or a folder.
+"""PlayCanvas' SOG reader: textures of one byte a value and meta.json, in a ZIP or a folder.
 
 Source: the published specification of version 2 (developer.playcanvas.com, "The SOG Format") and,
 for axes, the programs that write it: those of a 3DGS PLY.

@@ -1,4 +1,4 @@
-"""SOG written: textures of one byte a value, and the meta.json that names them; and its names.
+"""SOG writer: textures of one byte a value, the meta.json that lists them, and its names.
 
 Source: see sog.py.
 """

@@ -1,4 +1,4 @@
-"""What readers and writers of splats hand over: a model, and what its file says of it."""
+"""Splat file contents: a model and its metadata, as readers return them and writers take them."""
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping

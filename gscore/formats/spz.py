@@ -1,4 +1,4 @@
-"""Niantic's SPZ: arrays of bytes one after the other, within gzip (versions 2, 3) or zstd (4).
+"""Niantic's SPZ: consecutive byte arrays within gzip (versions 2, 3) or zstd (version 4).
 
 Source: the layout published with github.com/nianticlabs/spz. Positions are fixed-point numbers of
 24 bits, sizes log bytes, colours and SH coefficients bytes, rotations three bytes (2) or the three

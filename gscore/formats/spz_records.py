@@ -1,4 +1,4 @@
-"""What vendors add to SPZ files: records of a type, a length and so many bytes.
+"""SPZ vendor records: a type, a length and that number of bytes.
 
 Source: extensions/ of github.com/nianticlabs/spz. One of them changes what the numbers mean: the
 axes in which a file stands, right-up-back unless it says otherwise. Others are passed over.

@@ -1,4 +1,4 @@
-"""Numbers as pixels of lossless WebP, by Pillow: SOG keeps one byte of each splat in a channel."""
+"""Textures of SOG: numbers as pixels of lossless WebP, by Pillow, one byte a splat and channel."""
 
 import io
 import struct

@@ -1,4 +1,4 @@
-"""OpenUSD's ParticleField3DGaussianSplat, read and written by Pixar's library (usd-core).
+"""OpenUSD's ParticleField3DGaussianSplat, reader and writer through Pixar's library (usd-core).
 
 Source: the schema UsdVol of OpenUSD 26.03. Sizes are linear, opacities from 0 to 1; axes are those
 of the stage. Files are written right-up-back, with Y up.

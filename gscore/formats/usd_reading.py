@@ -1,4 +1,4 @@
-"""Reads the splats of a USD file: `python -m gscore.formats.usd_reading FILE PLY`, as usd.py asks.
+"""USD reader process: `python -m gscore.formats.usd_reading FILE PLY`, started by usd.py.
 
 Writes them to PLY and one JSON object to stdout: error, antialiased, warnings.
 """

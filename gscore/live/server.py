@@ -1,4 +1,4 @@
-"""The only file that opens a port: viewers connect to it, each in a thread of its own."""
+"""Viewer server, the only file that opens a port: one thread per connected viewer."""
 
 import contextlib
 import logging

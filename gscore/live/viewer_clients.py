@@ -1,4 +1,4 @@
-"""What a training sees of those who watch it: what they want, between two steps."""
+"""Viewer clients of a training: their frame requests, answered between two steps."""
 
 import contextlib
 import logging

@@ -1,4 +1,4 @@
-"""Messages of the protocol: what a viewer asks for, checked, and the answer.
+"""Viewer protocol: frame requests of a viewer, validated, and the answer.
 
 A request is a length, four bytes little-endian, and so many bytes of a JSON object:
 

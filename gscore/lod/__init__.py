@@ -1,1 +1,1 @@
-"""Levels of detail for models larger than memory: built once, drawn from disk."""
+"""Levels of detail for models larger than memory: built once, rendered from disk."""

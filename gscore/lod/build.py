@@ -1,4 +1,4 @@
-"""Levels of detail made from a model on disk, a chunk at a time.
+"""LOD build: levels of detail from a model on disk, a chunk at a time.
 
 The model is read twice, in parts: once for where its splats are, once to put each into its chunk of
 the finest level. Then chunk after chunk of the next level is made of four of the one below.

@@ -1,4 +1,4 @@
-"""Which splats lie in a chunk together: halves of halves of space, each with as many."""
+"""Chunk layout: splats divided by recursive halving of space into chunks of equal counts."""
 
 import numpy as np
 

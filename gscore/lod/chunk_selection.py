@@ -1,4 +1,4 @@
-"""Which chunks of which levels a camera is given: what it may see, as coarse as it cannot tell."""
+"""Chunk selection: the visible chunks of a camera, each at the coarsest sufficient level."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Which splats become one at a coarser level: neighbours whose joining moves the least."""
+"""Groups of splats that merge at a coarser level: neighbours whose merge changes the least."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Pictures of a model with levels of detail, which stays on disk."""
+"""LOD renderer: pictures of a model with levels of detail, which stays on disk."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""What pictures lose at each level: rendered against finer splats, from where the level is used."""
+"""LOD error measurement: each level rendered against finer splats, at the distance of its use."""
 
 import math
 from collections.abc import Iterator

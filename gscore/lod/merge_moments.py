@@ -1,4 +1,4 @@
-"""Several splats as one that has their moments: mean, covariance, colour and coverage."""
+"""Moment merge: one splat from several, with their mean, covariance, colour and coverage."""
 
 from dataclasses import dataclass
 

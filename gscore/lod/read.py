@@ -1,4 +1,4 @@
-"""Splats of one level as a model in memory: all of them, or those in a box."""
+"""LOD reader: splats of one level as a model in memory, all of them or those in a box."""
 
 from pathlib import Path
 

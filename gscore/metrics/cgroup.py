@@ -1,4 +1,4 @@
-"""Memory limits of the control groups this process is in: Linux containers and services."""
+"""Cgroup memory limits of this process: Linux containers and services."""
 
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath

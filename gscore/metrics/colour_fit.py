@@ -1,5 +1,5 @@
-"""Error that is left after colours were corrected: a gain and an offset per channel, fitted on one
-half of a picture and judged on the other."""
+"""Colour fit: the error after colour correction by a gain and an offset per channel, fitted on one
+half of a picture and evaluated on the other."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Two runs beside each other: which views both scored, and how far their numbers lie apart."""
+"""Comparison of two runs: the views that both measured, and the differences of their metrics."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Score renders of a dataset's views: every metric per view, means, and frames per second."""
+"""Evaluation of renders: every metric per view, means, and frames per second."""
 
 import math
 import statistics

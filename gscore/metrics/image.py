@@ -1,4 +1,4 @@
-"""PSNR, SSIM, D-SSIM and MS-SSIM in float64, each with the convention its name states."""
+"""Image metrics: PSNR, SSIM, D-SSIM and MS-SSIM in float64, each with the convention it names."""
 
 import math
 from typing import Any, Literal

@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018): which network measures it, and the one by onnxruntime from a file."""
+"""LPIPS (Zhang et al. 2018): choice of the network, and evaluation of ONNX files."""
 
 import os
 from pathlib import Path

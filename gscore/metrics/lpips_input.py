@@ -1,4 +1,4 @@
-"""What every network of LPIPS is given: two pictures of one size, RGB in [-1, 1]."""
+"""LPIPS input: two pictures of one size, RGB in [-1, 1], for any network."""
 
 from typing import Any
 

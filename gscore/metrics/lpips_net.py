@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018) by its authors' package, with torchvision's weights: as papers do."""
+"""LPIPS networks of the package lpips (Zhang et al. 2018), with torchvision's weights."""
 
 import os
 from pathlib import Path

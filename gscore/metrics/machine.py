@@ -1,4 +1,4 @@
-"""What a run used and where it ran: memory, processor, versions. Standard library only."""
+"""Machine record: memory, processor and versions of a run. Standard library only."""
 
 import os
 import platform

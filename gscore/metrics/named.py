@@ -1,4 +1,4 @@
-"""Each metric of pictures by name, declared once: what tables, tiles and definitions say of it."""
+"""Named metrics: one declaration each, for tables, tiles and definitions."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Splats on the photos of something else: what tells them."""
+"""Photo mismatch: detects splats evaluated on photos of another scene."""
 
 STRANGERS_PSNR = 12.0
 """Decibels below which splats and photos are taken for those of different things. Previews of two

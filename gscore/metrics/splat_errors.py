@@ -1,4 +1,4 @@
-"""How far renders are from photos, told for each splat: where in the scene the error sits.
+"""Splat errors: the error of renders against photos, attributed to splats by blending weight.
 
 The error of a splat is the mean error of the pixels that it is blended into, weighted by its
 blending weights: the weights with which the gradient of a loss of the picture reaches its colour.

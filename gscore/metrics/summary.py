@@ -1,4 +1,4 @@
-"""metrics.json: what a run reached, how it was measured and on what machine."""
+"""Summary of metrics: metrics.json, with results, method and machine of a run."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Bytes as letters that HTML, JSON and every server let through: five for each four bytes."""
+"""Ascii85 encoding: bytes as letters safe in HTML and JSON, five for each four bytes."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Which splats share a box: neighbours along a curve, without those that are far away."""
+"""Blocks of splats that share a quantisation box: neighbours along a curve, without outliers."""
 
 import numpy as np
 

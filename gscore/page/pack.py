@@ -1,4 +1,4 @@
-"""Splats in at most twenty bytes each: quantised, ordered along a curve, deflated.
+"""Packing of splats to at most 20 bytes each: quantised, ordered along a curve, deflated.
 
 Each number becomes a whole one; the bytes of a kind are stored behind one another, so that deflate
 finds how they are distributed. Spherical harmonics beyond the constant get what the other numbers

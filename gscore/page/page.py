@@ -1,4 +1,4 @@
-"""The page itself: a template filled with splats, cameras and photos."""
+"""Page writer: an HTML template filled with splats, cameras and photos."""
 
 import html
 import json

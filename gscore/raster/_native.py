@@ -1,4 +1,4 @@
-"""The only file that loads the native library: its functions, its errors, its workspaces.
+"""Native library loader, the only one: its functions, errors and workspaces.
 
 `csrc/include/gscore.h` is the manual of everything declared here. Arrays go through `arguments.py`,
 which looks at their dtype, shape and layout; values are the library's matter.

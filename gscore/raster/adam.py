@@ -1,4 +1,4 @@
-"""The native Adam on torch tensors: a step of all parameters of N splats; rows that skip steps."""
+"""Native Adam on torch tensors: one step for all parameters of N splats; rows that skip steps."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

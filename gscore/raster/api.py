@@ -1,4 +1,4 @@
-"""Render splats with numpy and the native library alone: what Blender and scripts call."""
+"""Rasterizer API with numpy and the native library alone, for Blender and scripts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The library's structs made from arrays and options: what every call to it is given.
+"""Arguments of the native library: its structs, made from arrays and options.
 
 Each array is looked at here, against the sizes that the library is told, before its address goes
 into a struct. Structs hold addresses, not arrays: these must outlive the call.

@@ -1,4 +1,4 @@
-"""With how much weight each splat is blended in a view, summed over pixels."""
+"""Blending weights of splats in a view, summed over pixels."""
 
 from collections.abc import Mapping, Sequence
 

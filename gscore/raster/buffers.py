@@ -1,4 +1,4 @@
-"""The address of an array, for the library: only where it is what the library takes it for.
+"""Buffer addresses of arrays for the library, checked for type, shape and layout.
 
 The library reads and writes as many bytes as the sizes it was given say. An array of another dtype,
 device, layout or size would be read as garbage, or written beyond its end, without an error; so

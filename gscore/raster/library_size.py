@@ -1,5 +1,5 @@
-"""Whether the file of a library is as long as it says: Linux maps one that was cut short all the
-same, and the process dies when what is not there is read."""
+"""Library size check: the file is as long as its header states. Linux maps a truncated one, and the
+process dies when it reads a missing page."""
 
 import struct
 from pathlib import Path

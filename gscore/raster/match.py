@@ -1,4 +1,4 @@
-"""Features of two photos that match, by the native library."""
+"""Feature matches between two photos, by the native library."""
 
 import ctypes as ct
 

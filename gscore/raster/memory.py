@@ -1,4 +1,4 @@
-"""New tensors for the library to write to: on the CPU and float32, whatever torch makes unasked."""
+"""Memory for the library's results: new float32 CPU tensors, independent of torch's defaults."""
 
 import torch
 from torch import Tensor

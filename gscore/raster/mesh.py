@@ -1,4 +1,4 @@
-"""The depth of a triangle mesh as cameras see it, by the native library."""
+"""Mesh depth: the depth of a triangle mesh in cameras, by the native library."""
 
 import ctypes as ct
 

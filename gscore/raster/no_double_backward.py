@@ -1,4 +1,4 @@
-"""Gradients that cannot be differentiated again say so, instead of counting as constants."""
+"""No double backward: an error where gradients are differentiated a second time."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Rows of several tables side by side in one, natively on torch tensors: what goes to others."""
+"""Row packing: rows of several tables in one buffer, natively on torch tensors, for transfers."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What is asked of the rasterizer besides the splats: a view of them, and how it is drawn."""
+"""Raster request: the view and the render settings of a call, besides the splats."""
 
 import ctypes as ct
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How hard views pull at splats: sums of screen gradients, natively on torch tensors."""
+"""Screen-space gradient sums of splats over views, natively on torch tensors."""
 
 from torch import Tensor
 

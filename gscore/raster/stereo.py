@@ -1,4 +1,4 @@
-"""Depth of photos from each other by the native library: a sweep of planes, and maps checked."""
+"""Stereo depth of photos by the native library: a plane sweep, and consistency of the maps."""
 
 import ctypes as ct
 from collections.abc import Sequence

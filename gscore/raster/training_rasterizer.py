@@ -1,4 +1,4 @@
-"""One view after the other, drawn and differentiated without autograd and without allocating."""
+"""Training rasterizer: forward and backward of successive views without autograd or allocation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The cameras part of the report: where they stand, coloured by their PSNR, and points, from above
+"""Camera plan of the report: positions of cameras, coloured by their PSNR, and points, from above
 and from the side."""
 
 import html

@@ -1,4 +1,4 @@
-"""The colour map of error pictures: black over blue, magenta and orange to pale yellow."""
+"""Colormap of error pictures: black over blue, magenta and orange to pale yellow."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The page of `gscore compare`: both renders under a slider, tables of differences, both curves."""
+"""Compare page of `gscore compare`: renders under a slider, tables of differences, curves."""
 
 import html
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Curves of a run as inline SVG, drawn here so that the report needs nothing from outside."""
+"""Curves of a run as inline SVG, drawn here so that the report loads nothing."""
 
 import html
 import json

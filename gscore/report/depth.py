@@ -1,4 +1,4 @@
-"""The depth part of the report: how maps fit, and rendered against given inverse depth."""
+"""Depth section of the report: fit of the maps, and rendered against given inverse depth."""
 
 import html
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Splats coloured by their error, as a model that any viewer shows."""
+"""Error map: splats coloured by their error, as a model for any viewer."""
 
 from dataclasses import replace
 

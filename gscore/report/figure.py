@@ -1,5 +1,4 @@
-"""Figures for documents: curves and points on linear or logarithmic axes, as SVG that stands
-alone."""
+"""Figures for documents: curves and points on linear or logarithmic axes, as standalone SVG."""
 
 import html
 import math

@@ -1,4 +1,4 @@
-"""The splats part of the report: how opaque, large and long they are, as histograms."""
+"""Histograms of splats in the report: opacity, size and length."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

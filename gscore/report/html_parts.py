@@ -1,4 +1,4 @@
-"""What the pages of gscore share: the frame with nothing from elsewhere, switches, warnings."""
+"""HTML parts of all pages: the frame without external resources, switches, warnings."""
 
 import html
 from collections.abc import Sequence

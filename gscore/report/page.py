@@ -1,4 +1,4 @@
-"""report.html: one file that shows what a run reached, with nothing loaded from elsewhere."""
+"""Report page, report.html: the results of a run in one file that loads nothing."""
 
 import html
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The place in report.html where the page with the splats is shown, once there is one."""
+"""Page link: the place in report.html for the page with the splats, once one exists."""
 
 from pathlib import Path
 

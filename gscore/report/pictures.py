@@ -1,4 +1,4 @@
-"""Thumbnails of the report: photo, render and error of a view as JPEG data URIs."""
+"""Report pictures: thumbnails of photo, render and error of a view as JPEG data URIs."""
 
 import base64
 import io

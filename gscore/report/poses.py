@@ -1,4 +1,4 @@
-"""How far a training moved its cameras: the section of the report."""
+"""Poses section of the report: how far pose refinement moved the cameras."""
 
 import html
 from collections.abc import Mapping

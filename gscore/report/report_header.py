@@ -1,4 +1,4 @@
-"""Top of report.html: what was trained and how, its numbers, and what they mean together."""
+"""Report header: capture, options and metrics at the top of report.html, with their meaning."""
 
 import html
 from collections.abc import Iterator

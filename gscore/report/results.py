@@ -1,4 +1,4 @@
-"""Writes what was measured: metrics.json and report.html, for a training and for `gscore eval`."""
+"""Results writer: metrics.json and report.html of a training and of `gscore eval`."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""S25: the compensation of opacities for splats far below a pixel."""
+"""S25, antialias: opacity compensation of splats far below a pixel."""
 
 from collections.abc import Iterator
 from functools import lru_cache

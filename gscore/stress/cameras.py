@@ -1,4 +1,4 @@
-"""S7, S8, S36: near and far planes, and parallel rays."""
+"""S7, S8, S36, cameras: near and far planes, and parallel rays."""
 
 from collections.abc import Iterator
 from dataclasses import replace

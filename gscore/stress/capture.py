@@ -1,4 +1,4 @@
-"""A toy capture that takes milliseconds to train on: coloured blobs seen from a circle."""
+"""Toy capture that trains in milliseconds: coloured blobs seen from a circle."""
 
 import hashlib
 import math

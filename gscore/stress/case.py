@@ -1,4 +1,4 @@
-"""What a stress test is: a named function that measures errors, and the list of all of them."""
+"""Stress case: a named function that measures errors, and the list of all cases."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

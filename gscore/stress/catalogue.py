@@ -1,4 +1,4 @@
-"""Imports every module with cases, so that `case.CASES` is complete, and puts them in order."""
+"""Catalogue of stress cases: imports each module with cases, and sorts `case.CASES`."""
 
 from . import (
     antialias,

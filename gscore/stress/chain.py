@@ -1,4 +1,4 @@
-"""S1, S2, S28: gradients against finite differences of the float64 reference itself."""
+"""S1, S2, S28, gradient chain: gradients against finite differences of the float64 reference."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Errors of a drawn scene against the truth, and the refusal to compare empty pictures."""
+"""Comparison of a rendered scene with the reference: errors, and refusal of empty pictures."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""S26, S27: rendered depths and the alignment of depth maps."""
+"""S26, S27, depth: rendered depths and the alignment of depth maps."""
 
 from collections.abc import Iterator
 

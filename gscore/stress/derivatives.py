@@ -1,4 +1,4 @@
-"""Numerical derivatives in float64, and scenes on which they see no jump."""
+"""Numerical derivatives in float64, and scenes without discontinuities for them."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""S21: the exponential of the blend loops."""
+"""S21, exponential: the exponential function of the blending loops."""
 
 from collections.abc import Iterator
 

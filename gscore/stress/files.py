@@ -1,4 +1,4 @@
-"""S33, S35: models through their file, and values of formulas published elsewhere."""
+"""S33, S35, files: models through their file, and values of formulas published elsewhere."""
 
 import logging
 import tempfile

@@ -1,4 +1,4 @@
-"""S24: spherical harmonics of degrees 0 to 4, at the poles and at the clamp."""
+"""S24, spherical harmonics: degrees 0 to 4, at the poles and at the clamp."""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The native rasterizer's answer to a scene, with numpy alone: pictures, gradients, counts."""
+"""Native renders of a stress scene, with numpy alone: pictures, gradients, counts."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""S23: the optimizer over a thousand steps in which few splats are seen."""
+"""S23, optimizer: Adam over a thousand steps in which few splats receive gradients."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,4 +1,4 @@
-"""S15, S31: splats at one depth, and tiles whose gradient is zero."""
+"""S15, S31, depth order: splats at one depth, and tiles whose gradient is zero."""
 
 from collections.abc import Iterator
 

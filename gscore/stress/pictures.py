@@ -1,4 +1,4 @@
-"""S3 to S6: pictures and gradients in float32 against the float64 reference."""
+"""S3 to S6, pictures: float32 pictures and gradients against the float64 reference."""
 
 from collections.abc import Iterator
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""S10 to S12: quaternions, opacities and scales beyond reason, one broken row among good ones."""
+"""S10 to S12, poisoned input: extreme quats, opacities, scales; one broken row among good ones."""
 
 from collections.abc import Iterator
 

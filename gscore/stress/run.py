@@ -1,4 +1,4 @@
-"""Run cases, once for each instruction set where that matters, and collect what they measured."""
+"""Stress runner: runs cases, per instruction set where it matters, and collects their errors."""
 
 import importlib.util
 import math

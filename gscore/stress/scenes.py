@@ -1,4 +1,4 @@
-"""Splats in front of a camera, drawn from a seed; every number exact in float32."""
+"""Stress scenes: splats in front of a camera, drawn from a seed; every number exact in float32."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

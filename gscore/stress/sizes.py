@@ -1,4 +1,4 @@
-"""S13, S14, S16, S17, S29: as much, as many, as small and as little as can be asked for."""
+"""S13, S14, S16, S17, S29, sizes: extremes of counts, resolutions and splat sizes."""
 
 from collections.abc import Iterator
 

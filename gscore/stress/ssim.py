@@ -1,4 +1,4 @@
-"""S22, S34: the image loss with its gradient, and the metrics."""
+"""S22, S34, SSIM: the image loss with its gradient, and the metrics."""
 
 from collections.abc import Iterator
 from typing import Literal

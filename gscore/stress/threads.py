@@ -1,4 +1,4 @@
-"""S18 to S20: threads, instruction sets and the state of the host's floating point unit."""
+"""S18 to S20, threads: thread counts, instruction sets and the host's floating point state."""
 
 import ctypes
 import ctypes.util

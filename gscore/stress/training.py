@@ -1,4 +1,4 @@
-"""S9, S30, S32: whole trainings on a toy capture."""
+"""S9, S30, S32, training: whole trainings on a toy capture."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What a scene should look like: the float64 reference, its gradients, and where it is undecided.
+"""Ground truth of a scene: the float64 reference, its gradients, and its undecided pixels.
 
 torch is imported when something is asked, so that the list of cases can be read without it.
 """

@@ -1,4 +1,4 @@
-"""Does to trainings what happens to them, and says what came of it: make faults [KILLS=50].
+"""Fault injection into trainings, with a report of the results: make faults [KILLS=50].
 
 Each fault is done to real processes in a folder of their own. What counts: the end has the bits of
 an undisturbed run (splats, losses of all steps, evaluation), nothing written before is lost, and

@@ -1,4 +1,4 @@
-"""Hunts for crashes for a number of seconds, apart from building: make fuzz FUZZ_SECONDS=60.
+"""Fuzzing of the native library for crashes: make fuzz FUZZ_SECONDS=60.
 
 The C entry points with libFuzzer under the address and undefined-behaviour sanitizers (needs clang
 and its runtime, Debian's clang and libclang-rt-*-dev; without it, random bytes in the plain build),

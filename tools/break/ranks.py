@@ -1,4 +1,4 @@
-"""Does to ranks of one training what happens to machines: python tools/break/ranks.py [--kills 20].
+"""Fault injection into ranks of one training: python tools/break/ranks.py [--kills 20].
 
 What counts: the end has the bits of ranks that nobody disturbed, nothing written before is lost,
 and errors are one sentence on rank 0, with exit code 2 everywhere.

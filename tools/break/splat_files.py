@@ -1,4 +1,4 @@
-"""Reads damaged files of splats, many a second: python -m tools.break.splat_files COUNT [FORMAT...]
+"""Fuzzing of splat files, damaged: python -m tools.break.splat_files COUNT [FORMAT...]
 
 Where `make fuzz` draws its damage from hypothesis and looks at the memory of every file, this one
 draws bytes itself and looks at memory and time over all of them: a million files a format take

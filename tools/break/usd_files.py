@@ -1,4 +1,4 @@
-"""Reads damaged USD files by the million: python -m tools.break.usd_files COUNT [usda usdc usdz]
+"""Fuzzing of USD files, damaged: python -m tools.break.usd_files COUNT [usda usdc usdz]
 
 Pixar's library may end the process that reads a damaged file, so gscore reads USD in a process of
 its own, which takes most of a second to start. Here one process loads the library, reads a good

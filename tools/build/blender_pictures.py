@@ -1,4 +1,4 @@
-"""Takes the pictures of the add-on's panels in docs/blender/ anew.
+"""Blender pictures: renders the add-on's panels for docs/blender/.
 
 `GSCORE_BLENDER=PROGRAM python tools/build/blender_pictures.py [NAME...]`, of a Blender of 4.2 or
 later, with Xvfb and ImageMagick, and a Python here that trains. Without names, all of them. It

@@ -1,4 +1,4 @@
-"""Builds the Blender extension: one zip for each platform in dist/, checked by Blender's validator.
+"""Blender extension build: a zip per platform in dist/, checked by Blender's validator.
 
 `python tools/build/build_extension.py` makes the zip of this machine's platform, `all` or names
 like `windows-x64 macos-arm64` those of others. Each holds the add-on, gscore's wheel and plyfile's.

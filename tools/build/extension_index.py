@@ -1,4 +1,4 @@
-"""Makes a folder of extension zips a repository that Blender subscribes to.
+"""Extension index: makes a folder of extension zips a repository for Blender.
 
 `python tools/build/extension_index.py FOLDER --base URL` lets Blender's own program write the index
 (`blender --command extension server-generate`, or the same program from the bpy module where no

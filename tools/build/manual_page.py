@@ -1,5 +1,5 @@
-"""The pages of docs/ on the add-on as one web page that the extension carries: no pictures, and no
-address needed."""
+"""Manual page of the add-on: pages of docs/ as one web page inside the extension: no pictures, no
+network address."""
 
 import html
 import re

@@ -1,4 +1,4 @@
-"""Compiles the native library for any platform Blender runs on, from any machine.
+"""Native builds: the library for any of Blender's platforms, compiled on any machine.
 
 The compiler is zig (clang with the C libraries of all platforms), so a library for Linux needs no
 newer glibc than Blender itself does. Without zig the system's compiler serves this machine alone.

@@ -1,4 +1,4 @@
-"""docs/options.md from the declarations: `python tools/build/options_table.py` writes it anew."""
+"""Options table, docs/options.md, from the declarations: `python tools/build/options_table.py`."""
 
 from itertools import groupby
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Checks that a tag is the version of all that is released, and takes its notes from CHANGELOG.md.
+"""Release notes from CHANGELOG.md, and a check that the tag is the version of all packages.
 
 `python tools/build/release_notes.py v1.2.3 --output notes.md` writes the section of that version.
 """

@@ -1,4 +1,4 @@
-"""Builds gscore's wheels for all of Blender's platforms into dist/, from any of them.
+"""Release wheels for all of Blender's platforms, built into dist/ on any of them.
 
 `python tools/build/release_wheels.py` makes all, with zig as the compiler; names like `linux-x64`
 choose. Afterwards `make extension PLATFORMS=all` finds the libraries compiled.

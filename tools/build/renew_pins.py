@@ -1,4 +1,4 @@
-"""Renews the exact versions and hashes of the environment that the Blender add-on makes.
+"""Pin renewal: exact versions and hashes of the environment that the Blender add-on makes.
 
 `python tools/build/renew_pins.py` resolves what pyproject.toml asks for, with torch as in
 constraints.txt, for every Python and system that Blender runs on, and writes the files of

@@ -1,4 +1,4 @@
-"""Draws what the first half hour looks like in a terminal of 80 columns: docs/terminal.png.
+"""Terminal picture, docs/terminal.png: the first half hour in a terminal of 80 columns.
 
     .venv/bin/python tools/build/terminal_picture.py docs/terminal.png
 

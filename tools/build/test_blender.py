@@ -1,5 +1,4 @@
-"""Runs the add-on's tests in real Blenders, those that draw with OpenGL and with Vulkan, and prints
-one line for each.
+"""Blender tests: the add-on's tests in real Blenders, with OpenGL and Vulkan, one line each.
 
 `python tools/build/test_blender.py all` takes every version of `bpy_venvs.py` and a `blender`
 program on PATH; `newest`, `oldest` or versions take fewer. What follows `--` goes to pytest.

@@ -1,4 +1,4 @@
-"""How the builders end: one sentence instead of a traceback where something could not be made."""
+"""Errors of the builders: one sentence instead of a traceback."""
 
 import functools
 import subprocess

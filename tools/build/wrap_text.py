@@ -1,4 +1,4 @@
-"""Wraps prose in Markdown at 120 columns: paragraphs and list items of which a line is wider.
+"""Text wrapping of Markdown prose at 120 columns, where a line is wider.
 
 `python tools/build/wrap_text.py README.md docs/*.md`; `make format` runs it on every page. Code,
 tables, headings and paragraphs that are narrow enough stay as they are, and no word changes.

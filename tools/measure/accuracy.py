@@ -1,4 +1,4 @@
-"""Distributions of float32 errors by stage, scene and instruction set, for docs/accuracy.md.
+"""Accuracy: float32 errors by stage, scene and instruction set, for docs/accuracy.md.
 
 `python tools/measure/accuracy.py [--ply point_cloud.ply --cameras CAPTURE] [-o docs/accuracy]`
 """

@@ -1,4 +1,4 @@
-"""The table of docs/accuracy-tests.md from `gscore stress --json`: worst errors and tolerances.
+"""Accuracy table of docs/accuracy-tests.md: worst errors, tolerances of `gscore stress --json`.
 
 `gscore stress --json --isa all > found.json; python tools/measure/accuracy_table.py found.json`
 """

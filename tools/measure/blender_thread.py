@@ -1,4 +1,4 @@
-"""How long the add-on holds Blender's main thread while it trains, and when a result arrives.
+"""Blender's main thread during a training: how long it blocks, and when results arrive.
 
     python tools/measure/blender_thread.py CAPTURE --python PYTHON_THAT_TRAINS   (a Python with bpy)
 

@@ -1,4 +1,4 @@
-"""A large capture trained whole and in blocks: python tools/measure/blocks.py RUN -o FOLDER.
+"""Blocks against one training of a large capture: python tools/measure/blocks.py RUN -o FOLDER.
 
 RUN is a finished run of a capture whose cameras go around something. What it shows is cut out and
 set up several times in a row; photos are rendered all along it, from where the run's cameras stood.

@@ -1,5 +1,4 @@
-"""How long Import Cameras, the same anew, Export Cameras, and both of camera paths take, and hold
-Blender.
+"""Camera import and export in Blender: times, and how long the main thread blocks.
 
     python tools/measure/cameras.py [CAPTURE...] [--others N] [--frames N...]    (a Python with bpy)
 

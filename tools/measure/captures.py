@@ -1,4 +1,4 @@
-"""Train every capture in GSCORE_DATA and the bundled one, and print a table in Markdown.
+"""Captures: trains those of GSCORE_DATA and the bundled one, and prints a Markdown table.
 
 python tools/measure/captures.py --presets preview draft
 """

@@ -1,4 +1,4 @@
-"""Find the cameras of captures from their photos alone and compare them with the given model.
+"""Camera comparison: cameras found from photos alone against the given model of captures.
 
     python tools/measure/compare_cameras.py examples/studio $GSCORE_DATA/data/lund
 

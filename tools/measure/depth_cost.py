@@ -1,4 +1,4 @@
-"""What supervising depth costs a training step.
+"""Depth cost: the time of depth supervision per training step.
 
 python tools/measure/depth_cost.py SPLATS.ply
 

@@ -1,4 +1,4 @@
-"""How long the buttons that edit and judge splats take, and hold Blender, of a million splats.
+"""Edits in Blender on a million splats: times, and how long the main thread blocks.
 
     python tools/measure/edits.py [--capture CAPTURE] [--splats N] [--group] [--text]
                                                                     (a Python with bpy)

@@ -1,4 +1,4 @@
-"""Gscore's commands as the measurements call them."""
+"""gscore command lines for the measurements."""
 
 import json
 import subprocess

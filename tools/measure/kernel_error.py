@@ -1,4 +1,4 @@
-"""Error of the kernels against their time, by instruction set and degree of the exponential.
+"""Kernel error against time, by instruction set and degree of the exponential.
 
 python tools/measure/kernel_error.py --ply out/demo/point_cloud.ply --cameras examples/studio
 

@@ -1,4 +1,4 @@
-"""What interpolation alone does to PSNR: python tools/measure/lens_blur.py CAPTURE... -o FOLDER.
+"""Lens blur: PSNR lost to interpolation: python tools/measure/lens_blur.py CAPTURE... -o FOLDER.
 
 Adjusts the given COLMAP model of each capture anew by its own tracks, once with the straight lens
 that it has and once with one that may bend (OPENCV), and trains previews with the given model and

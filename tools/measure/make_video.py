@@ -1,4 +1,4 @@
-"""Render a video as a hand films it from a trained run: motion blur, and stretches that are no use.
+"""Video rendering from a trained run as if hand-held, with motion blur and unusable stretches.
 
     python tools/measure/make_video.py RUN -o walk.mp4 --seconds 20
 

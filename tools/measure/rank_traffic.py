@@ -1,4 +1,4 @@
-"""What one training by many ranks takes of a network: python tools/measure/rank_traffic.py.
+"""Rank traffic: network use of a distributed training: python tools/measure/rank_traffic.py.
 
 Trains with 1, 2 and 4 ranks of one thread on this machine, then with two ranks over a network that
 is made slower by pauses: each time the ranks meet, the pause of a message on its way (half of a

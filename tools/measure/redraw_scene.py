@@ -1,4 +1,4 @@
-"""Runs inside a Blender with a window, for redraws.py: turns the view around splats, and measures.
+"""Redraw scene, inside a Blender with a window, for redraws.py: orbits splats and measures.
 
 `blender -P tools/measure/redraw_scene.py -- FOLDER PACKAGES...`; FOLDER/splats.ply is shown as
 FOLDER/asked.json says. Leaves FOLDER/seen.json: rows of numbers, or a problem.

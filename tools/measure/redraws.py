@@ -1,4 +1,4 @@
-"""How often Blender draws a view of splats again, and what that takes.
+"""Redraws of a view of splats in Blender: how often, and how long each takes.
 
     GSCORE_BLENDER=PROGRAM python tools/measure/redraws.py [--splats N | --ply FILE] [--mesh]
 

@@ -1,4 +1,4 @@
-"""Compare trained sequences frame by frame where the photos move and where they are still.
+"""Sequence comparison: trained sequences frame by frame, in moving and static regions.
 
 python tools/measure/sequence.py out/warm out/scratch
 

@@ -1,4 +1,4 @@
-"""How near the colours of soft or native splats in Cycles come to those of the engine.
+"""Soft colours: soft or native splats in Cycles against the colours of the engine.
 
     python tools/measure/soft_colors.py CAPTURE SPLATS [SPLATS ...]    (a Python with bpy)
 

@@ -1,4 +1,4 @@
-"""Operators of the add-on that go on bit by bit, where there is no window in which they would."""
+"""Stand-in for a window: runs the add-on's incremental operators to the end without one."""
 
 import time
 from collections.abc import Iterator

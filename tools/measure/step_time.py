@@ -1,4 +1,4 @@
-"""What a training step takes, by pixels and splats: the constants of trainer/estimate/cost.py.
+"""Step time by pixels and splats: the constants of trainer/estimate/cost.py.
 
     python tools/measure/captures.py && python tools/measure/step_time.py out/bench/*
 

@@ -1,4 +1,4 @@
-"""Held-out quality nearer and farther than the photos were taken.
+"""Zoom: held-out quality nearer and farther than the photos were taken.
 
     python tools/measure/zoom.py $GSCORE_DATA/data/plush --compare antialias=true finest=0.45
 

@@ -1,4 +1,4 @@
-"""What scripts inside a Blender with a window share: its 3D view, and a story told bit by bit.
+"""Script helpers inside a Blender with a window: its 3D view, and steps run one by one.
 
 The add-on is there before this is imported.
 """

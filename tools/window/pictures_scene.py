@@ -1,4 +1,4 @@
-"""Runs inside a Blender with a window: draws the pictures of the sidebar's panels for docs/.
+"""Picture scene, inside a Blender with a window: draws the sidebar's panels for docs/.
 
 `blender --factory-startup --enable-event-simulate -P tools/window/pictures_scene.py -- FOLDER
 PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER/studio is a capture, and

@@ -1,4 +1,4 @@
-"""Blender programs with a window, on a screen that is not there; for tests and measurements."""
+"""Blender programs with a window on a virtual screen, for tests and measurements."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Options that say how to read a capture, for verbs that do not train."""
+"""Data options: how verbs that do not train read a capture."""
 
 import argparse
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A file of levels of detail as verbs are given it: drawn from disk, or read whole as splats."""
+"""LOD argument of verbs: a file of levels of detail, rendered from disk or loaded as splats."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The model a verb is given: a file of splats, or the folder of a run with its options."""
+"""Model argument of verbs: a splat file, or the folder of a run with its options."""
 
 import argparse
 import re

@@ -1,4 +1,4 @@
-"""Names of options that scripts for 3DGS use: taken, and not shown."""
+"""Option names of 3DGS: accepted for its scripts, hidden in help."""
 
 import argparse
 from typing import Any, NamedTuple

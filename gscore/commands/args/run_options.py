@@ -1,4 +1,4 @@
-"""Options of a run on the command line, as config.py declares them: flags, help, values."""
+"""Run options on the command line, declared by config.py: flags, help, values."""
 
 import argparse
 from collections.abc import Collection

@@ -1,4 +1,4 @@
-"""Options of a training that were given and change nothing in it: said in one warning."""
+"""Unused options: one warning for training options that change nothing in a run."""
 
 import argparse
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Whether and where a training can be watched: `--port`, `--ip`, `--disable-viewer`."""
+"""Viewer options of a training: `--port`, `--ip`, `--disable-viewer`."""
 
 import argparse
 import ipaddress

@@ -1,4 +1,4 @@
-"""Changes of a training that benches try: a strategy, a skip switched off, or an option."""
+"""Changes of a training that benches compare: a strategy, a disabled skip, or an option."""
 
 from collections.abc import Sequence
 from dataclasses import replace

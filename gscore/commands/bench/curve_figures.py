@@ -1,4 +1,4 @@
-"""Figures and table of `gscore bench time-error`."""
+"""Figures and table of the curves of `gscore bench time-error`."""
 
 import math
 from pathlib import Path

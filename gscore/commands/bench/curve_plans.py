@@ -1,4 +1,4 @@
-"""What `gscore bench time-error` is to train: looked up and checked before anything is trained."""
+"""Plan of the curves of `gscore bench time-error`: trainings, checked before the first one."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The results.json of `gscore bench time-error`, written anew whenever something was measured."""
+"""Results of the curves of `gscore bench time-error`: results.json, updated after each one."""
 
 import argparse
 from collections.abc import Sequence

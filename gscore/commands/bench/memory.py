@@ -1,4 +1,4 @@
-"""`gscore bench memory`: the memory of a training."""
+"""`gscore bench memory`: memory of a training."""
 
 import argparse
 import sys

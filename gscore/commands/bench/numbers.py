@@ -1,4 +1,4 @@
-"""Numbers that benches are given, checked before anything is measured."""
+"""Numbers in the arguments of benches, checked before the first measurement."""
 
 import argparse
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How far the training of a bench is, for people who wait."""
+"""Progress of the trainings of a bench, for the terminal."""
 
 from ...text_format import number
 from ..terminal.status import Status

@@ -1,4 +1,4 @@
-"""What `gscore bench quality` is to train: looked up and checked before anything is trained."""
+"""Quality plan of `gscore bench quality`: trainings, checked before the first one."""
 
 import argparse
 from collections.abc import Sequence

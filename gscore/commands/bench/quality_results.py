@@ -1,4 +1,4 @@
-"""The results.json of `gscore bench quality`: written after each training, read when it goes on."""
+"""Quality results of `gscore bench quality`: results.json, written per training, for resuming."""
 
 import argparse
 from collections.abc import Collection, Iterable, Iterator

@@ -1,4 +1,4 @@
-"""The tables of `gscore bench quality`, in Markdown."""
+"""Quality tables of `gscore bench quality`, in Markdown."""
 
 from ...bench.default_rule import CaptureChange
 from ...bench.quality import Comparison, Summary

@@ -1,4 +1,4 @@
-"""`gscore bench raster`: the rasterizer alone."""
+"""`gscore bench raster`: time of the rasterizer alone."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore bench scaling`: cost over splats, pixels, threads and views."""
+"""`gscore bench scaling`: cost by splats, pixels, threads and views."""
 
 import argparse
 import sys

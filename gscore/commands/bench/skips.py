@@ -1,4 +1,4 @@
-"""`gscore bench skips`: the same training without each skip."""
+"""`gscore bench skips`: one training with and without each skip."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""`gscore bench step`: one training step and its parts."""
+"""`gscore bench step`: time of a training step and of its parts."""
 
 import argparse
 import sys

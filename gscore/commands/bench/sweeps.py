@@ -1,4 +1,4 @@
-"""The part of `gscore bench time-error` that trains several sizes: options, figure and table."""
+"""Sweeps over model sizes in `gscore bench time-error`: options, figure and table."""
 
 import argparse
 from collections.abc import Callable, Sequence

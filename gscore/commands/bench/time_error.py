@@ -1,4 +1,4 @@
-"""`gscore bench time-error`: held-out error over seconds of training."""
+"""`gscore bench time-error`: held-out error over training time in seconds."""
 
 import argparse
 import statistics

@@ -1,4 +1,4 @@
-"""Options of the benches that train: which capture, and how."""
+"""Training options of benches: the capture, and how to train on it."""
 
 import argparse
 from collections.abc import Sequence

@@ -1,1 +1,1 @@
-"""Work of `gscore depth`: depth maps predicted, aligned and reported."""
+"""Depth maps of `gscore depth`: prediction, alignment and report."""

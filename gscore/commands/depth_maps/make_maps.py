@@ -1,4 +1,4 @@
-"""Maps predicted or made by stereo, aligned and written, or only looked at."""
+"""Depth map production: prediction or stereo, alignment, and files or a preview."""
 
 import argparse
 import time

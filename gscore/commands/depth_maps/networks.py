@@ -1,4 +1,4 @@
-"""Networks by name or file, for `gscore depth`."""
+"""Depth networks of `gscore depth`, by name or file."""
 
 import argparse
 from pathlib import Path

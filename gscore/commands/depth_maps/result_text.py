@@ -1,4 +1,4 @@
-"""What came of depth maps, for people and programs."""
+"""Result text of `gscore depth`: lines for people and JSON for programs."""
 
 import argparse
 import sys

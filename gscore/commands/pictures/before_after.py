@@ -1,4 +1,4 @@
-"""What pictures lost when splats were changed: the error, and one view before and after."""
+"""Before/after pictures of edited splats: the error, and one view rendered before and after."""
 
 import math
 from dataclasses import dataclass

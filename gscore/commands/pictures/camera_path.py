@@ -1,4 +1,4 @@
-"""Camera paths for videos: through the cameras of a capture, or around what they look at."""
+"""Camera paths for videos: through the cameras of a capture, or an orbit around their target."""
 
 import math
 

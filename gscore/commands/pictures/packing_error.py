@@ -1,4 +1,4 @@
-"""What packing splats for a page costs: renders before and after, compared."""
+"""Packing error of a page: renders of the splats before and after packing, compared."""
 
 import math
 from typing import Any

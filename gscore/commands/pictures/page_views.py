@@ -1,4 +1,4 @@
-"""Cameras, photos and the first view of a page, from a run, a capture, or the splats alone."""
+"""Page views: cameras, photos and first view, from a run, a capture, or the splats alone."""
 
 import argparse
 from collections.abc import Collection

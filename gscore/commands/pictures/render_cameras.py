@@ -1,4 +1,4 @@
-"""The cameras that `gscore render` takes: views of a capture or run, or a path among them."""
+"""Render cameras of `gscore render`: views of a capture or run, or a camera path through them."""
 
 import argparse
 import math

@@ -1,4 +1,4 @@
-"""Names, pictures and depth maps of rendered stills."""
+"""Rendered stills: file names, pictures and depth maps."""
 
 from collections import Counter
 from collections.abc import Sequence

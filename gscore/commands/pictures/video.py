@@ -1,4 +1,4 @@
-"""MP4 files from pictures, through PyAV."""
+"""Video encoder: MP4 files from pictures, through PyAV."""
 
 import os
 from collections.abc import Iterable

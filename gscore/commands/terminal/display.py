@@ -1,4 +1,4 @@
-"""How a command shows events: JSON lines for programs, lines for people, or nothing."""
+"""Display of events: JSON lines for programs, progress lines for people, or nothing."""
 
 import contextlib
 import math

@@ -1,4 +1,4 @@
-"""What ends a command from outside: signals, and output that nobody takes any more.
+"""Interrupts of a command: signals, and a closed output stream.
 
 The first of them asks for an end in good order. After it a Ctrl-C ends at once; other signals do
 not, since systems send several for one event: SIGHUP when a terminal closes, SIGTERM by `timeout`.

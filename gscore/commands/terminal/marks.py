@@ -1,4 +1,4 @@
-"""Whether gscore wrote a file: by its mark, at the place that the mark has in each format."""
+"""File marks: detects files written by gscore, by the mark at each format's own place."""
 
 import contextlib
 import re

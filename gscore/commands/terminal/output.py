@@ -1,4 +1,4 @@
-"""What a verb gives back: JSON on stdout, and where it may write, asked before the work."""
+"""Output of a verb: JSON on stdout, and checks of output paths before the work."""
 
 import contextlib
 import os

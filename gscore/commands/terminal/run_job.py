@@ -1,4 +1,4 @@
-"""Long work as a command: shown to people or programs, steered by lines and signals."""
+"""Job runner: long work as a command, with progress for people or programs, and control lines."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""Text for people on a stream: lines that stay, and under them one that moves on a terminal.
+"""Status lines on a stream: permanent lines, and a progress line below them on a terminal.
 
 Only carriage returns, spaces and ASCII are written, which every terminal and encoding has; the
 moving line never reaches the last column, so that it cannot wrap. After a terminal was made

@@ -1,4 +1,4 @@
-"""The standard streams as a command needs them: there, and never a reason to lose its work."""
+"""Standard streams of a command: always present, and never a reason to lose its work."""
 
 import contextlib
 import errno

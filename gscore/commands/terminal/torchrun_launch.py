@@ -1,4 +1,4 @@
-"""What has started this process."""
+"""torchrun launch: detection of processes that torchrun started."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""The rasterizer's definition in plain torch: slow, in float64, written to be read.
+"""Reference rasterizer: the definition in plain torch and float64; slow, written to be read.
 
 The native library computes the same in float32. Where the two differ outside `boundary_band`,
 one of them is wrong.

@@ -1,4 +1,4 @@
-"""Which pixels sit on a discontinuity, where two correct rasterizers may differ."""
+"""Discontinuity band: pixels at which two correct rasterizers may differ."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Front-to-back alpha blending, every splat tried at every pixel: no tiles, no bounding boxes.
+"""Reference blending, front to back: every splat at every pixel, no tiles, no bounding boxes.
 
 Source: Kerbl et al. 2023, equations 2 to 4 (C = sum_i T_i alpha_i c_i).
 """

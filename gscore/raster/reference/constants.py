@@ -1,4 +1,4 @@
-"""The numbers of the rasterizer's definition, as the reference understands them."""
+"""Reference constants: the numbers of the rasterizer's definition."""
 
 ALPHA_MIN = 1.0 / 255.0
 """A splat contributes to a pixel exactly where its alpha is at least this."""

@@ -1,4 +1,4 @@
-"""From splat parameters to ellipses in the image: the stages of EWA splatting, one function each.
+"""Reference geometry: splat parameters to ellipses in the image, the stages of EWA splatting.
 
 N splats, one camera. Camera frame: +x right, +y down, +z forward (OpenCV); pixel centres lie at
 +0.5. Every function is differentiable in its tensor arguments and keeps their dtype.

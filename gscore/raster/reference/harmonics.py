@@ -1,4 +1,4 @@
-"""View-dependent colour: real spherical harmonics in the sign convention of 3DGS.
+"""Reference spherical harmonics: view-dependent colour in the sign convention of 3DGS.
 
 Order (l, m): (0,0), (1,-1), (1,0), (1,1), (2,-2), ... with the Condon-Shortley phase, so the
 functions of odd m carry a minus sign: degree 1 reads -y, z, -x. Constants are written as their

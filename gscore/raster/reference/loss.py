@@ -1,4 +1,4 @@
-"""The image loss written out: (1 - w) L1 + w (1 - SSIM), with masks, differentiable by autograd.
+"""Reference image loss: (1 - w) L1 + w (1 - SSIM), with masks, differentiable by autograd.
 
 Sources: Kerbl et al. 2023, equation 7; Wang et al. 2004, equation 13.
 """

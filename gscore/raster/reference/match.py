@@ -1,4 +1,4 @@
-"""Features of two photos that match, by all distances as they are defined; slow."""
+"""Reference feature matching, from all distances by definition; slow."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Depth of a triangle mesh in float64, each triangle against each pixel as it is defined; slow."""
+"""Reference mesh depth in float64, each triangle against each pixel by definition; slow."""
 
 import numpy as np
 

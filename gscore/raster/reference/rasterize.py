@@ -1,4 +1,4 @@
-"""The whole chain in one place: parameters and a camera in, pictures out."""
+"""Reference rasterization: the whole chain from parameters and a camera to pictures."""
 
 from dataclasses import replace
 from typing import NamedTuple

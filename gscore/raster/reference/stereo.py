@@ -1,4 +1,4 @@
-"""Plane sweep and check of depth maps in float64, pixel by pixel as they are defined; slow."""
+"""Reference stereo: plane sweep and depth map check in float64, per pixel by definition; slow."""
 
 from collections.abc import Sequence
 
