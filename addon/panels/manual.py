@@ -12,18 +12,18 @@ _ROOT = Path(__file__).parents[2]
 _PLACES = (_ROOT / "manual.html", _ROOT / "docs" / "blender.md")
 """In the extension, and in a checkout."""
 _SECTIONS = {
-    "python": "install",
+    "trainer_python": "install",
     "capture": "capture",
-    "search": "capture",
+    "sfm": "capture",
     "cameras": "cameras",
     "depth": "depth",
-    "job": "train",
+    "training": "train",
     "splats": "result",
     "splats.edit_operators": "edit",
     "splats.select_operators": "edit",
     "paint": "paint",
-    "judge": "where-it-is-wrong",
-    "steer": "steer-training",
+    "error_maps": "where-it-is-wrong",
+    "region_training": "steer-training",
     "render": "render",
     "live": "displays",
     "timeline": "sequences",
