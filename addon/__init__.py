@@ -1,7 +1,4 @@
-"""The Blender add-on: what is registered, and in which order.
-
-Importing this package needs no bpy, so that its modules of plain formulas serve scripts as well.
-"""
+"""The Blender add-on: registration order of its modules."""
 
 from importlib import import_module
 

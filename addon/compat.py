@@ -1,4 +1,4 @@
-"""Everything that depends on Blender's version, told apart by what is there, not by numbers."""
+"""Compatibility with Blender versions, by features instead of version numbers."""
 
 import inspect
 from typing import Any

@@ -1,4 +1,4 @@
-"""The names of gscore that the add-on uses; the only file of the add-on that imports gscore."""
+"""The gscore names that the add-on uses; the only add-on file that imports gscore."""
 
 # ruff: noqa: F401 - the rest of the add-on imports them from here
 from gscore import (

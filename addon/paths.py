@@ -1,4 +1,4 @@
-"""Folders as the user writes them in a .blend file, and as the system knows them."""
+"""Folder paths: the form in a .blend file and the form of the file system."""
 
 import contextlib
 import itertools

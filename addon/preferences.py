@@ -1,4 +1,4 @@
-"""The add-on's preferences: the Python that trains, and this computer's habits."""
+"""Add-on preferences: the Python environment for trainings, and settings of this computer."""
 
 from collections.abc import Callable
 

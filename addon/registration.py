@@ -1,5 +1,4 @@
-"""Registers a module: its CLASSES, its HANDLERS, then its `on_register`; taken back in reverse
-order."""
+"""Registration of a module: its CLASSES, its HANDLERS, then `on_register`; undone in reverse."""
 
 from collections.abc import Callable, Mapping
 from types import ModuleType

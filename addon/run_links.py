@@ -1,7 +1,7 @@
-"""What belongs to each capture of a scene: its output folder, splats, test view and guides.
+"""Run links of captures: the output folder, splats, test view and guides of each.
 
-`Scene.gscore` has them for the capture that is chosen. Those of the others wait in
-`Scene.gscore.outcomes`, and come back when their capture is chosen again.
+`Scene.gscore` has the links of the chosen capture. Those of the other captures are stored in
+`Scene.gscore.outcomes` and come back when their capture is chosen again.
 """
 
 from collections.abc import Iterator

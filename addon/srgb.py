@@ -1,4 +1,4 @@
-"""Between sRGB values and linear light; no bpy."""
+"""sRGB conversion to and from linear light; no bpy."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Paths that a .blend file keeps: read from wherever it lies, carried along when it is saved away.
+"""Stored paths of a .blend file: resolved against its folder, remapped when it is saved elsewhere.
 
 Blender does that for the paths of its own datablocks, not for those of add-ons.
 """

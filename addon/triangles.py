@@ -1,4 +1,4 @@
-"""The faces of evaluated objects, as triangles."""
+"""Triangles of evaluated objects."""
 
 from typing import NamedTuple
 

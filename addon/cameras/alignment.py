@@ -1,7 +1,7 @@
-"""Up axis, ground and size of a capture, found from its cameras and points; numpy alone.
+"""Alignment of a capture: up direction, ground and size from its cameras and points; numpy only.
 
-Structure from motion leaves the world's orientation and scale open. What is found here goes into
-one matrix; no camera and no point is changed.
+Structure from motion leaves the world's orientation and scale open. The result is one matrix; no
+camera and no point is changed.
 """
 
 from dataclasses import dataclass

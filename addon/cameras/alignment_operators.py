@@ -1,4 +1,4 @@
-"""Operators of a capture's alignment: up, ground, size."""
+"""Alignment operators of a capture: up direction, ground, size."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""The photo in a camera's background: the photo itself, or its straightened copy."""
+"""Background images of cameras: the photo, or its undistorted copy."""
 
 import os
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
-"""Colors that cameras are given to show something, and how they come back.
+"""Camera colors that show a result, and their restoration.
 
-The color is the camera object's own, and the viewport's drawing of it is `overlay`. What the user
-had there is kept in a custom property.
+The color is the camera object's own, drawn in the viewport by `overlay`. The user's color is kept
+in a custom property.
 """
 
 import bpy

@@ -1,4 +1,4 @@
-"""Blender cameras <-> pinhole intrinsics and OpenCV poses, in float64, with numpy alone.
+"""Camera math: Blender cameras <-> pinhole intrinsics and OpenCV poses, in float64; numpy only.
 
 Pixels: origin at the upper left corner of the image, y down, pixel centres at +0.5. Poses: OpenCV
 camera axes (+x right, +y down, +z forward) on one side, Blender's (+y up, -z forward) on the other.

@@ -1,4 +1,4 @@
-"""An animated Blender camera into a file of a camera path: a camera for each frame."""
+"""Camera path export: an animated Blender camera to a path file, one camera per frame."""
 
 import time
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""A file of a camera path as an animated Blender camera: the way back of `camera_path`."""
+"""Camera path import: a path file to an animated Blender camera, the inverse of `camera_path`."""
 
 import re
 import time

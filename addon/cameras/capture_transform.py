@@ -1,4 +1,4 @@
-"""Where a capture stands: up, ground and size, all in the matrix of its empty."""
+"""Capture transform: up direction, ground and size in the matrix of the capture's empty."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Captures that are in a scene, or come into it at once: looked through, and found again."""
+"""Captures of a scene: synchronous import, inspection, search."""
 
 from pathlib import Path
 from typing import Any

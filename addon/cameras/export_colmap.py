@@ -1,6 +1,6 @@
-"""Blender cameras back into a COLMAP model, as `export_views` has them.
+"""COLMAP export of the cameras in `export_views`.
 
-Those that nobody touched keep their observations, which no longer hold for a camera that was moved.
+Unmoved cameras keep their observations, which no longer hold for a moved one.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The captures that an export goes back to, and the points that they and Blender have."""
+"""Export sources: the captures behind an export, with the points of their files and of Blender."""
 
 import contextlib
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Blender cameras into a transforms.json, with the points as a PLY beside it."""
+"""transforms.json export of Blender cameras, with the points in a PLY file next to it."""
 
 import json
 from collections.abc import Iterable, Sequence

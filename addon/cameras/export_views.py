@@ -1,7 +1,6 @@
-"""Blender cameras as they are to be written, whatever the file.
+"""Export views: Blender cameras in the form that all export formats share.
 
-What nobody touched is as the capture states it, in float64; a camera that was moved has Blender's
-single precision.
+Unmoved cameras have the float64 values of the capture; moved ones have Blender's single precision.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""A capture that a scene has already, and what its files say otherwise."""
+"""Search for an imported capture in a scene, and its differences from the files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How far captures reach in Blender's world: one stands beside others, views show all of it."""
+"""Footprint of captures in Blender's world, for placing new captures and framing views."""
 
 from collections.abc import Sequence
 

@@ -1,7 +1,7 @@
-"""A capture as Blender objects: cameras with their photos, SfM points, one empty that aligns them.
+"""Capture import: cameras with their photos, SfM points, and the empty that aligns them.
 
-Everything below the empty is in the capture's own world; axes, ground and scale are the empty's
-matrix alone.
+All children of the empty are in the capture's own world; up direction, ground and scale are in the
+empty's matrix alone.
 """
 
 import time

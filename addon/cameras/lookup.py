@@ -1,4 +1,4 @@
-"""Which capture and which camera a user means."""
+"""Lookup of the capture and the camera that an operator applies to."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,5 +1,6 @@
-"""Which straightened copies the backgrounds of captures lack, for panels: looked up in threads, for
-that asks a disk about every photo."""
+"""Missing undistorted copies of captures' backgrounds, for panels: checked in threads, since each
+photo needs a disk access.
+"""
 
 import time
 from collections.abc import Iterable

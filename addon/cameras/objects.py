@@ -1,4 +1,4 @@
-"""Blender cameras that stand for photos: how they are marked, made and read back."""
+"""Camera objects of photos: their marking, creation and reading."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Operators of captures: import, export, photos that have moved."""
+"""Capture operators: import, export, relocation of photos."""
 
 from collections.abc import Iterable
 from typing import Any, ClassVar

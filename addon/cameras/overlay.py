@@ -1,6 +1,6 @@
-"""Draws colored cameras in the viewport: Blender itself gives cameras the colors of its theme.
+"""Camera overlay: draws coloured cameras in the viewport, since Blender uses theme colours there.
 
-Reads the objects at each drawing and keeps nothing of them, so undo and other files are right.
+Reads the objects at each draw and keeps none of them, so undo and file loads need no handling.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Panoramic cameras of Blender: which way each pixel looks, with Cycles' formulas."""
+"""Panoramic cameras of Blender: the ray direction of each pixel, by Cycles' formulas."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Operators of camera paths: write the scene camera's animation, read one."""
+"""Camera path operators: export of the scene camera's animation, import of a path."""
 
 from collections.abc import Iterable
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Photos behind their cameras: shown or hidden, and how opaque, for all of a capture at once."""
+"""Photo display behind the cameras of a capture: visibility and opacity."""
 
 import bpy
 

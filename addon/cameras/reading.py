@@ -1,4 +1,4 @@
-"""What an import needs of a capture, read and worked out in any thread; asks bpy for no data."""
+"""Capture reading for an import: all that can run in any thread; reads no bpy data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A Blender camera as a rasterizer wants it."""
+"""Render camera: a Blender camera in the rasterizer's terms."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What came into a scene: selected, chosen in the panel, and seen in views."""
+"""Selection of imported objects: selected, chosen in the panel, framed in views."""
 
 import bpy
 

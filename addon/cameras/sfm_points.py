@@ -1,4 +1,4 @@
-"""Points of structure from motion as a mesh object that shows its colours."""
+"""SfM points as a mesh object that shows their colours."""
 
 import bpy
 import numpy as np

@@ -1,5 +1,4 @@
-"""Straightened copies of photos in the background: which are wanted, and what happens when they
-are there."""
+"""Undistortion jobs in the background: the photos to undistort, and the update of their cameras."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""Operators of straightened copies, and the part of the preferences that tells their size."""
+"""Undistortion operators, and the cache size in the preferences."""
 
 from collections.abc import Iterable
 from pathlib import Path

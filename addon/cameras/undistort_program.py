@@ -1,7 +1,6 @@
-"""The program that straightens photos: a Blender without a window, which decodes and writes them
-beside the one that is worked in.
+"""Undistortion program: a second, windowless Blender that decodes, undistorts and writes photos.
 
-It reads tasks from its input, a JSON object a line, and answers each with a line.
+It reads tasks from stdin, one JSON object per line, and answers each with one line.
 """
 
 import json

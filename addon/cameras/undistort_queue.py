@@ -1,4 +1,4 @@
-"""Photos that are straightened by a program beside Blender, one after the other; no bpy."""
+"""Undistortion queue: photos processed one after the other by a child process; no bpy."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping

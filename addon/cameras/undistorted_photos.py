@@ -1,7 +1,7 @@
-"""Photos of lenses that bend lines, as the pinhole cameras of Blender would have taken them.
+"""Undistorted photos: copies of distorted ones for Blender's pinhole cameras.
 
 Such a camera has the K and the size that a training gives its photo (`Undistortion`); its
-background is a straightened copy of the photo, in a folder of the add-on.
+background is an undistorted copy of the photo, in a folder of the add-on.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""Operators that look through the cameras of photos."""
+"""View operators that look through the cameras of photos."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What became of a capture's depth maps, view by view; no bpy."""
+"""State of a capture's depth maps by view; no bpy."""
 
 import json
 from collections import Counter

@@ -1,4 +1,4 @@
-"""How well a run meets each of its photos, as metrics.json says; no bpy."""
+"""Figures of a run by photo, from metrics.json; no bpy."""
 
 import json
 from collections.abc import Mapping

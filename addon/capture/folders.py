@@ -1,4 +1,4 @@
-"""Whether two paths mean the same folder or capture, without a look at the disk; no bpy."""
+"""Folder comparison: equality of capture paths, without disk access; no bpy."""
 
 import os
 from pathlib import Path

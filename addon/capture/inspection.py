@@ -1,4 +1,4 @@
-"""What a capture holds, in words for the panel, and what Blender makes of it; no bpy."""
+"""Capture inspection: its contents and Blender's support of them, as text for the panel; no bpy."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Where histograms lie in a view; pixels from its lower left. No bpy."""
+"""Boxes of histograms in a view, in pixels from its lower left; no bpy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

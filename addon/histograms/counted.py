@@ -1,4 +1,4 @@
-"""The histograms of objects' splats, counted anew when their meshes have changed."""
+"""Counted histograms of objects' splats, counted again when their meshes change."""
 
 import time
 from dataclasses import dataclass, field

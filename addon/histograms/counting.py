@@ -1,4 +1,4 @@
-"""How many splats there are of each opacity and size, counted and drawn; no bpy."""
+"""Counting of splats by opacity and size, and pictures of the counts; no bpy."""
 
 from dataclasses import dataclass
 

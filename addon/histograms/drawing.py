@@ -1,4 +1,4 @@
-"""A histogram with handles, drawn over a 3D view."""
+"""Drawing of a histogram with handles over a 3D view."""
 
 import gpu
 import numpy as np

@@ -1,4 +1,4 @@
-"""Histograms in 3D views, whose handles the mouse drags to limit what is shown."""
+"""Histogram gizmos in 3D views, with handles that drag the filter limits."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Histograms of the splats' opacities and sizes as icons that a panel can show."""
+"""Histogram icons of the opacities and sizes of splats, for panels."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Handles on histograms: which limit of an object's filters each moves, and where it stands."""
+"""Limit handles of histograms: the filter limit that each one moves, and its position."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""What all operators share: they act, an error is a report, and the scene then stays as it was."""
+"""Base operator: errors become reports and leave the scene unchanged."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""Datablocks that are looked up anew, since undo and other files replace them; and their names."""
+"""Datablock references that survive undo and file loads, and datablock names."""
 
 from collections.abc import Iterable, Sequence
 from typing import TypeVar

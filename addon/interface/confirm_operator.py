@@ -1,4 +1,4 @@
-"""Operators that ask before they do what cannot be taken back, with all that they would do."""
+"""Confirmation operators: a dialog that lists the effects of an action that cannot be undone."""
 
 import textwrap
 

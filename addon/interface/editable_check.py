@@ -1,4 +1,4 @@
-"""Whether Blender keeps what is changed: linked data it forgets, and of overrides it keeps some."""
+"""Editability checks: Blender drops changes of linked data, and keeps only some of overrides."""
 
 from collections.abc import Iterable
 

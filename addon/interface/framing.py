@@ -1,4 +1,4 @@
-"""What 3D views are turned to: most of some places, from where a view looks or from a camera."""
+"""Framing of 3D views: on the bulk of some points, from the view's direction or from a camera."""
 
 from collections.abc import Iterable, Sequence
 

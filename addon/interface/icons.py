@@ -1,4 +1,4 @@
-"""Pictures that are drawn here, as icons that panels can show."""
+"""Icons from pictures that the add-on draws, for panels."""
 
 from collections.abc import Callable
 

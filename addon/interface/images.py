@@ -1,4 +1,4 @@
-"""Pictures in image editors."""
+"""Images in image editors."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Operators that take long: bit by bit where a user waits in a window, at once for scripts."""
+"""Incremental operators: long work in short steps in a window, in one call for scripts."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""What is no longer needed, removed bit by bit when nobody waits for it.
+"""Incremental removal of unused datablocks while Blender is idle.
 
 Blender takes a hundred milliseconds and more to remove thousands of datablocks at once.
 """

@@ -1,4 +1,4 @@
-"""What is looked up in threads and kept, for panels that must not wait; no bpy."""
+"""Lookup cache: results computed in threads, for panels that must not block; no bpy."""
 
 import time
 from collections.abc import Callable, Hashable

@@ -1,4 +1,4 @@
-"""An operator that is under way in a window: its timer, and what the status bar says of it."""
+"""Modal status of a running operator in a window: its timer and the status bar text."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Flags of the command line in gscore's sentences, as the names that they have in the panels."""
+"""Option labels: command-line flags in gscore's messages, replaced by the names in the panels."""
 
 import re
 

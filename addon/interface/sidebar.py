@@ -1,4 +1,4 @@
-"""What lies around the picture of an editor: the add-on's tab in its sidebar, brushes to choose."""
+"""Sidebar and asset shelf of an editor: the add-on's tab, and the choice of brushes."""
 
 from collections.abc import Callable
 

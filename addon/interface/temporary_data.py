@@ -1,4 +1,4 @@
-"""Datablocks that are only there while something goes on."""
+"""Temporary datablocks that exist only during an operation."""
 
 import time
 import uuid

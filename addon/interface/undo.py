@@ -1,4 +1,4 @@
-"""Undo steps for what is done beside operators."""
+"""Undo steps for changes outside operators."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Words over a 3D view, with a shadow; pixels of the region that is drawn."""
+"""Viewport text over a 3D view, with a shadow; pixels of the drawn region."""
 
 import blf
 

@@ -1,4 +1,4 @@
-"""Operators that are called beside a click: in which window they act."""
+"""Window override: the window for operators that are called without a click."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Node group "Splat Colors": the colour in which a splat is shown, as a scene-linear field."""
+"""Node group "Splat Colors": the displayed colour of a splat, as a scene-linear field."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Node group "Splat Display": mesh vertices to points, ellipsoids, soft splats or Blender's."""
+"""Node group "Splat Display": mesh vertices to points, ellipsoids, soft splats or native splats."""
 
 from collections.abc import Callable
 

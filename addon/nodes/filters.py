@@ -1,4 +1,4 @@
-"""Node group "Splat Filters": which splats are shown; the twin of `splats.filters.mask`."""
+"""Node group "Splat Filters": visibility of splats; the twin of `splats.filters.mask`."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""A node tree written as expressions: sockets go in, sockets come out."""
+"""Node graph expressions: node trees built from functions of sockets."""
 
 from collections.abc import Callable
 from typing import Any

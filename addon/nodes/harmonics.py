@@ -1,8 +1,8 @@
-"""Node group "Splat View Color": the colour that a splat has from the scene's camera.
+"""Node group "Splat View Color": the SH colour of a splat from the scene's camera.
 
-The direction is that from the camera to the middle of the splat, as in 3D Gaussian Splatting, so a
-splat has one colour in a picture and the nodes find it once, whatever renders. A mirror or another
-view shows the colour that the scene's camera sees.
+The direction is that from the camera to the splat's mean, as in 3D Gaussian Splatting, so a splat
+has one colour in a picture and the nodes compute it once, in any render engine. A mirror or another
+view shows the colour for the scene's camera.
 """
 
 from collections.abc import Callable

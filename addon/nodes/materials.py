@@ -1,4 +1,4 @@
-"""Materials that show a splat's colour unlit: on points, on ellipsoids, and fading like a splat."""
+"""Materials with a splat's colour unlit: on points, on ellipsoids, and with a Gaussian falloff."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""What a brush does to the splats under it; needs no bpy."""
+"""Brush effects on the splats under it; no bpy."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The brush's circle, drawn over the 3D view that the mouse is in."""
+"""Brush cursor: the circle drawn over the 3D view under the mouse."""
 
 import bpy
 import gpu

@@ -1,4 +1,4 @@
-"""The operator that paints in 3D views until it is ended."""
+"""Modal paint operator in 3D views."""
 
 from collections.abc import Iterable
 from typing import ClassVar

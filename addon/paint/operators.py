@@ -1,4 +1,4 @@
-"""The operator by which scripts paint: a whole stroke at once."""
+"""Paint operator for scripts: one whole stroke per call."""
 
 import bpy
 import numpy as np

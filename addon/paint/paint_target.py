@@ -1,7 +1,7 @@
-"""One stroke on a splat object: what it may paint, what it has painted, how that is kept and shown.
+"""Paint target: one stroke on a splat object, with its editable attributes, changes and display.
 
-Blender's mesh is written once, at the end of a stroke: until then the live display is given what is
-painted, because to write a mesh has Blender evaluate the object and everything that draws it anew.
+Blender's mesh is written once, at the end of a stroke, because each write makes Blender evaluate
+the object and all that draws it. Until then only the live display gets the changes.
 """
 
 from collections.abc import Iterable

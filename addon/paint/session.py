@@ -1,4 +1,4 @@
-"""Painting in 3D views: what the mouse and the keys do, from its beginning to its end."""
+"""Paint session in 3D views: its mouse and key events from start to end."""
 
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The brush of this Blender session. Windows have it, not scenes: undo of a stroke leaves it."""
+"""Brush settings of this Blender session, stored by window, so that undo of a stroke keeps them."""
 
 import bpy
 from bpy.props import (

@@ -1,4 +1,4 @@
-"""A stroke's way over points of a plane or of space, and how much of the brush each got; no bpy."""
+"""Brush stroke over points of a plane or of space, with the brush weight of each point; no bpy."""
 
 import numpy as np
 

@@ -1,5 +1,4 @@
-"""What a view shows of the splats of an object: where they are, which are in front, which colour a
-pixel has."""
+"""Visible splats of an object in a view: their positions, occlusion, and pixel colours."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

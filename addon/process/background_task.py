@@ -1,4 +1,4 @@
-"""A function that runs in a thread and tells how far it is; no bpy."""
+"""Background task: a function that runs in a thread and reports its progress; no bpy."""
 
 import threading
 from collections import deque

@@ -1,6 +1,6 @@
-"""A program in the background whose lines are read without waiting for them; no bpy.
+"""Child program: a background process whose output lines are read without blocking; no bpy.
 
-Threads read the pipes and fill queues; whoever owns the object empties them when it suits.
+Threads read the pipes and fill queues; the owner of the object drains them.
 """
 
 import contextlib

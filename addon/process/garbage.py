@@ -1,4 +1,4 @@
-"""Python's search through all of its objects for garbage, put off while much is made; no bpy."""
+"""Garbage collection of Python, postponed while many objects are created; no bpy."""
 
 import gc
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Long work as a generator: pieces on the thread that calls, and what goes on beside it; no bpy."""
+"""Incremental tasks: generators with steps on the calling thread, and parallel work; no bpy."""
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass

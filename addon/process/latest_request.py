@@ -1,4 +1,4 @@
-"""A thread that works on the last thing it was asked for; no bpy."""
+"""Latest-request worker: a thread that works on the newest request and drops older ones; no bpy."""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""How much a timer does at a time, so that work ends soon where redraws are slow; no bpy."""
+"""Pace of a timer: work per step, larger where redraws are slow; no bpy."""
 
 import time
 

@@ -1,7 +1,7 @@
-"""The beat that takes in what processes and threads have done, in Blender's main thread.
+"""Poll timer: collects results of processes and threads on Blender's main thread.
 
-Blender calls `poll` several times a second while there is something to wait for. Without a window
-timers never run: scripts call `poll` themselves, or a function that waits.
+Blender calls `poll` several times a second while results are pending. Without a window timers
+never run: scripts call `poll` themselves, or a function that waits.
 """
 
 import logging

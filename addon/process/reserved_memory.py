@@ -1,6 +1,6 @@
-"""Memory that is there when it is needed; no bpy.
+"""Reserved memory, allocated before its use; no bpy.
 
-A system gives a page of memory out when it is first written to. For the 12 MB of one attribute of a
+A system allocates a page of memory at the first write to it. For the 12 MB of one attribute of a
 million splats that takes ten to seventy milliseconds, and copying them one.
 """
 

@@ -1,7 +1,7 @@
-"""Threads that the end of the process waits for; no bpy.
+"""Threads that are joined before the process ends; no bpy.
 
-Python lets daemon threads run on while it is being taken down. One that then comes back from numpy
-or from the rasterizer ends in the middle of foreign code, which aborts the whole process.
+Python lets daemon threads run on during its shutdown. One that then returns from numpy or from the
+rasterizer ends inside foreign code, which aborts the whole process.
 """
 
 import atexit

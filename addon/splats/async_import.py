@@ -1,7 +1,7 @@
-"""Files on their way to be objects: read in a thread, handed to Blender bit by bit.
+"""Asynchronous import of splat files: read in a thread, written to Blender in short steps.
 
-Whoever has a window steps it several times a second. The scene, the collection and parents are
-looked up when all is there: undo, or the user, may have taken them meanwhile.
+A timer steps the import several times a second where Blender has a window. The scene, the
+collection and the parents are looked up at the end, since undo or the user may have removed them.
 """
 
 import time

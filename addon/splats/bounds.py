@@ -1,4 +1,4 @@
-"""Where most splats of an object are, told by some of them."""
+"""Bounds of the bulk of an object's splats, estimated from a sample."""
 
 import bpy
 import numpy as np

@@ -1,4 +1,4 @@
-"""Formats whose packages Blender's Python lacks, read and written by the Python that trains."""
+"""Conversion of formats whose packages Blender's Python lacks, by the Python of the trainings."""
 
 import json
 import shutil

@@ -1,5 +1,6 @@
-"""What users have put on a mesh besides its points, kept where these become others: its properties,
-materials, action and drivers, and its mark as an asset."""
+"""Metadata of a mesh besides its points, copied to its replacement: custom properties, materials,
+action, drivers and the asset mark.
+"""
 
 import bmesh
 import bpy

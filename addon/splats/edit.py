@@ -1,4 +1,4 @@
-"""Editing of splat objects: count, select, delete what is hidden, crop, apply the transform."""
+"""Splat edits: count, select, delete hidden splats, crop, apply the transform."""
 
 from dataclasses import dataclass
 from functools import partial

@@ -1,4 +1,4 @@
-"""Splat objects that must stay as they are while an edit of them is under way."""
+"""Edit guard: splat objects that must not change while an edit of them runs."""
 
 from collections.abc import Sequence
 from weakref import WeakSet

@@ -1,5 +1,4 @@
-"""Operators that grade, separate, join, delete and turn splats, in Object and in Edit Mode, with
-undo."""
+"""Edit operators of splats: grade, separate, join, delete, rotate; Object and Edit Mode."""
 
 from collections.abc import Iterable
 from typing import ClassVar

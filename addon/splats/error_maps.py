@@ -1,4 +1,4 @@
-"""Objects that show the errors of a run in the place of its splats: told apart, shown, removed."""
+"""Error maps as objects in the place of a run's splats: detection, display, removal."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Splat objects as one file: at once for scripts, bit by bit where a user waits."""
+"""Export of splat objects to one file: in one call for scripts, in short steps for users."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Splats from files and to files: operators, menus, and what is dropped on a view."""
+"""File operators of splats: import, export, their menus, and drag and drop."""
 
 from pathlib import Path
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""The display filters as a numpy mask: the twin of the node group `nodes.filters`. Needs no bpy."""
+"""Display filters as a numpy mask: the twin of the node group `nodes.filters`; no bpy."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""3D views turned to what an object's splats show."""
+"""Framing of an object's visible splats in 3D views."""
 
 import bpy
 import numpy as np

@@ -1,4 +1,4 @@
-"""Colours of splats graded: lift, gamma, gain, saturation; needs no bpy."""
+"""Colour grading of splats: lift, gamma, gain, saturation; no bpy."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What operators share that bring files of splats: bit by bit in a window, at once for scripts."""
+"""Import operator base of splat files: in short steps in a window, in one call for scripts."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Whether this Blender session draws splats live, for those who set displays; no bpy."""
+"""State of the live display: on or off in this Blender session; no bpy."""
 
 from dataclasses import dataclass
 

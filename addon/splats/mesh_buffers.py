@@ -1,7 +1,7 @@
-"""What can be handed to Blender bit by bit.
+"""Mesh buffers: the arrays that are written to Blender in short steps.
 
-Apart, because `typing` remembers the classes that generic ones are made of until Python ends. If
-one of them reached bpy through its module, bpy 4.5 would not be freed, and hang at the end.
+A module of its own, because `typing` caches the arguments of generic classes until Python ends. If
+one of them referred to bpy through its module, bpy 4.5 would not be freed and would hang at exit.
 """
 
 from dataclasses import dataclass

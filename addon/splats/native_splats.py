@@ -1,4 +1,4 @@
-"""Blender's own Gaussian splats (5.3): point clouds that become splat objects of this add-on."""
+"""Native Gaussian splats of Blender (5.3): point clouds converted to splat objects."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Splats as a mesh object: create, refresh, read, count."""
+"""Splat objects: splats as a mesh object; create, refresh, read, count."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Operators on splats: filters, crop, scale, display, take over."""
+"""Operators on splats: filters, crop, scale, display, conversion of native splats."""
 
 from collections.abc import Iterable
 from typing import ClassVar

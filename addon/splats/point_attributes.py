@@ -1,5 +1,4 @@
-"""All that points carry, attributes of splats and of others, as tables: what follows where points
-are deleted or joined; needs no bpy."""
+"""Point attributes as tables, splat or other: kept when points are deleted or joined; no bpy."""
 
 from itertools import takewhile
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""Takes splats out of Blender bit by bit, so that no single step is long."""
+"""Chunked reading of splats from Blender, so that no single step is long."""
 
 import time
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Shapes and colors of splats turned, mirrored and scaled, places as they are; no bpy."""
+"""Rotation, mirroring and scaling of the shapes and SH of splats, without their means; no bpy."""
 
 from typing import NamedTuple
 

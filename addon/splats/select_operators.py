@@ -1,5 +1,4 @@
-"""Operators that select splats: by what they are, where they lie, and what they hang together
-with."""
+"""Selection operators of splats: by similarity, opacity, size, location and connectivity."""
 
 from collections.abc import Callable
 from typing import ClassVar

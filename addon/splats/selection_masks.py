@@ -1,4 +1,4 @@
-"""Which splats are alike, faint, small or near, as masks; needs no bpy."""
+"""Selection masks: splats that are similar, faint, small or near; no bpy."""
 
 import numpy as np
 

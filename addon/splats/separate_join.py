@@ -1,4 +1,4 @@
-"""Splat objects taken apart and put together, with all that their points carry."""
+"""Separate and join of splat objects, with all point attributes."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""How a splat object is shown: properties of the object, handed on to its display modifier."""
+"""Display settings of a splat object: properties copied to the inputs of its display modifier."""
 
 import time
 

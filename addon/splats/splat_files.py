@@ -1,4 +1,4 @@
-"""Files of splats into the scene and out of it, in Blender's world or in that of the photos."""
+"""Splat files: import and export, in Blender's world or in that of the photos."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Text attributes of points, a little at a time: Blender hands text over point by point."""
+"""String attributes of points in short steps, since Blender reads them point by point."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Uneven scales, which splats cannot follow: found, and made even."""
+"""Uniform scale: detection and removal of uneven object scales, which splats cannot represent."""
 
 import bpy
 import numpy as np

@@ -1,6 +1,6 @@
-"""Vertex groups of splats: their names, and which splats are in them how much, a little at a time.
+"""Vertex groups of splats: their names and their weights by splat, in short steps.
 
-Blender gives weights out vertex by vertex, and takes them by an object alone.
+Blender returns weights vertex by vertex, and sets them only through an object.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
-"""Hands splats to Blender bit by bit, so that no single step is long, however many there are.
+"""Chunked writing of splats to Blender, so that no single step is long at any number of splats.
 
-A mesh that nothing shows is filled attribute by attribute over several beats, and then takes the
-place of the old one at once.
+A new mesh without users is filled attribute by attribute over several timer steps, and then
+replaces the old one at once.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""A folder of frames on its way to be an object that plays them."""
+"""Asynchronous import of a folder of frames as an object that plays them."""
 
 from dataclasses import replace
 from pathlib import Path

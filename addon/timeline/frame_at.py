@@ -1,4 +1,4 @@
-"""Which frame a splat object shows at a moment, and the splats of that frame."""
+"""Frame lookup: the frame of a splat object at a time, and its splats."""
 
 import os
 from collections.abc import Hashable

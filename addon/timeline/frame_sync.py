@@ -1,7 +1,7 @@
-"""Keeps the meshes of sequence objects on the frame that they show, and notices when one is edited.
+"""Frame sync: keeps the meshes of sequence objects on their current frame, and detects edits.
 
 Scripts and renders of other engines get the right frame at once. Where Blender has a window the
-mesh follows bit by bit, while nothing plays; until then only our renderers show the frame.
+mesh follows in short steps while nothing plays; until then only our renderers show the frame.
 """
 
 import logging

@@ -1,8 +1,8 @@
-"""Which files of a folder are the frames of a sequence, and which of them a moment shows; no bpy.
+"""Sequence frames: the files of a folder that are frames, and the frame at a time; no bpy.
 
 A sequence is the folder of `gscore sequence`, a folder of numbered files, or a folder of numbered
-folders with a file each. Frames are known by their numbers: what is called 2 comes before what is
-called 10, and a number that is left out between others is a gap.
+folders with a file each. Frames are identified by their numbers: 2 comes before 10, and a missing
+number between others is a gap.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A folder of frames as one splat object that plays them."""
+"""Sequence import: a folder of frames as one splat object that plays them."""
 
 from pathlib import Path
 

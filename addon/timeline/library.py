@@ -1,4 +1,4 @@
-"""Frames of sequences in memory: read ahead by a thread, as many as have room; no bpy."""
+"""Frame library: frames of sequences in memory, read ahead by a thread; no bpy."""
 
 import threading
 import time

@@ -1,7 +1,7 @@
-"""The mesh of an object that plays a sequence: which frame it holds, and whether it was edited.
+"""Sequence mesh: the mesh of an object that plays a sequence, its current frame and edited state.
 
-Our own renderers take frames from memory. The mesh is what everything else sees: EEVEE and Cycles,
-the displays made by nodes, Edit Mode, counts, exports.
+Our own renderers take frames from memory. The mesh is for everything else: EEVEE and Cycles, the
+node displays, Edit Mode, counts, exports.
 """
 
 import zlib

@@ -1,4 +1,4 @@
-"""Operators of sequences: import, play again after an edit, keep a frame, look again."""
+"""Sequence operators: import, resume after an edit, keep a frame, reload the folder."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a splat object says about the sequence that it plays; kept in the .blend file."""
+"""Sequence settings of a splat object, stored in the .blend file."""
 
 from collections.abc import Callable
 
