@@ -1,8 +1,8 @@
 """Training jobs for panel and scripts: `train`, `resume`, `wait_for`, `discard` and `job_of`.
 
 `job.pause()`, `job.unpause()`, `job.stop()` and `job.snapshot()` are methods of the job that
-`train` returns. The modules training_job, run_state, curve, options, loader, registry, existing_run and lookups
-need no bpy.
+`train` returns. The modules training_job, run_state, curve, options, loader, registry,
+existing_run and lookups need no bpy.
 """
 
 from importlib import import_module

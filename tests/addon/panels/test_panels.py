@@ -274,8 +274,8 @@ def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.Mon
     """Oracle: the words of each kind of work, as in its own panel; none once it has ended."""
     region = SimpleNamespace(ended=False, share=0.5, start=None, progress=None)
     frames = SimpleNamespace(ended=False, share=0.1, status="running", frame=None, progress=None)
-    monkeypatch.setattr(running_work.train_region, "job_of", lambda _: region)
-    monkeypatch.setattr(running_work.train_sequence, "job_of", lambda _: frames)
+    monkeypatch.setattr(running_work.steer, "job_of", lambda _: region)
+    monkeypatch.setattr(running_work.sequence, "job_of", lambda _: frames)
     told = drawn(running_work.NowPanel)
     assert told == "[50%] Region: Starting () [10%] Sequence: Starting ()"
     region.ended = frames.ended = True
