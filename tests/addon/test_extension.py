@@ -114,7 +114,7 @@ def test_the_zip_is_whole(package: Path) -> None:
         names = set(archive.namelist())
     files = [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
     ours = {p.relative_to(ROOT).as_posix() for p in files}
-    assert "addon/python/pinned/packages.txt" in ours
+    assert "addon/trainer_python/pinned/packages.txt" in ours
     top = {"__init__.py", "blender_manifest.toml", "LICENSE", "manual.html"}
     assert ours | top <= names
     assert not [name for name in names if "__pycache__" in name or name.startswith("tests")]

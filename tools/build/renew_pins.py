@@ -2,7 +2,7 @@
 
 `python tools/build/renew_pins.py` resolves what pyproject.toml asks for, with torch as in
 constraints.txt, for every Python and system that Blender runs on, and writes the files of
-addon/python/pinned/.
+addon/trainer_python/pinned/.
 It installs uv into a temporary environment for that. Run it with the project's own Python
 (.venv), then run the add-on's tests.
 
@@ -29,7 +29,7 @@ from packaging.tags import compatible_tags, cpython_tags
 from packaging.utils import parse_wheel_filename
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "addon" / "python" / "pinned"
+FOLDER = ROOT / "addon" / "trainer_python" / "pinned"
 TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
 OLDEST, PYTHONS = "3.11", ((3, 11), (3, 12), (3, 13), (3, 14))
 SYSTEMS = {
