@@ -1,4 +1,4 @@
-"""Colors of a capture's cameras by what became of their depth maps."""
+"""Depth colors: cameras of a capture coloured by the state of their depth maps."""
 
 from typing import ClassVar
 

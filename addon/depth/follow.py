@@ -1,4 +1,4 @@
-"""The part of depth jobs in the beat, and their end with the end of Blender."""
+"""Depth poller: updates of depth jobs by the poll timer, and their end when Blender quits."""
 
 from ..training import lookups
 from ..training.launch import following_verb

@@ -1,4 +1,4 @@
-"""`gscore depth` beside Blender: how far it is and what came out; no bpy."""
+"""Depth job: `gscore depth` as a background process, its progress and result; no bpy."""
 
 from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport

@@ -1,4 +1,4 @@
-"""Depth networks with a name: which is chosen, whether it is here, whether it may be fetched."""
+"""Depth networks by name: the chosen one, its installation, and permission to download."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Operators of depth maps: predict, check, cancel, look at."""
+"""Depth map operators: predict, check, cancel, show."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Depth maps from scripts and operators: predict, check, cancel, and the report that is shown."""
+"""Predict depth maps from scripts and operators: predict, check, cancel, and the shown report."""
 
 from pathlib import Path
 

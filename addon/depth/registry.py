@@ -1,4 +1,4 @@
-"""The depth jobs of this Blender session; no bpy."""
+"""Registry of the depth jobs of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .job import DepthJob

@@ -1,4 +1,4 @@
-"""Colors of a capture's cameras by how well their photos are met."""
+"""Error colors: cameras of a capture coloured by the PSNR of their photos."""
 
 import bpy
 import numpy as np

@@ -1,4 +1,4 @@
-"""The measuring of a run beside Blender: how far it is and what came out; no bpy."""
+"""Errors job: the measurement of a run as a background process, its progress and result; no bpy."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The part of measurings in the beat, and their end with the end of Blender."""
+"""Error map poller: updates of errors jobs by the poll timer, and their end when Blender quits."""
 
 from ..training import lookups
 from ..training.launch import following_verb

@@ -1,4 +1,4 @@
-"""The measuring of a run from scripts and operators: begin, and bring in what came out."""
+"""Measure errors of a run from scripts and operators: start, and show the result."""
 
 from pathlib import Path
 

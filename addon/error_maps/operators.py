@@ -1,4 +1,4 @@
-"""Operators that measure where a result is wrong, and show it."""
+"""Error map operators: measure the errors of a result, and show them."""
 
 from typing import ClassVar
 

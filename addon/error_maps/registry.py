@@ -1,4 +1,4 @@
-"""The measurings of runs in this Blender session; no bpy."""
+"""Registry of the errors jobs of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .errors_job import ErrorsJob

@@ -1,1 +1,1 @@
-"""Live splats: drawn by the graphics card in every 3D view, sorted and blended."""
+"""Live drawing: splats sorted and blended by the graphics card in every 3D view."""

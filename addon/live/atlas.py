@@ -1,4 +1,4 @@
-"""Splats as the graphics card reads them, those that are seen most first; no bpy, no gpu."""
+"""Texture atlas of splats for the graphics card, sorted by contribution; no bpy, no gpu."""
 
 from dataclasses import dataclass, replace
 

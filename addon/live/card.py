@@ -1,4 +1,4 @@
-"""What lies in the graphics card's memory, and how it is drawn; used where Blender draws."""
+"""Graphics card resources: textures and shaders in its memory, and draws; for draw handlers."""
 
 import logging
 from contextlib import AbstractContextManager

@@ -1,4 +1,4 @@
-"""Where a view ends, and how the depths that Blender keeps stand in its camera's space; no gpu."""
+"""Clipping of a view: near and far ends, and depth buffer values as camera depths; no gpu."""
 
 from dataclasses import dataclass, field
 

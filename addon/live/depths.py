@@ -1,4 +1,4 @@
-"""Depths of what Blender has drawn in a view, which hides splats; used where Blender draws."""
+"""Depth buffer of a view: depths of Blender's own objects, which hide splats; for draw handlers."""
 
 import gpu
 import numpy as np

@@ -1,9 +1,8 @@
-"""What is selected and hidden of large meshes in Edit Mode, read piece by piece.
+"""Edit Mode state: selected and hidden vertices of large meshes, read in chunks.
 
-Blender tells it of one vertex at a time. With the first one asked for it makes room at all of them,
-which of a million takes 0.2 s, and clears that away when nobody holds the editor any more. So the
-editor is asked for as Edit Mode begins, which takes longer than that anyway, and held until its
-end.
+Blender's API reads the state of one vertex at a time. The first access builds a table of all
+vertices, which takes 0.2 s for a million, and frees it when no reference to the BMesh is left. So
+the BMesh is requested when Edit Mode begins, which takes longer anyway, and kept until it ends.
 """
 
 import time

@@ -1,5 +1,7 @@
-"""Views whose splats the graphics card refuses: pictures of the render engine, made by a thread,
-with what Blender has drawn before them; no gpu."""
+"""Render engine pictures of views whose splats the graphics card cannot draw; no gpu.
+
+A thread renders them, occluded by what Blender has drawn.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

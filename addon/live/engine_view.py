@@ -1,4 +1,4 @@
-"""The 3D views whose splats the graphics card refuses; used where Blender draws."""
+"""Render engine views: 3D views whose splats the graphics card cannot draw; for draw handlers."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Live splats in the engine's own Rendered shading, as long as its picture is not ready."""
+"""Fallback of Rendered shading: live splats until the engine's picture is ready."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Draws splats over the 3D views of this Blender session."""
+"""Draw handler: draws splats over the 3D views of this Blender session."""
 
 import logging
 import time

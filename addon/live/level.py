@@ -1,4 +1,4 @@
-"""How much a view draws: everything while it stands still, less while it moves; no bpy."""
+"""Level of detail of a view: all splats while it is still, fewer while it moves; no bpy."""
 
 from dataclasses import dataclass
 

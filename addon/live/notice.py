@@ -1,4 +1,4 @@
-"""Says in a 3D view why its splats are not drawn by the graphics card."""
+"""Notice in a 3D view: why the graphics card does not draw its splats."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The order in which splats are blended, and the colours they show to a view; no bpy, no gpu."""
+"""Order of blending: splats sorted by depth, and their colours from a view; no bpy, no gpu."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Lines that Blender draws in front of everything, found in what it has drawn; no bpy, no gpu."""
+"""Overlay lines: lines that Blender draws over everything, found in its picture; no bpy, no gpu."""
 
 import numpy as np
 

@@ -1,5 +1,4 @@
-"""Pictures in the background or foreground of the camera that a view looks through; used where
-Blender draws."""
+"""Background photos: images behind or in front of a view's camera; for draw handlers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

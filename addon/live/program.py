@@ -1,8 +1,7 @@
-"""The programs of the graphics card: splats onto a picture of their own, that onto the view, and
-rows of the atlas to where they belong.
+"""Shader programs: splats to their picture, that picture to the view, and updates of atlas rows.
 
-The formulas are those of docs/conventions.md. What depends on a splat's row alone is in the atlas,
-what depends on its colour in this view in the order; both come from the processor.
+The formulas are those of docs/conventions.md. The atlas holds what depends on a splat alone, the
+order holds its colour in this view; the CPU computes both.
 """
 
 import gpu

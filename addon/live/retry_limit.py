@@ -1,4 +1,4 @@
-"""How often the graphics card may fail before it is left alone; no bpy, no gpu."""
+"""Retry limit: number of graphics card failures before live drawing is paused; no bpy, no gpu."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What is uploaded to the graphics card, in pieces of a millisecond; used where Blender draws."""
+"""Uploads of textures to the graphics card, in chunks of a millisecond; for draw handlers."""
 
 from collections.abc import Callable
 

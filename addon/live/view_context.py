@@ -1,5 +1,4 @@
-"""What Blender's context says of a 3D view: how it shows things, and what else than splats; used
-where Blender draws."""
+"""View context: shading of a 3D view, and objects other than splats in it; for draw handlers."""
 
 import bpy
 import numpy as np

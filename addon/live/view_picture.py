@@ -1,4 +1,4 @@
-"""The picture of one view on the graphics card; used where Blender draws."""
+"""View picture: the splats of one view, drawn by the graphics card; for draw handlers."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The 3D views that show splats live: what each has drawn, and what it waits for."""
+"""Live views: the 3D views that show splats, with what each has drawn and what is pending."""
 
 import time
 from collections.abc import Callable

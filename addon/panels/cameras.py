@@ -1,4 +1,4 @@
-"""The capture's cameras in the scene: import, walk through, align, export."""
+"""Cameras panel: import, walk through, align and export the capture's cameras."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""The capture: which folder, what was found in it, and what is wrong with it."""
+"""Capture panel: the folder, its photos and cameras, and problems with them."""
 
 import bpy
 

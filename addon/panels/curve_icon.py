@@ -1,4 +1,4 @@
-"""The curve of a training as an icon that a panel can show, and the colors of its lines."""
+"""Curve icon: the loss curve of a training as an icon in a panel, and its line colours."""
 
 import numpy as np
 

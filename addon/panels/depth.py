@@ -1,4 +1,4 @@
-"""Depth maps of the capture: predict, compare with the points, and what became of each."""
+"""Depth panel: predict depth maps, compare them with the points, and show the result of each."""
 
 from typing import ClassVar
 

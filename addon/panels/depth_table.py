@@ -1,7 +1,7 @@
-"""The depth report as a table: a list with a row for each view, and the numbers of the chosen one.
+"""Depth table: the depth report as a list with a row for each view, and the figures of one view.
 
-Blender's lists show collections of properties. They live in the window manager, which is neither
-saved nor undone, and are filled from the report at the next beat after it is known.
+Blender's lists show collections of properties. These are in the window manager, which is neither
+saved nor undone, and are filled from the report at the next poll after the report is read.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Editing splats: selections, clean-up, colours, parts."""
+"""Edit panel: selections, clean-up, colours and parts of splats."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Where a result is wrong: errors on cameras and splats, and the worst photos."""
+"""Error maps panel: photo errors on cameras, pixel errors on splats, and the worst photos."""
 
 from typing import ClassVar
 

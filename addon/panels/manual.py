@@ -1,5 +1,4 @@
-"""Help: the add-on's manual, for *Online Manual* in the context menu of its buttons and fields, and
-behind a button of its own."""
+"""Manual: the add-on's pages for *Online Manual* in context menus, and a button that opens them."""
 
 from pathlib import Path
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Painting splats: the brush."""
+"""Paint panel: the brush for splats."""
 
 from typing import ClassVar
 

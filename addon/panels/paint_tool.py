@@ -1,4 +1,4 @@
-"""The brush among the tools at the 3D view's side, in Object Mode."""
+"""Paint tool: the brush in the toolbar of the 3D view in Object Mode."""
 
 from typing import Any, ClassVar
 

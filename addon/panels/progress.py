@@ -1,4 +1,4 @@
-"""A training, or a search for cameras, under way or just ended: how far it is, and its buttons."""
+"""Progress display: state and buttons of a running or finished training or camera search."""
 
 import sys
 from typing import ClassVar

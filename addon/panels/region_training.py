@@ -1,4 +1,4 @@
-"""Steering a training from the scene: a region that is trained again."""
+"""Region training panel: train a region of the splats again."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Rendering the splats from Blender's cameras, and comparing with the photos."""
+"""Render panel: render splats from Blender's cameras, and compare with the photos."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""The splats of the scene: counts, display, filters, files."""
+"""Result panel: counts, display, filters and files of the scene's splats."""
 
 from typing import ClassVar
 

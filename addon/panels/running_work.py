@@ -1,4 +1,4 @@
-"""What is under way, as bars above all panels: trainings of any file, the scene's other work."""
+"""Running work: progress bars above all panels, for trainings of any file and jobs of the scene."""
 
 from collections.abc import Iterator
 from typing import ClassVar

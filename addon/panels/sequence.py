@@ -1,4 +1,4 @@
-"""The sequence that a splat object plays: which frame shows, when, and what is wrong with it."""
+"""Sequence panel: the current frame of a played sequence, its range, and problems."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Training: preset, the options that matter, the rest folded, and the button."""
+"""Training panel: preset, the main options, the other options folded, and the button."""
 
 from pathlib import Path
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Training of a sequence: which frames, how far it is, and what to do with what is there."""
+"""Sequence training panel: frames to train, progress, and existing results."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""What the panels of the sidebar share."""
+"""Widgets that the panels of the sidebar share."""
 
 import bpy
 

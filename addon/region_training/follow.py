@@ -1,4 +1,4 @@
-"""The part of regions' trainings in the beat, and their end with the end of Blender."""
+"""Region training poller: updates of jobs by the poll timer, and their end when Blender quits."""
 
 from ..training import lookups
 from ..training.launch import following_verb

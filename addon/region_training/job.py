@@ -1,4 +1,4 @@
-"""The training of a region beside Blender: how far it is and what came out; no bpy."""
+"""Region training job: a background process, its progress and result; no bpy."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Operators that paint, save and discard masks, and the panel that helps to paint."""
+"""Mask operators: paint, save and discard masks, and the panel for painting."""
 
 from collections.abc import Iterable
 from typing import ClassVar

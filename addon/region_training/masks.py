@@ -1,7 +1,7 @@
-"""Masks painted on photos: an image whose alpha is the mask, and the file that training looks for.
+"""Masks painted on photos: an image whose alpha is the mask, and the mask file of the training.
 
-An image holds the colours of the photo, so that one sees what one masks; brushes that erase and add
-alpha paint the mask. Files are grey, and white where pixels count, unless the scene inverts masks.
+The image has the colours of the photo, which shows what is masked; brushes that erase and add
+alpha paint the mask. Files are grey, white where pixels count, unless the scene inverts masks.
 """
 
 from functools import lru_cache

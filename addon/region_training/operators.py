@@ -1,4 +1,4 @@
-"""Operators that train regions."""
+"""Region training operators."""
 
 from typing import ClassVar
 

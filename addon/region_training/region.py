@@ -1,4 +1,4 @@
-"""The region of a splat object: its crop object's box in the world of the capture."""
+"""Region of a splat object: the box of its crop object in the world of the capture."""
 
 import bpy
 import numpy as np

@@ -1,4 +1,4 @@
-"""The trainings of regions of this Blender session; no bpy."""
+"""Registry of the region trainings of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .job import RegionJob

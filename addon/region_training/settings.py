@@ -1,4 +1,4 @@
-"""What a scene says about the regions that it trains."""
+"""Region training settings of a scene."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""The files that the training of a region begins with, made while Blender goes on."""
+"""Start files of a region training, written incrementally while Blender stays usable."""
 
 from functools import partial
 from pathlib import Path

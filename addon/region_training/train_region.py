@@ -1,4 +1,4 @@
-"""The training of a region from scripts and operators: begin, and bring in what came out."""
+"""Train a region from scripts and operators: start, and show the result."""
 
 import itertools
 from pathlib import Path

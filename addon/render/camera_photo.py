@@ -1,4 +1,4 @@
-"""The photo of an imported camera, with its mask, as training sees it."""
+"""Camera photo: the photo of an imported camera, with its mask, as the training loads it."""
 
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,4 +1,4 @@
-"""From the values splats are blended in (sRGB, as the photos) to Blender's passes and views."""
+"""Color conversion: from the sRGB values of blended splats to Blender's passes and views."""
 
 from typing import Any
 

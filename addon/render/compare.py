@@ -1,4 +1,4 @@
-"""A photo beside what the splats show from its camera: pictures, and the PSNR."""
+"""Photo comparison: a photo and the render from its camera side by side, with the PSNR."""
 
 import math
 from dataclasses import dataclass

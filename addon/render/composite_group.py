@@ -1,4 +1,4 @@
-"""The group of nodes that puts splats among meshes by depth, and both before a world."""
+"""Compositor node group that combines splats and meshes by depth, over the world."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Nodes of the compositor that put splats among meshes by depth, and both before a world."""
+"""Compositor nodes that combine splats and meshes by depth, over the world."""
 
 import bpy
 

@@ -1,7 +1,7 @@
-"""What collections say of splats, where a scene of their own renders them for another scene.
+"""Compositing scene: the splat-only scene of a main scene, and the visibility by collections in it.
 
-Collections hide objects, or cut them out, in the view layers of one scene. The scene that only
-renders the splats of another has none of these, so the other's first view layer is asked.
+Collections hide objects, or hold them out, in the view layers of one scene. The splat-only scene
+has no collections of its own, so visibility comes from the first view layer of the main scene.
 """
 
 import bpy

@@ -1,4 +1,4 @@
-"""Splats among meshes: scenes that render the splats and the world, and nodes that combine them."""
+"""Compositor setup: scenes that render splats and world separately, and nodes that combine them."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Copies of the splats of viewports, made bit by bit while they are drawn."""
+"""Copies of the splats of viewports, made incrementally while earlier ones are drawn."""
 
 import time
 from dataclasses import dataclass

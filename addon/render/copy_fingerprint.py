@@ -1,4 +1,4 @@
-"""What is remembered of a copy of splats once it is decoded: a fraction of its memory."""
+"""Fingerprint of a copy of splats, kept after decoding in a fraction of the copy's memory."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How much each object adds to each pixel: the weights of its splats, for mattes."""
+"""Coverage: the blending weight of each object in each pixel, for mattes."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace

@@ -1,7 +1,7 @@
-"""Cryptomatte: objects told apart by the hashes of their names, as its specification has them.
+"""Cryptomatte passes: object mattes by hashed names, as in Psyop's specification 1.2.0.
 
-Psyop's Cryptomatte 1.2.0: ids are MurmurHash3 of UTF-8 names, kept as floats that no program takes
-for infinite, not a number, or too small; pixels list them with what each covers; no bpy.
+Ids are MurmurHash3 of UTF-8 names, kept as floats that are neither infinite, NaN nor denormal;
+each pixel lists ids with their coverage; no bpy.
 """
 
 import json

@@ -1,9 +1,9 @@
-"""A panorama out of sharp pictures of patches of a cube around the camera.
+"""Cube map of a panorama: sharp pictures of patches of a cube around the camera, resampled.
 
-Splats are sorted along the axis of a picture, and their outlines are those of a projection that is
-exact on that axis. So each side of the cube is nine patches with axes of their own: where two of
-them meet, their pictures differ by half of what those of whole sides do. Patches overlap, and fade
-into each other there: the difference would show as an edge.
+Splats are sorted by depth along the camera's axis, and their outlines are those of a projection
+that is exact on that axis. So each side of the cube is nine patches with their own axes: at the
+border of two patches the difference is half of that between whole sides. Patches overlap and are
+cross-faded, as the difference would show as an edge.
 """
 
 from collections.abc import Callable, Iterator

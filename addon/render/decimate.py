@@ -1,4 +1,4 @@
-"""Fewer splats, and what that does to pictures."""
+"""Decimation operator: keeps the splats of highest contribution and reports the loss of PSNR."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""The render engine "Gaussian Splats": F12, animations, and the viewport's Rendered shading."""
+"""Render engine "Gaussian Splats": F12, animations, and the viewport's Rendered shading."""
 
 import traceback
 from contextlib import closing

@@ -1,5 +1,4 @@
-"""Instances that an object makes by other means than its collection, with their faces: by geometry
-nodes, by particles, on its own corners and faces."""
+"""Generated instances: from geometry nodes, particles, or instancing on vertices and faces."""
 
 from collections.abc import Iterator
 from typing import Any

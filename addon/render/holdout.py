@@ -1,4 +1,4 @@
-"""Splats that cut holes into a picture: what they cover is neither colour nor alpha; no bpy."""
+"""Holdout of splats: splats that cut holes into colour and alpha of a picture; no bpy."""
 
 from dataclasses import replace
 

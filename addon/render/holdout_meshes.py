@@ -1,7 +1,7 @@
-"""Meshes that are held out, as a depsgraph shows them: they hide the splats behind them.
+"""Holdout meshes of a depsgraph: meshes that hide the splats behind them.
 
-An object that is held out hides with all instances that it makes, whatever they are of. In a
-collection that is instanced, an object that is held out does by itself too.
+A holdout object hides splats with all instances that it makes, whatever their type. In an
+instanced collection, a holdout object hides splats by itself too.
 """
 
 from collections.abc import Callable, Iterator

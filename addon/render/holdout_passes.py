@@ -1,10 +1,9 @@
-"""Passes by which the compositor cuts meshes, and the world, where something is held out.
+"""Holdout passes: data with which the compositor cuts meshes and the world at holdouts.
 
-`HOLDOUT` is how much of the light the splats that are held out block by themselves, `BEHIND` how
-much of what lies behind all splats is to go, beyond what the picture's alpha says, and `HELD_DEPTH`
-where those that are held out are. *Depth* is that of the others then. The film's own `MESHES` is
-of meshes that are held out, and `BESIDE` the picture's alpha in the part of a pixel that they
-leave.
+`HOLDOUT` is the share of light that holdout splats block by themselves. `BEHIND` is the share of
+the background to remove, beyond the picture's alpha. `HELD_DEPTH` is the depth of the holdout
+splats; *Depth* is then that of the other splats. `MESHES` is the film's pass of holdout meshes,
+and `BESIDE` the picture's alpha in the part of a pixel that those meshes leave free.
 """
 
 from collections.abc import Callable

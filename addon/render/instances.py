@@ -1,4 +1,4 @@
-"""Objects as a depsgraph places them: themselves, and those of collections that it instances."""
+"""Instances of a depsgraph: objects and their transforms, including instanced collections."""
 
 from collections.abc import Callable, Iterator
 

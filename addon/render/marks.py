@@ -1,4 +1,4 @@
-"""How selected splats look, and that hidden ones do not show; no bpy, no gpu."""
+"""Selection marks: tint of selected splats, and removal of hidden ones; no bpy, no gpu."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Copies of splat meshes' attributes, so that decoding them needs neither bpy nor its thread."""
+"""Mesh copies: splat attributes copied out of Blender, to be decoded in a thread without bpy."""
 
 import sys
 import zlib

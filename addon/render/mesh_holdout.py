@@ -1,4 +1,4 @@
-"""What of a picture meshes hide, and from which depth on."""
+"""Mesh holdout of a picture: share of each pixel that meshes hide, and from which depth on."""
 
 import os
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""From placed objects to one model of splats, remembered between pictures; touches no bpy."""
+"""Model of a render: all placed splat objects as one set of splats, cached; no bpy."""
 
 import threading
 from dataclasses import dataclass

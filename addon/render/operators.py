@@ -1,4 +1,4 @@
-"""Operators of rendering: set up the engine and its colours, compare with photos, composite."""
+"""Render operators: set up the engine and its colours, compare with photos, composite."""
 
 import math
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Properties editor: Blender's own panels that concern this engine too, and its few own ones."""
+"""Render panels of the Properties editor: Blender's panels for this engine, and its own."""
 
 from typing import Any, ClassVar
 

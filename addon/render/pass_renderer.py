@@ -1,4 +1,4 @@
-"""From what stands before a camera to the passes of one sharp picture."""
+"""Pass renderer: all passes of one sharp picture of a view."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

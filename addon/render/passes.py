@@ -1,4 +1,4 @@
-"""The passes of a view layer: which are asked for, and what Blender has to know of them."""
+"""Render passes: those that a view layer requests, and their registration with Blender."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

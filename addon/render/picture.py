@@ -1,4 +1,4 @@
-"""One picture of a model from one camera, drawn in a thread of its own so as to be stoppable."""
+"""Picture of a model from one camera, rendered in its own thread so that it can be cancelled."""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Render regions: of a render, and of a 3D view, with the camera that it looks through."""
+"""Render regions of a render, and of a 3D view with the camera that it looks through."""
 
 import bpy
 import numpy as np

@@ -1,4 +1,4 @@
-"""What renders show of a camera and a view that looks through it does not."""
+"""Render-only effects: camera settings that a render shows and a 3D view does not."""
 
 import bpy
 

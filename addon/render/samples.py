@@ -1,4 +1,4 @@
-"""The pictures that a blurred one is the mean of: where on the lens, and when; no bpy."""
+"""Samples of depth of field and motion blur: lens points and shutter times; no bpy."""
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass

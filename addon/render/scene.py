@@ -1,4 +1,4 @@
-"""The splat objects that a depsgraph shows, copied out of Blender."""
+"""Scene splats: the splat objects that a depsgraph shows, copied out of Blender."""
 
 import threading
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What a view shows of splats that are selected, and of those hidden in Edit Mode."""
+"""Selections in a view: selected splats, and splats hidden in Edit Mode."""
 
 from collections.abc import Sequence
 from dataclasses import replace

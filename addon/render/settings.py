@@ -1,4 +1,4 @@
-"""Settings of a scene's rendering."""
+"""Render settings of a scene."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Splats as they were trained, in the 3D view, by one button."""
+"""Show operator: one button that displays splats in the 3D view as they were trained."""
 
 from collections.abc import Iterable
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""What stands before a camera, through which point of its lens and at which moment of a frame."""
+"""Shutter and lens of a frame: the views that depth of field and motion blur average."""
 
 import math
 from collections.abc import Callable, Iterator

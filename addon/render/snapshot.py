@@ -1,4 +1,4 @@
-"""The splats that a depsgraph shows, copied out of Blender bit by bit."""
+"""Snapshot of the splats of a depsgraph, copied out of Blender incrementally."""
 
 from dataclasses import replace
 from functools import partial

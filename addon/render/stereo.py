@@ -1,4 +1,4 @@
-"""Stereo: a picture for each eye, from where Blender puts it."""
+"""Stereo rendering: the camera of each eye, as Blender defines it."""
 
 from collections.abc import Callable
 from dataclasses import replace

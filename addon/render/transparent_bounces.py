@@ -1,4 +1,4 @@
-"""How many splats a ray of Cycles passes before it ends: by Blender's defaults too few."""
+"""Transparent bounces: the limit of splats along a ray in Cycles, too low by Blender's default."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Settings of Blender that the engine does not know: one table, for the panels and for renders."""
+"""Unsupported settings: one table of the Blender settings that the engine ignores."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The viewport's Rendered shading: pictures drawn by a thread, shown when they are ready."""
+"""Viewport rendering: Rendered shading from pictures that a thread draws, shown when complete."""
 
 import threading
 import time

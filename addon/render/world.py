@@ -1,4 +1,4 @@
-"""The world as splats are rendered over it: one colour."""
+"""World colour: the uniform background over which splats are rendered."""
 
 import bpy
 import numpy as np

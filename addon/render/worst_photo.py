@@ -1,4 +1,4 @@
-"""The photo that splats meet worst, as their run was measured, and the camera that took it."""
+"""Worst photo: the photo of a run with the lowest measured PSNR, and its camera."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The add-on's settings as a command line of `gscore sequence`; no bpy."""
+"""Sequence arguments: the add-on's settings as a command line of `gscore sequence`; no bpy."""
 
 from pathlib import Path
 from typing import Protocol

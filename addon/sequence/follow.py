@@ -1,4 +1,4 @@
-"""The part of sequences' trainings in the beat, and their end with the end of Blender."""
+"""Sequence poller: updates of jobs by the poll timer, and their end when Blender quits."""
 
 from ..process import poll_timer
 from ..training.launch import following_verb

@@ -1,4 +1,4 @@
-"""Meshes of the scene that guide a sequence: for each frame as the timeline shows them then."""
+"""Guide meshes of a sequence: written for each frame, as evaluated at that frame."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -1,4 +1,4 @@
-"""`gscore sequence` beside Blender: which frame it is at and what came out; no bpy."""
+"""Sequence job: `gscore sequence` as a background process, its current frame and result; no bpy."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Operators of sequences' trainings: train, go on, stop."""
+"""Sequence training operators: train, resume, stop."""
 
 from typing import ClassVar
 

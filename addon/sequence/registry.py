@@ -1,4 +1,4 @@
-"""The trainings of sequences in this session, and what is known of their folders; no bpy."""
+"""Registry of the sequence trainings of this session, and cached facts of their folders; no bpy."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a scene says about the sequence that it trains."""
+"""Sequence training settings of a scene."""
 
 import bpy
 

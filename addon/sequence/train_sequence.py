@@ -1,4 +1,4 @@
-"""The training of a sequence from scripts and operators: begin, go on, and what is there."""
+"""Train a sequence from scripts and operators: start, resume, and existing results."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The search for cameras from scripts and operators: begin, cancel, bring in what was found."""
+"""Find cameras by SfM from scripts and operators: start, cancel, import the result."""
 
 from dataclasses import dataclass
 from pathlib import Path

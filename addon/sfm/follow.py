@@ -1,4 +1,4 @@
-"""The part of searches in the beat, and their end with the end of Blender."""
+"""SfM poller: updates of SfM jobs by the poll timer, and their end when Blender quits."""
 
 from ..training import lookups
 from ..training.launch import following_verb

@@ -1,4 +1,4 @@
-"""`gscore sfm` beside Blender: its process, how far it is and what came out; no bpy."""
+"""SfM job: `gscore sfm` as a background process, its progress and result; no bpy."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""Operators of the search for cameras: choose photos or a video, find cameras, cancel."""
+"""SfM operators: choose photos or a video, find cameras, cancel."""
 
 from pathlib import Path
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""The searches for cameras of this Blender session; no bpy."""
+"""Registry of the SfM jobs of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .job import SearchJob

@@ -1,4 +1,4 @@
-"""Finds and checks a Python that can train; no bpy."""
+"""Environment of the trainer's Python: search and check; no bpy."""
 
 import json
 import os

@@ -1,5 +1,4 @@
-"""One Blender at a time makes the environment, and clears away what one that was killed left; no
-bpy."""
+"""Install lock: one Blender at a time installs, and removes what a killed one left; no bpy."""
 
 import os
 import re

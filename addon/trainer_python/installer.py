@@ -1,8 +1,8 @@
-"""Makes the add-on's own environment for training; no bpy.
+"""Installer of the add-on's own Python environment for training; no bpy.
 
-Only ever called because the user pressed a button. The environment is built under a temporary name
-and takes its place when it is complete, so that a failure leaves an earlier one as it was. Two
-Blenders take turns (`turn.py`).
+It runs only when the user presses the button. The environment is built under a temporary name
+and renamed when it is complete, so that after a failure an earlier one is unchanged. Only one
+Blender installs at a time (`install_lock.py`).
 """
 
 import os

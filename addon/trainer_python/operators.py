@@ -1,4 +1,4 @@
-"""Operators of the Python that trains: find or check one, make one."""
+"""Operators of the trainer's Python: find, check, install."""
 
 from pathlib import Path
 

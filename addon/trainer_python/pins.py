@@ -1,4 +1,4 @@
-"""The exact packages of the environment for training: what, how large, and where from; no bpy.
+"""Pinned packages of the training environment: versions, sizes and sources; no bpy.
 
 The lists in the folder `pinned` are requirement files of pip, which `tools/build/renew_pins.py`
 writes.

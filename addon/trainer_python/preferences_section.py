@@ -1,4 +1,4 @@
-"""The Python that trains, in the add-on's preferences."""
+"""Preferences section of the trainer's Python."""
 
 import bpy
 

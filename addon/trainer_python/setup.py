@@ -1,4 +1,4 @@
-"""The Python for training as the preferences want it: found, checked and made beside Blender."""
+"""Setup of the trainer's Python: search, check and installation in the background."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The object that limits a training to what lies in its bounds: its box, for the trainer."""
+"""Box limit: the bounding box of an object, to which a training is limited."""
 
 import hashlib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The captures that a scene knows: chosen, chosen before, or imported; and how one is chosen."""
+"""Captures of a scene: chosen, recent and imported ones, and how one is chosen."""
 
 from collections.abc import Iterator
 from pathlib import Path

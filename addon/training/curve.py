@@ -1,4 +1,4 @@
-"""The loss and the PSNR of a run as few numbers, and as a small picture; no bpy."""
+"""Training curve: loss and PSNR of a run, downsampled, and drawn as a small picture; no bpy."""
 
 import math
 from collections.abc import Iterable, Sequence

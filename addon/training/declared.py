@@ -1,4 +1,4 @@
-"""Options of a training as Blender properties: limits, defaults and texts are gscore's own."""
+"""Training options declared as Blender properties, with limits, defaults and texts from gscore."""
 
 import re
 from typing import Any

@@ -1,4 +1,4 @@
-"""Shows in the open file what a training leaves on the disk: splats and a picture."""
+"""Display of a running training in the open file: its splats and its preview picture."""
 
 from pathlib import Path
 from typing import Any

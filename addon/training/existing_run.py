@@ -1,4 +1,4 @@
-"""The run that an output folder holds already: how far it is, whose and from when; no bpy."""
+"""Existing run in an output folder: its steps, capture and date; no bpy."""
 
 import time
 import zlib

@@ -1,4 +1,4 @@
-"""What panels show of a scene's folders, without waiting for a disk."""
+"""Facts about a scene's folders for panels, without waiting for the disk."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""What a training of a scene's settings would take: time and memory; no bpy."""
+"""Forecast of a training: time and memory for a scene's settings; no bpy."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Operators of the meshes that guide a training."""
+"""Guide mesh operators: add objects to the collection of meshes that guide a training."""
 
 from typing import ClassVar
 

@@ -1,8 +1,8 @@
-"""Meshes of the scene that guide a training: gathered, and written for the trainer.
+"""Guide meshes of a training: collected from the scene, and written for the trainer.
 
-A collection says which: all its objects that show in the viewport, with their modifiers, children
-of their collections and instances, in Blender's world. The capture's empty says where the world of
-the photos is in that.
+They are the objects of a collection that are visible in the viewport, evaluated with modifiers,
+with child collections and instances, in Blender's world. The capture's empty gives the transform
+to the world of the photos.
 """
 
 import hashlib

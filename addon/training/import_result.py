@@ -1,4 +1,4 @@
-"""Brings the splats of an earlier run into a file that does not show them."""
+"""Import operator for the result of a finished run that the open file does not show yet."""
 
 from typing import ClassVar
 

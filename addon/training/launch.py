@@ -1,4 +1,4 @@
-"""How work beside Blender is started by operators and scripts, followed to its end, and let go."""
+"""Launch of background jobs by operators and scripts: start, follow to the end, release."""
 
 import atexit
 import time

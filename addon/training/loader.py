@@ -1,4 +1,4 @@
-"""Reads splat files in a thread and prepares them for Blender, which need not wait; no bpy."""
+"""Loader of splat files: reads and prepares them for Blender in a thread; no bpy."""
 
 import threading
 from collections import deque

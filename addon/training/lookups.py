@@ -1,7 +1,6 @@
-"""What panels show of folders on a disk, found in threads and kept; no bpy.
+"""Lookups of folders for panels: read in threads and cached; no bpy.
 
-What gscore says in them is in the words of panels: whoever shows an answer, or refuses because of
-one, has it as it is.
+Messages of gscore are translated to panel labels here, so callers show and raise them unchanged.
 """
 
 from dataclasses import replace

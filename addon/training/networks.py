@@ -1,4 +1,4 @@
-"""Which depth networks with a name are on this computer, asked of the Python that predicts; no bpy.
+"""Depth networks by name: those installed here, queried from the trainer's Python; no bpy.
 
 Their cache belongs to a library that Blender's own Python does not have.
 """

@@ -1,4 +1,4 @@
-"""Operators of the training and of its Python."""
+"""Training operators: train, resume, pause, stop and discard a run, and remove its splats."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""The add-on's settings as a command line of `gscore train`; no bpy."""
+"""Training options: the add-on's settings as a command line of `gscore train`; no bpy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Settings of a scene: the capture, how to train it, and what came out."""
+"""Training properties of a scene: capture, training settings, and result."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The trainings of this Blender session, whichever file is open; no bpy."""
+"""Registry of the trainings of this Blender session, of all files; no bpy."""
 
 from pathlib import Path
 

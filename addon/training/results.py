@@ -1,4 +1,4 @@
-"""The object that shows the splats of a run: which it is, and what it shows of the run."""
+"""Result object of a run: which object shows its splats, and which file of the run it shows."""
 
 import zlib
 from collections.abc import Sequence

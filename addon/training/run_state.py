@@ -1,4 +1,4 @@
-"""What is known about a run, built from the events of its trainer; no bpy."""
+"""Run state: progress of a run, built from the events of its trainer; no bpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training from scripts and operators: start, go on, wait, pause, stop, discard."""
+"""Start of trainings from scripts and operators, and resume, wait, pause, stop, discard."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A training that runs beside Blender: its process, what it told, and what it is asked; no bpy."""
+"""Training job: a trainer process in the background, its events and its commands; no bpy."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""A training's part of the beat, and its end with the end of Blender."""
+"""Training poller: updates of trainings by the poll timer, and their end when Blender quits."""
 
 from ..process import poll_timer
 from . import display, lookups, registry

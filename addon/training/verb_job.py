@@ -1,4 +1,4 @@
-"""A verb of gscore beside Blender: its process, what it tells, and how it ended; no bpy."""
+"""Verb job: a gscore command as a background process, its events and its end; no bpy."""
 
 import re
 import time

@@ -1,4 +1,4 @@
-"""The jobs of one verb in this Blender session, whichever file is open; no bpy."""
+"""Verb jobs: all jobs of one gscore command in this Blender session, of all files; no bpy."""
 
 from pathlib import Path
 from typing import Generic, TypeVar

@@ -1,4 +1,4 @@
-"""What the operators of verbs that run beside Blender share."""
+"""Verb operators: shared base of the operators that run gscore commands in the background."""
 
 import bpy
 
