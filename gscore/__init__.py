@@ -5,12 +5,12 @@ load a name when it is first used: importing gscore costs a few milliseconds and
 torch nor the native library.
 """
 
-from typing import TYPE_CHECKING, Any
-
 from ._version import __version__
-from .extras import offered
 
+TYPE_CHECKING = False  # type checkers know the name; the module typing takes milliseconds to load
 if TYPE_CHECKING:
+    from typing import Any
+
     from .config import Background, DataConfig, Strategy, TrainConfig
     from .control import Control
     from .datasets import Dataset, load_dataset
@@ -127,7 +127,9 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
+    from .extras import offered
+
     return offered(__name__, name, _HOME)
 
 

@@ -1,12 +1,13 @@
-"""The program `gscore`, also `python -m gscore`: command line with early signal handlers."""
+"""The program `gscore`, also `python -m gscore`: command line with early signal handlers.
 
-import contextlib
+What is imported before the handlers are set stays small: until then Ctrl-C ends in a traceback.
+"""
+
 import os
 import signal
 import sys
-from types import FrameType
 
-from .control import ending_signals
+from .ending_signals import ending_signals
 
 
 def main() -> int:
@@ -22,10 +23,11 @@ def main() -> int:
     return code
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    with contextlib.suppress(OSError):  # perhaps nobody is there to read it
+def _leave(number: int, frame: object) -> None:
+    try:
         os.write(2, b"Stopped.\n")
-    os._exit(128 + number)
+    finally:  # perhaps nobody is there to read it
+        os._exit(128 + number)
 
 
 if __name__ == "__main__":

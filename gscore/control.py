@@ -1,7 +1,6 @@
 """Control: stop, pause and other requests to running work from threads, signals or a pipe."""
 
 import os
-import signal
 import stat
 import threading
 import time
@@ -82,18 +81,6 @@ class Control:
         while (self.paused or held()) and not (self.stopping or self._snapshots or self._unknown):
             meanwhile()
             time.sleep(0.02)
-
-
-def ending_signals() -> list[int]:
-    """The signals that end a command; those that are ignored from the start are left so.
-
-    nohup ignores SIGHUP, and a shell without job control SIGINT for what it starts in the
-    background, so that Ctrl-C ends what is before the user alone. Windows has no SIGHUP; a console
-    that closes is a SIGBREAK there.
-    """
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
-    numbers = [getattr(signal, name) for name in names]
-    return [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 def listen(control: Control, descriptor: int, *, on_end: Callable[[], None]) -> threading.Thread:

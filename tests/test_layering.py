@@ -31,6 +31,7 @@ BOTTOM = {
     "config_command",
     "config_file",
     "control",
+    "ending_signals",
     "events",
     "extras",
     "hold_out",

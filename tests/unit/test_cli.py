@@ -355,3 +355,20 @@ def test_a_working_folder_that_was_removed(
     assert commands.main([verb, str(tmp_path)]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"gscore {verb}: error: The working folder is not there any more")
+
+
+def test_little_is_imported_before_signals_are_handled():
+    """Oracle: the modules that Python and `signal` alone load; a Ctrl-C that comes while others are
+    loaded ends in a traceback instead of 130 and "Stopped."."""
+    root = str(Path(commands.__file__).parents[2])
+    code = f"""
+import os, signal, sys  # `site` loads os
+sys.path.insert(0, {root!r})
+before = set(sys.modules)
+import gscore.__main__
+print(*sorted(set(sys.modules) - before))
+"""
+    line = [sys.executable, "-S", "-c", code]
+    found = subprocess.run(line, capture_output=True, text=True, check=True)
+    mine = ["gscore", "gscore.__main__", "gscore._version", "gscore.ending_signals"]
+    assert found.stdout.split() == mine

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Self
 
-from ...control import ending_signals
+from ...ending_signals import ending_signals
 from .torchrun_launch import one_of_many
 
 _SIGPIPE = 13
