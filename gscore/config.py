@@ -47,8 +47,8 @@ class DataConfig:
     )
     masks: str = option(
         "",
-        "Folder of masks inside the capture. Empty: `masks/` where it exists, or the photos' "
-        "alpha.",
+        "Mask folder inside the capture. Empty: `masks/` if it exists, else the alpha of the "
+        "photos.",
         group="capture",
         metavar="DIR",
         basic=True,
@@ -56,26 +56,25 @@ class DataConfig:
     )
     mask_mode: str = option(
         "auto",
-        "What masks mean: `ignore`: pixels where the mask is black do not count; `composite`: "
-        "the mask is the opacity of the subject, photos lie over the background, and nothing "
-        "else is trained; `none`: masks are not read; `auto`: `composite` for photos with "
-        "transparency and masks that cut out a subject, else `ignore`.",
+        "Meaning of masks. `ignore`: black pixels do not count; `composite`: the mask is the "
+        "opacity of the subject, over the background; `none`: not read; `auto`: `composite` for"
+        " transparent photos and cut-out subjects, else `ignore`.",
         group="capture",
         choices=_MASK_MODES,
         basic=True,
     )
     invert_masks: bool = option(
         False,
-        "Mask files are white where pixels do not count, instead of black. `auto` is `ignore` "
-        "then. The photos' own alpha is never inverted.",
+        "Mask files are white where pixels do not count, instead of black. `auto` is then "
+        "`ignore`. The alpha of photos is never inverted.",
         group="capture",
         basic=True,
         when="masks",
     )
     depths: str = option(
         "",
-        "Folder of depth maps inside the capture; gscore depth makes and checks them. Inverse "
-        "depth; empty: depth is not used.",
+        "Folder of depth maps inside the capture, as gscore depth writes them. Inverse depth; "
+        "empty: no depth.",
         group="depth",
         metavar="DIR",
         short="d",
@@ -84,18 +83,17 @@ class DataConfig:
     )
     depth_align: str = option(
         "auto",
-        "How depth maps get the scale of the capture: `official`: as depth_params.json says, "
-        "which must be there, as for the 3DGS trainer; `robust`: by RANSAC against the points "
-        "that COLMAP found; `none`: they have it already; `auto`: as depth_params.json says "
-        "where it is there and agrees with the points, else `robust`.",
+        "Alignment of depth maps with the capture. `official`: by depth_params.json, required; "
+        "`robust`: RANSAC against the SfM points; `none`: already aligned; `auto`: "
+        "depth_params.json if it agrees with the points, else `robust`.",
         group="depth",
         choices=_DEPTH_ALIGNMENTS,
         when="depth",
     )
     resolution: float = option(
         -1,
-        "Size of the photos: 1, 2, 4, 8 divide it; a larger number is the width in pixels; -1: "
-        "as they are, at most as wide as the preset or the run says, else 1600.",
+        "Photo size: 1, 2, 4, 8 divide it; larger: width in pixels; -1: full size, up to the "
+        "width limit of the preset or run, else 1600.",
         group="capture",
         range=None,  # `datasets.resolution` checks it
         metavar="N",
@@ -107,8 +105,8 @@ class DataConfig:
     it; no option of the command line gives it."""
     eval: bool = option(
         False,
-        "Hold test views out of the training and measure on them. Every 8th, unless `hold_out` or "
-        "the capture says which.",
+        "Hold out test views and measure on them. Default: every 8th view, unless `hold_out` or"
+        " the capture selects others.",
         group="capture",
         basic=True,
     )
@@ -125,14 +123,14 @@ class DataConfig:
     """The first n views by sorted name are test views; 0: use `test_every`."""
     frame: int | None = option(
         None,
-        "Of a multi-view video: number of the frame to read; without it the first one.",
+        "Frame number to read from a multi-view video; default: the first.",
         group="capture",
         metavar="N",
         basic=True,
     )
     rig: Path | None = option(
         None,
-        "Another capture by the same cameras, which stand where that one says, in its world.",
+        "Another capture by the same fixed cameras; its poses and its world are used.",
         group="capture",
         metavar="DIR",
         basic=True,
@@ -165,9 +163,8 @@ class TrainConfig:
     )
     time_budget: float = option(
         0.0,
-        "As many steps as fit into so much training time, instead of `iterations`; 0: no "
-        "budget. Reading photos, measuring and writing come on top; all schedules are fitted to "
-        "the time while training. Such a run cannot be repeated bit by bit.",
+        "Training time that replaces `iterations`; 0: no budget. Reading, measuring and writing"
+        " are extra. Schedules adapt to the time, so the run is not reproducible bit by bit.",
         group="run",
         unit="s",
         metavar="SECONDS",
@@ -176,8 +173,8 @@ class TrainConfig:
     )
     target_psnr: float = option(
         0.0,
-        "End when the held-out photos (else the others) are matched with this mean PSNR, a "
-        "likeness of which more is better; 0: none.",
+        "Stop when the mean PSNR of the held-out photos (else of the training photos) reaches "
+        "this; 0: off.",
         group="run",
         unit="dB",
         metavar="DB",
@@ -186,20 +183,18 @@ class TrainConfig:
     )
     early_stop: bool = option(
         False,
-        "End when the PSNR of the held-out photos (else the others) no longer rises. Photos "
-        "are at full size then, and a short end phase follows in which learning rates "
-        "take the rest of their course.",
+        "Stop when the PSNR of the held-out photos (else of the training photos) no longer "
+        "rises. Waits for full-size photos; a short phase then completes the decay of the "
+        "learning rates.",
         group="run",
         basic=True,
         free=True,
     )
     steps_a_photo: int = option(
         0,
-        "Never more steps than this for each training photo: more fit the photos, and no new view "
-        "gains; twice as many where masks are opacity, unless splats are left out. 1,500 are "
-        "always taken, and all of them under `time_budget`, where `--iterations` is given by "
-        "itself, or in `gscore sequence`; 0: no limit, which Python has to say beside "
-        "`iterations`.",
+        "Limit of steps per training photo, against overfitting; doubled for `composite` masks "
+        "without dropout; never below 1,500 in all. 0: no limit. Off with `time_budget`, an "
+        "explicit `--iterations`, or `gscore sequence`; in Python set 0.",
         group="run",
         range=Range(high=_MOST),
         unit="steps",
@@ -208,11 +203,9 @@ class TrainConfig:
     )
     splats_a_photo: int = option(
         0,
-        "Never more splats than this for each training photo, of each model where `ensemble` "
-        "trains several: more fit the photos, and no new view gains. 300,000 are always allowed, "
-        "and as many as `max_splats` where masks are opacity, "
-        "where `--max-splats` is given by itself, or in `gscore sequence`; 0: no limit, which "
-        "Python has to say beside `max_splats`.",
+        "Limit of splats per training photo and model of the `ensemble`, against overfitting; "
+        "never below 300,000 in all. 0: no limit. Off with `composite` masks, an explicit "
+        "`--max-splats`, or `gscore sequence`; in Python set 0.",
         group="run",
         range=Range(high=_MOST),
         unit="splats",
@@ -221,7 +214,7 @@ class TrainConfig:
     )
     max_splats: int = option(
         400_000,
-        "Never more splats than this; memory and time grow with it.",
+        "Limit of the number of splats; memory and time grow with it.",
         group="run",
         range=Range(low=1, high=_MOST),
         unit="splats",
@@ -230,10 +223,9 @@ class TrainConfig:
     )
     ensemble: int = option(
         1,
-        "Models that are trained side by side, each with its share of max_splats, and shown as "
-        "one: what each of them makes up between the photos differs, and fades, and so does some "
-        "of the finest detail. Each takes all steps, so that two take about 1.4 times as long as "
-        "one. Later frames of a sequence go on as one.",
+        "Number of models trained on the same capture, merged into one; `max_splats` is divided"
+        " among them. Reduces artefacts between the photos, but also fine detail; two take 1.4 "
+        "times as long. A sequence continues with one.",
         group="run",
         range=Range(low=1, high=8),
         unit="models",
@@ -241,25 +233,23 @@ class TrainConfig:
     )
     ensemble_below: float = option(
         0.0,
-        "There is more than one model only where stereo, asked for points, finds the depth of less "
-        "than this share of the pixels: where photos agree in more, one model with all splats "
-        "shows finer detail. Where masks are opacity there are several where it finds three "
-        "quarters of the pixels that these leave and more, and splats are left out (`drop_rate`). "
-        "0: always, as where `--ensemble` is given by itself.",
+        "Several models only where `stereo` matches less than this share of the pixels; with "
+        "`composite` masks and `drop_rate`, where it matches at least 3/4 of the unmasked ones."
+        " 0, or an explicit `--ensemble`: always.",
         group="run",
         range=Range(high=1),
         when="ensemble",
     )
     strategy: Strategy = option(
         Strategy.DEFAULT,
-        "How splats are added and removed; `mcmc`, Markov chain Monte Carlo, moves useless ones "
-        "instead: for long runs, in a few hundred steps it is far behind.",
+        "Densification: how splats are added and removed. `mcmc` relocates dead splats; for "
+        "long runs, much worse in a few hundred steps.",
         group="run",
         basic=True,
     )
     sh_degree: int = option(
         3,
-        "Degree of view-dependent colour, 0 to 3; 0: matt.",
+        "Degree of view-dependent colour, 0 to 3; 0: no view dependence.",
         group="run",
         range=Range(high=3),
         metavar="N",
@@ -267,7 +257,7 @@ class TrainConfig:
     )
     sh_every: int = option(
         0,
-        "Steps between two SH degrees; 0: 1000, or fewer so that all are in use by half of the "
+        "Steps between two SH degrees; 0: 1000, or fewer so that all are active by half of the "
         "run.",
         group="colour",
         range=Range(),
@@ -294,21 +284,20 @@ class TrainConfig:
     )
     background: Background = option(
         Background.AUTO,
-        "What lies behind the splats. `auto`: another colour at each step for photos with "
-        "opacity, black for all others.",
+        "Background colour. `auto`: random at each step for photos with opacity, else black.",
         group="run",
         basic=True,
     )
     antialias: bool = option(
         False,
-        "Draw splats below the size of a pixel fainter. Opacity compensation for the widening "
-        "of small splats (Yu et al. 2024).",
+        "Draw splats below the size of a pixel fainter. Opacity compensation of the "
+        "screen-space dilation (Mip-Splatting, Yu et al. 2024).",
         group="run",
         basic=True,
     )
     near: float = option(
         0.01,
-        "Splats nearer to a camera than this are not drawn; world units, as in `gscore.render`.",
+        "Near plane: closer splats are not drawn; world units, as in `gscore.render`.",
         group="run",
         unit="world units",
     )
@@ -343,9 +332,9 @@ class TrainConfig:
     )
     shN_every: int = option(
         0,
-        "Steps between two of the view-dependent colour, whose gradients add up in between and "
-        "whose learning rate rises by the root of this; 0: 8, fewer in runs under 1,000 steps; "
-        "1: each step.",
+        "Steps between two updates of the view-dependent colour; gradients accumulate, and its "
+        "learning rate rises by the root of this. 0: 8, fewer in runs under 1,000 steps; 1: "
+        "each step.",
         group="learning rates",
         range=Range(high=_RAREST),
         unit="steps",
@@ -368,21 +357,20 @@ class TrainConfig:
     )
     lr_boost: float = option(
         0.0,
-        "Learning rates are multiplied by this, those of positions and opacities by its root, "
-        "and the last one of positions by its square; 0: 1 for 30,000 steps and more, up to 4 "
-        "in short runs.",
+        "Factor of the learning rates: its root for positions and opacities, its square for the"
+        " final rate of positions. 0: 1 from 30,000 steps, up to 4 in shorter runs.",
         group="learning rates",
     )
     lr_final: float = option(
         0.2,
-        "What is left of the learning rates, those of positions apart, at the last step: they "
-        "fall exponentially over the last tenth of the run. 1: they stay as they are.",
+        "Final factor of the learning rates except positions: exponential decay over the last "
+        "tenth of the run. 1: no decay.",
         group="learning rates",
         range=Range(high=1, above=True),
     )
     start_splats: Path | None = option(
         None,
-        "Start from these splats, a PLY in the capture's world, instead of its points.",
+        "Start from these splats, a PLY in the capture's world, instead of SfM points.",
         group="start",
         metavar="FILE.ply",
         basic=True,
@@ -390,55 +378,52 @@ class TrainConfig:
     )
     start_opacity: float = option(
         1.0,
-        "Opacities of `start_splats` are multiplied by this; those that photos ask for come back.",
+        "Factor of the opacities of `start_splats`; the training restores those that photos need.",
         group="start",
         range=Range(high=1, above=True),
         when="start_splats",
     )
     region: Path | None = option(
         None,
-        "Train what lies in the box of this file. Of `start_splats` those in it are trained; all "
-        "others stand still, are drawn, and come out bit for bit as they were. Without them only "
-        "pixels that look at the box count. Photos that do not see it are left out; docs/steer.md "
-        "has the file.",
+        "Train only inside the box of this file (docs/steer.md). Splats of `start_splats` "
+        "outside are frozen, unchanged bit by bit; without `start_splats` only pixels of the "
+        "box count. Photos that do not show the box are left out.",
         group="start",
         metavar="FILE.json",
         free=True,
     )
     init_opacity: float = option(
         0.0,
-        "Opacity of the first splats; 0: 0.1, with mcmc 0.5.",
+        "Opacity of the initial splats; 0: 0.1, with mcmc 0.5.",
         group="start",
         range=Range(high=0.99),
         when="points",
     )
     init_scale: float = option(
         0.0,
-        "Size of the first splats in mean distances to their neighbours; 0: 1, with mcmc 0.1.",
+        "Size of the initial splats in mean distances to their neighbours; 0: 1, with mcmc 0.1.",
         group="start",
         when="points",
     )
     sky: bool = option(
         False,
-        "Start with a far sphere of splats around all else too, in the colours that photos have "
-        "there: outdoors, parts of the background that no photo shows are then not black. From "
-        "outside the sphere hides the scene. Opacities are then reset only where `reset_every` "
-        "says so.",
+        "Add a distant sphere of splats in the colours of the background, for outdoor scenes. "
+        "Fills background that no photo shows; hides the scene from outside. Opacity resets "
+        "then only with an explicit `reset_every`.",
         group="start",
         when="points",
     )
     stereo: Stereo = option(
         Stereo.MISSING,
-        "Start from more points than SfM found: those whose depth the photos agree on. Found in "
-        "the training photos alone, in some seconds; `auto`: unless SfM's points are half of "
-        "`max_splats` already; `missing`: where the capture has none. Else a capture without "
-        "points starts from random ones.",
+        "Add initial points by multi-view stereo of the training photos; takes seconds. `auto`:"
+        " unless SfM points reach half of `max_splats`; `missing`: only for captures without "
+        "points, which else start from random ones.",
         group="start",
         when="points",
     )
     stereo_points: int = option(
         0,
-        "How many points `stereo` adds at most; 0: 10,000, and a fifth of `max_splats`.",
+        "Limit of the points that `stereo` adds; 0: 10,000 plus a fifth of `max_splats`.",
         group="start",
         range=Range(high=_MOST),
         unit="points",
@@ -446,30 +431,29 @@ class TrainConfig:
     )
     depth_mode: Switch = option(
         Switch.AUTO,
-        "Let depth maps guide the training; `auto`: where photos are few. They are those of "
-        "`depths`.",
+        "Depth loss from the depth maps in `depths`; `auto`: for few photos.",
         group="depth",
         basic=True,
         when="depth_maps",
     )
     depth_weight: float = option(
         -1.0,
-        "Weight of the depth loss at the first step, see docs/depth-method.md for its unit; -1: "
-        "1, and where more than 6 training views show a median point, 6 / their number.",
+        "Initial weight of the depth loss, unit in docs/depth-method.md; -1: 1, or 6 / the "
+        "number of training views that show a median point, where more than 6 do.",
         group="depth",
         range=Range(high=LARGEST, also=-1),
         when="depth",
     )
     depth_weight_final: float = option(
         -1.0,
-        "Weight of the depth loss at the last step, exponential in between; -1: that of the first.",
+        "Final weight of the depth loss, exponential in between; -1: the initial weight.",
         group="depth",
         range=Range(high=LARGEST, also=-1),
         when="depth",
     )
     depth_warmup: float = option(
         0.02,
-        "Share of the run over which the depth loss fades in, from 0 to its full weight.",
+        "Share of the run over which the depth loss rises from 0 to its full weight.",
         group="depth",
         range=Range(high=1),
         unit="share of the run",
@@ -477,15 +461,15 @@ class TrainConfig:
     )
     depth_pearson: float = option(
         0.5,
-        "Weight of 1 - correlation for views whose map could not be aligned, as a share of "
-        "`depth_weight`; 0: such views get no depth loss.",
+        "Weight of 1 - Pearson correlation for views with an unaligned map, as a share of "
+        "`depth_weight`; 0: no depth loss for them.",
         group="depth",
         when="depth",
     )
     depth_points: int = option(
         -1,
-        "Points added at the start from aligned maps where SfM left holes, at most; -1: 10,000 "
-        "where depth supervises, and a fifth of `max_splats`; 0: none.",
+        "Limit of the initial points from aligned depth maps in gaps of the SfM points; -1: "
+        "10,000 plus a fifth of `max_splats` if depth is used; 0: none.",
         group="depth",
         range=Range(low=-1),
         unit="points",
@@ -493,71 +477,68 @@ class TrainConfig:
     )
     guide_surface: Path | None = option(
         None,
-        "Mesh on which splats are to lie, PLY or OBJ, in the capture's world: a wall, a floor, a "
-        "scan. It counts where no point that a photo sees says otherwise: what stands before it "
-        "is left there. `gscore sequence` fills in the number of each frame for {frame:06d}. "
-        "docs/steer.md says what it brings.",
+        "Surface mesh that splats should lie on (wall, floor, scan), PLY or OBJ in the "
+        "capture's world. Inactive where SfM points lie in front of it; docs/steer.md. `gscore "
+        "sequence` replaces {frame:06d} by the frame number.",
         group="guides",
         metavar="FILE",
         free=True,
     )
     guide_free: Path | None = option(
         None,
-        "Mesh before which nothing stands, PLY or OBJ, in the capture's world: splats between a "
-        "training camera and it are taken out, at every `refine_every`-th step and at the last. "
-        "Where that would be more than a fifth of all, none are. `gscore sequence` fills in the "
-        "number of each frame for {frame:06d}.",
+        "Free-space mesh, PLY or OBJ in the capture's world: splats between it and a training "
+        "camera are removed at every `refine_every`-th and the last step, unless more than a "
+        "fifth. `gscore sequence` replaces {frame:06d} by the frame number.",
         group="guides",
         metavar="FILE",
         free=True,
     )
     guide_weight: float = option(
         1.0,
-        "Weight of the loss of `guide_surface`, in the unit of the depth loss.",
+        "Weight of the `guide_surface` loss, in the unit of the depth loss.",
         group="guides",
         when="guide_surface",
     )
     exposure: Switch = option(
         Switch.AUTO,
-        "Learn how bright each photo is, and its white balance, apart from the scene; `auto`: "
-        "where photos differ. New and held-out views get the mean of the photos.",
+        "Exposure compensation: optimise brightness and white balance of each photo; `auto`: if"
+        " photos differ. New and held-out views get the mean.",
         group="colour",
         basic=True,
     )
     exposure_lr: float = option(
         0.01,
-        "Learning rate of photos' exposures at the first step, of the logarithm of their gain.",
+        "Initial learning rate of the exposure gains (logarithmic).",
         group="learning rates",
         when="exposure",
     )
     exposure_lr_final: float = option(
         1e-3,
-        "The same at the last step, exponential in between.",
+        "Final learning rate of the exposure gains; exponential decay.",
         group="learning rates",
         when="exposure",
     )
     refine_poses: Switch = option(
         Switch.AUTO,
-        "Move training cameras to where their photos were taken; `auto`: where the points of the "
-        "capture say that they stand elsewhere. Held-out cameras stay.",
+        "Pose refinement: optimise the training camera poses; `auto`: if the points of the "
+        "capture contradict them. Held-out cameras stay.",
         group="poses",
     )
     pose_lr: float = option(
         1e-3,
-        "Learning rate of poses at the first step at which they are learnt, radians, and shares "
-        "of the extent.",
+        "Initial learning rate of poses, in radians and shares of the extent.",
         group="poses",
         when="poses",
     )
     pose_lr_final: float = option(
         1e-5,
-        "The same at the last such step, exponential in between.",
+        "Final learning rate of poses; exponential decay.",
         group="poses",
         when="poses",
     )
     pose_start: float = option(
         0.1,
-        "Share of the run after which poses are learnt.",
+        "Share of the run after which pose refinement starts.",
         group="poses",
         range=Range(high=1),
         unit="share of the run",
@@ -565,7 +546,7 @@ class TrainConfig:
     )
     pose_stop: float = option(
         0.8,
-        "Share of the run after which poses stay.",
+        "Share of the run after which pose refinement ends.",
         group="poses",
         range=Range(high=1),
         unit="share of the run",
@@ -573,46 +554,43 @@ class TrainConfig:
     )
     drop_rate: float = option(
         0.0,
-        "Share of splats left out of a step at random, rising from 0 to this at the last step "
-        "(Park et al. 2025, DropGaussian), against overfitting to few views; 0: none.",
+        "Dropout: share of splats left out of a step at random, rising from 0 to this at the "
+        "last step (DropGaussian, Park et al. 2025). Against overfitting to few views; 0: off.",
         group="loss",
         range=Range(high=1, below=True),
     )
     drop_below: float = option(
         0.0,
-        "Splats are left out only where stereo, asked for points, finds the depth of less than "
-        "this share of the pixels that masks leave: where photos agree in more, it costs fine "
-        "detail. Where masks are opacity they are where it finds half of these and more. 0: "
-        "always, as where `--drop-rate` is given by itself.",
+        "Dropout only where `stereo` matches less than this share of the unmasked pixels, as it"
+        " costs fine detail elsewhere; with `composite` masks, where it matches at least half. "
+        "0, or an explicit `--drop-rate`: always.",
         group="loss",
         range=Range(high=1),
         when="dropping",
     )
     opaque_weight: float = option(
         0.0,
-        "Weight of the mean share of light that passes between splats where the pixels of a photo "
-        "count, unless masks are opacity: black on a black background needs no splats, but would "
-        "be a hole over another one; 0: none.",
+        "Weight of the mean transmittance at counted pixels, unless masks are `composite`. "
+        "Prevents holes in dark areas that appear over a brighter background; 0: off.",
         group="loss",
     )
     alpha_weight: float = option(
         0.0,
-        "Weight of the mean absolute difference between rendered opacity and mask, where masks "
-        "are opacity (`composite`); 0: none.",
+        "Weight of the mean absolute difference between rendered opacity and mask, for "
+        "`composite` masks; 0: off.",
         group="loss",
     )
     coarse_factor: float = option(
         0.0,
-        "Sides of the photos are divided by this at the first steps, and by less and less until "
-        "`coarse_until`; 0: up to 8, so that 75 pixels are left, or 1 with `start_splats`; 1: "
-        "full size from the first step.",
+        "Initial downscaling of the photos, decreasing until `coarse_until`. 0: up to 8 with at"
+        " least 75 pixels left, or 1 with `start_splats`; 1: full size from the first step.",
         group="photos",
         range=Range(low=1, high=LARGEST, also=0),
         when="small_photos",
     )
     coarse_until: float = option(
         0.9,
-        "Share of the run after which photos are used at full size.",
+        "Share of the run after which photos have their full size.",
         group="photos",
         range=Range(high=1),
         unit="share of the run",
@@ -620,30 +598,29 @@ class TrainConfig:
     )
     grow_with_photos: bool = option(
         True,
-        "`default`: the largest number of splats rises with the sides of the photos, from the "
-        "number at the start to `max_splats` at full size, so that small photos do not grow "
-        "what only large ones show; in runs of 1,000 steps and more whose photos start at less "
-        "than about 0.4 of their sides. `mcmc` gains nothing by it.",
+        "`default`: the splat limit rises with the size of the photos, from the initial number "
+        "to `max_splats`, so that small photos add no excess splats. Runs of 1,000 steps and "
+        "more that start below about 0.4 of the size; no gain for `mcmc`.",
         group="refinement",
         when="default",
     )
     without: tuple[Skip, ...] = option(
         (),
-        "Do work that is skipped as needless, to prove or measure that: names of skips.",
+        "Disable optimisations (skips) by name, to verify or measure them.",
         group="run",
         metavar="SKIP",
     )
     refine_start: int = option(
         0,
-        "First step at which splats may be added or removed; 0: 500, sooner in short runs.",
+        "First step that may add or remove splats; 0: 500, earlier in short runs.",
         group="refinement",
         range=Range(),
         unit="steps",
     )
     refine_stop: int = option(
         0,
-        "Last such step; 0: half of the run, with `grow_with_photos` four fifths or a little "
-        "after photos are at full size, with mcmc five sixths.",
+        "Last step that may add or remove splats; 0: half of the run; 4/5 or shortly after "
+        "full-size photos with `grow_with_photos`; 5/6 with mcmc.",
         group="refinement",
         range=Range(),
         unit="steps",
@@ -657,8 +634,8 @@ class TrainConfig:
     )
     reset_every: int = option(
         0,
-        "`default`: steps between two opacity resets, up to `refine_stop` or, where that is 0, "
-        "half of the run; 0: 3,000, none in runs under 6,000 steps or with `sky`; -1: never.",
+        "`default`: steps between two opacity resets, up to `refine_stop` (0: half of the run)."
+        " 0: 3,000, none in runs under 6,000 steps or with `sky`; -1: never.",
         group="refinement",
         range=Range(low=-1),
         unit="steps",
@@ -666,82 +643,77 @@ class TrainConfig:
     )
     grow_grad: float = option(
         0.0,
-        "`default`: mean positional gradient in normalised image coordinates above which a "
-        "splat is doubled; 0: 2e-4, down to 1e-4 in short runs. Where masks are opacity, 5e-5 in "
-        "runs of 10,000 steps and more, and where splats are left out.",
+        "`default`: mean screen-space gradient (normalised coordinates) above which a splat is "
+        "doubled. 0: 2e-4, down to 1e-4 in short runs; 5e-5 for `composite` masks with dropout "
+        "or from 10,000 steps.",
         group="refinement",
         when="default",
     )
     doubling: Doubling = option(
         Doubling.LONG_AXIS,
-        "`default`: how a splat is doubled: `long-axis`: into two halves along its longest axis; "
-        "`clone-split`: small ones are copied, large ones replaced by two that are drawn from "
-        "them, as in the paper of 3DGS.",
+        "`default`: operation that doubles a splat. `long-axis`: split into halves along the "
+        "longest axis; `clone-split`: clone small ones, replace large ones by two samples (3DGS"
+        " paper).",
         group="refinement",
         when="default",
     )
     grow_scale: float = option(
         0.01,
-        "`clone-split`: larger splats are split, smaller ones cloned; in extents.",
+        "`clone-split`: size above which splats are split instead of cloned; in extents.",
         group="refinement",
         unit="extents",
         when="clone_split",
     )
     prune_opacity: float = option(
         0.005,
-        "Splats with a lower opacity are removed, with mcmc relocated.",
+        "Opacity below which splats are removed, with mcmc relocated.",
         group="refinement",
         range=Range(high=0.99),
     )
     prune_scale: float = option(
         0.1,
-        "`default`: larger splats are removed after the first opacity reset; in extents.",
+        "`default`: size above which splats are removed after the first opacity reset; in extents.",
         group="refinement",
         unit="extents",
         when="default",
     )
     finest: float = option(
         0.0,
-        "No axis of a splat is shorter than so many pixels, as a standard deviation, of the "
-        "training photo that is nearest to it: finer detail is in no photo, but shows in pictures "
-        "from nearer. 0: axes may have any length. That happens at every `refine_every`-th step "
-        "and at the last. In the manner of the 3D filter of Yu et al. 2024 (Mip-Splatting), whose "
-        "width is 0.45; PLY files need nothing more.",
+        "3D filter: minimum scale of a splat (standard deviation) in pixels of its nearest "
+        "training photo; 0: off. Applied at every `refine_every`-th and the last step, baked "
+        "into the PLY. Mip-Splatting (Yu et al. 2024) uses 0.45.",
         group="refinement",
         unit="px",
         range=Range(high=10),
     )
     prune_share: float = option(
         0.0,
-        "Share of the splats that is removed when refinements are over (`refine_stop`): those "
-        "that add least to any training photo. 0: none.",
+        "Share of the splats with the least contribution to the training photos, removed at "
+        "`refine_stop`. 0: none.",
         group="refinement",
         range=Range(high=1, below=True),
     )
     free_space: float = option(
         0.4,
-        "Splats nearer to a training camera than this share of its distance from the tenth "
-        "nearest SfM point are taken out, for they hide the scene from views between the photos; "
-        "0: splats may stand anywhere. That happens at every `refine_every`-th step and at the "
-        "last. Captures of fewer than 500 points, or with more than a fifth of the splats there, "
-        "are left as they are.",
+        "Remove splats closer to a training camera than this share of its distance to the 10th "
+        "nearest SfM point, at every `refine_every`-th and the last step. 0, fewer than 500 "
+        "points, or over a fifth of the splats: no removal.",
         group="refinement",
         range=Range(high=1, below=True),
     )
     hidden_share: float = option(
         0.05,
-        "Where masks hide parts of a scene (`ignore`): splats of whose weight in the training "
-        "photos less than this share stands where masks show it are taken out, a third and two "
-        "thirds through the training. No photo says what these should look like, and they veil "
-        "other views. 0: they stay.",
+        "`ignore` masks: remove splats with less than this share of their weight in unmasked "
+        "pixels, after 1/3 and 2/3 of the training. No photo defines their look, and they cover"
+        " other views. 0: off.",
         group="refinement",
         range=Range(high=1, below=True),
         when="hiding_masks",
     )
     mcmc_growth: float = option(
         0.0,
-        "`mcmc`: splats added at each refinement, as a share of those there; 0: 0.05, more in "
-        "runs that would not reach `max_splats` otherwise.",
+        "`mcmc`: splats added per refinement, as a share of the current number; 0: 0.05, more "
+        "in runs that would not reach `max_splats`.",
         group="mcmc",
         when="mcmc",
     )
@@ -765,7 +737,7 @@ class TrainConfig:
     )
     test_iterations: tuple[int, ...] = option(
         (),
-        "Steps after which the test views are measured; the end of a run always is.",
+        "Steps at which the test views are measured; always also at the end.",
         group="results",
         range=Range(low=1),
         unit="steps",
@@ -775,8 +747,7 @@ class TrainConfig:
     )
     save_iterations: tuple[int, ...] = option(
         (),
-        "Steps after which the splats are written to `point_cloud/iteration_N/`; the end always "
-        "is.",
+        "Steps at which splats are written to `point_cloud/iteration_N/`; always also at the end.",
         group="results",
         range=Range(low=1),
         unit="steps",
@@ -786,7 +757,7 @@ class TrainConfig:
     )
     checkpoint_iterations: tuple[int, ...] = option(
         (),
-        "Steps after which a checkpoint is written that is never cleaned up.",
+        "Steps at which a permanent checkpoint is written.",
         group="results",
         range=Range(low=1),
         unit="steps",
@@ -796,8 +767,8 @@ class TrainConfig:
     )
     cache_mb: int = option(
         0,
-        "Megabytes of decoded photos to keep in memory; the others are decoded again when their "
-        "turn comes. 0: all, or as many as fit. The result is the same.",
+        "Memory for decoded photos in megabytes; photos beyond it are decoded again at each "
+        "use. 0: all, or what fits. The result is the same.",
         group="results",
         range=Range(),
         unit="MB",
@@ -806,8 +777,8 @@ class TrainConfig:
     )
     checkpoint_seconds: float = option(
         300.0,
-        "Seconds of training between two checkpoints, of which the last two are kept, and at "
-        "most two more that the watchdog may go back to; 0: only at the end.",
+        "Training time between two checkpoints; 0: only at the end. The last two are kept, and "
+        "up to two more for the watchdog.",
         group="results",
         unit="s",
         metavar="SECONDS",
@@ -815,7 +786,7 @@ class TrainConfig:
     )
     preview_seconds: float = option(
         0.0,
-        "Seconds of training between two pictures of one view in OUT/previews; 0: none.",
+        "Training time between two pictures of one view in OUT/previews; 0: none.",
         group="results",
         unit="s",
         metavar="SECONDS",
@@ -823,7 +794,7 @@ class TrainConfig:
     )
     snapshot_every: int = option(
         0,
-        "Steps between two PLYs in OUT/snapshots, of which two are kept; 0: only on request.",
+        "Steps between two PLYs in OUT/snapshots, the last two are kept; 0: only on request.",
         group="results",
         range=Range(),
         unit="steps",
@@ -831,8 +802,8 @@ class TrainConfig:
     )
     lpips: Path | None = option(
         None,
-        "Network of LPIPS, a measure of likeness as people see it: an ONNX file, or alex, vgg or "
-        "squeeze of the package lpips; without it, not measured.",
+        "LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze of the "
+        "package lpips. Default: not measured.",
         group="results",
         metavar="NETWORK",
         basic=True,
@@ -840,16 +811,14 @@ class TrainConfig:
     )
     watchdog: bool = option(
         True,
-        "Where a run diverges, go back to the last good checkpoint and on with lower learning "
-        "rates, a few times; without periodic checkpoints (`checkpoint_seconds` 0) end with an "
-        "error.",
+        "On divergence, return to the last good checkpoint with lower learning rates, a few "
+        "times. Without periodic checkpoints (`checkpoint_seconds` 0): stop with an error.",
         group="results",
         free=True,
     )
     detect_anomaly: bool = option(
         False,
-        "Stop with an error at the first number that is not finite, and say where it came from; "
-        "slow.",
+        "Stop with an error at the first non-finite number, with its origin; slow.",
         group="results",
         free=True,
     )

@@ -92,8 +92,11 @@ def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
     found = scene.gscore.bl_rna.properties
     told = "Training steps, each of one photo for each of the models (ensemble)"
     assert found["iterations"].description == told
-    assert found["sh_degree"].description == "Degree of view-dependent color, 0 to 3; 0: matt"
-    assert found["mask_mode"].description == "What masks mean"
+    assert (
+        found["sh_degree"].description
+        == "Degree of view-dependent color, 0 to 3; 0: no view dependence"
+    )
+    assert found["mask_mode"].description == "Meaning of masks"
     for name in (*NUMBERS, "eval", "invert_masks", "images", "antialias", "sky", "early_stop"):
         text = found[name].description
         assert text and "`" not in text and "--" not in text and not text.endswith("."), text
