@@ -13,11 +13,11 @@ from ..report import PictureCollector
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
-"""Training views that are measured where none are held out."""
+"""Training views that are measured if none are held out."""
 
 
 class Evaluator:
-    """Knows which views are measured and how."""
+    """Metrics and pictures of the measured views of a trainer."""
 
     def __init__(
         self, trainer: Trainer, *, lpips: Lpips | LpipsNet | None, lpips_reason: str
@@ -35,7 +35,7 @@ class Evaluator:
             self.indices = [photos.train[i] for i in places]
 
     def picture(self, index: int) -> np.ndarray:
-        """The view `index` as it is now, [H, W, 3] float32, over the background of metrics."""
+        """Current picture of view `index`, [H, W, 3] float32, over the background of metrics."""
         trainer = self._trainer
         return trainer.renderer.picture(index, background=trainer.renderer.background).numpy()
 
@@ -45,11 +45,11 @@ class Evaluator:
         """All metrics of all measured views.
 
         Args:
-            collector: Gets the pictures for the report.
-            interrupted: Asked after each view.
+            collector: Receives the pictures for the report.
+            interrupted: Called after each view; True ends the evaluation.
 
         Returns:
-            The metrics, or None if it was interrupted.
+            The metrics, or None if interrupted.
         """
 
         def on_view(
@@ -89,5 +89,5 @@ class Evaluator:
 
     @property
     def _aligns(self) -> bool:
-        """Whether held-out cameras may stand elsewhere too: training cameras did."""
+        """Whether held-out cameras are aligned too, because training poses are refined."""
         return self.split == "test" and self._trainer.photo_parameters.poses is not None

@@ -15,19 +15,19 @@ from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
 _LOOKED_AT = 64
-"""Training views, spread evenly, of which is told that they show nothing."""
+"""Training views, spread evenly, that are checked for splats."""
 
 _FEW_IN_REGION = 100
-"""Splats in a region below which it is hardly the one that was meant."""
+"""Fewer splats than this in a region cause a warning: it is probably the wrong box."""
 _GLANCED_AT, _GLANCE = 8, 8
-"""Training views by which given splats are judged, and what their sides are divided by."""
+"""Training views that given splats are compared with, and the divisor of their sides."""
 
 
 def check_training(trainer: Trainer) -> list[str]:
-    """Sentences for the user about a training that is about to begin or go on.
+    """Warnings for the user about a training before its first or next step.
 
     Raises:
-        DatasetError: no training view shows any splat, so that nothing could be learnt.
+        DatasetError: no training view shows any splat, so nothing can be learnt.
     """
     scene = trainer.photos.scene
     placed = [*position_warnings(scene), *axis_warnings(scene)]
@@ -68,7 +68,7 @@ def _world(trainer: Trainer) -> Iterator[str]:
 
 
 def _strange(trainer: Trainer) -> list[str]:
-    """Whether splats to start from are those of another scene."""
+    """Warnings where the start splats seem to belong to another scene."""
     if trainer.config.start_splats is None or trainer.steps:
         return []
     views = trainer.photos.train
@@ -78,7 +78,7 @@ def _strange(trainer: Trainer) -> list[str]:
 
 
 def _unseen(trainer: Trainer) -> Iterator[str]:
-    """Views that show no splat at the start; DatasetError if none shows any."""
+    """A warning on views without a splat at the start; DatasetError if all are empty."""
     if trainer.steps:
         return
     views = trainer.photos.train

@@ -36,18 +36,17 @@ from .views.pose_check import PoseCheck
 
 @dataclass
 class Prepared:
-    """A trainer, and what is told of how it came about."""
+    """A trainer before its first step, with the decisions and reports of its preparation."""
 
     trainer: Trainer
     photos: Dataset
     loaded: LoadedPhotos
     enough: str
-    """A sentence on steps that are left out."""
+    """Message on caps of steps and splats; empty: none applies."""
     asked: dict[str, int]
-    """What was asked for of the options that photos limited."""
+    """Requested values of the options that were capped by the number of photos."""
     region: str
-    """One on the part of the splats that is trained, or where they are added; empty: all are,
-    everywhere."""
+    """Message on the trained region, or on the cell in which splats are added; empty: no limit."""
     depth: DepthSetup
     guide: GuideSetup
     stereo: StereoStart
@@ -55,7 +54,7 @@ class Prepared:
     placing: PoseCheck
 
     def facts(self) -> dict[str, Any]:
-        """What all who train together must have found alike, as JSON values by name."""
+        """Values that must be equal on all ranks, JSON values by name."""
         trainer = self.trainer
         return {
             "photos": f"{len(self.photos)} of hash {self.photos.content_hash()}",
@@ -83,24 +82,24 @@ def prepare(
     control: Control,
     team: ProcessGroup | None = None,
 ) -> Prepared:
-    """Read the photos and make the trainer.
+    """Read the photos and create the trainer.
 
     Args:
-        config: How to train.
-        data: What to train on.
-        taken: Steps that the run has taken before; what this makes then goes on from there.
-        stereo: Whether stereo is to be asked for points.
-        frame: The training world for these photos; None: it is made of them.
-        start: Splats to begin with, COLMAP world.
-        origin: The local origin of the steps before, as `load_dataset` takes it; None: that of
-            `start` where it states one, so that splats which follow each other share theirs.
-        emit: Told how far it is.
-        control: Asked whether to stop.
-        team: Those who train together.
+        config: Training options.
+        data: Capture options.
+        taken: Steps that a resumed run has already taken.
+        stereo: Whether to compute start points by stereo.
+        frame: Returns the training frame for these photos, or None to fit a new one.
+        start: Start splats, COLMAP world.
+        origin: Local origin of the resumed run, as `load_dataset` takes it; None: that of `start`
+            if it has one, so that consecutive models share their origin.
+        emit: Receives progress events.
+        control: Cancels the preparation.
+        team: Process group of a distributed training; None: one process.
 
     Raises:
         GsError: the capture or the maps cannot be used, or memory is too small.
-        Cancelled: `control` said so.
+        Cancelled: `control` requested a stop.
     """
     region = None if config.region is None else RegionBox.read(config.region)
     if region is not None and team is not None:
@@ -126,7 +125,7 @@ def prepare(
     config, enough = limited()
     world = frame(photos)
     if data.depths:
-        MapFolder(photos.source / data.depths)  # refuses a folder that is not there
+        MapFolder(photos.source / data.depths)  # raises for a missing folder
     loaded = load_photos(
         photos,
         config,
@@ -136,7 +135,7 @@ def prepare(
         emit=emit,
         control=control,
     )
-    photos.content_hash()  # of what is trained on: when it is wanted, files may be others
+    photos.content_hash()  # computed now, because the files may change during the training
     with memory_in_words():
         depth = prepare_depth(
             data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
@@ -165,7 +164,7 @@ def prepare(
             team=team,
             region=region,
             guide=guide,
-            # Around a block's cell, given splats are there, and go when blocks are merged.
+            # Start splats already cover the surroundings of a cell; merging blocks drops those.
             block=read_block(photos.source) if start is not None and region is None else None,
         )
     return Prepared(
@@ -184,18 +183,18 @@ def prepare(
 
 
 def _asked_beyond(asked: TrainConfig, limited: TrainConfig) -> dict[str, int]:
-    """What was asked for, by option, of that of which photos allow less."""
+    """Requested values, by option, of the options that `limited` lowered."""
     both = {name: (getattr(asked, name), getattr(limited, name)) for name in LIFTED_BY}
     return {name: was for name, (was, now) in both.items() if was != now}
 
 
 @contextmanager
 def memory_in_words() -> Iterator[None]:
-    """BackendError where memory runs out."""
+    """Context that turns an out-of-memory error into a BackendError."""
     try:
         yield
     except (MemoryError, RuntimeError) as error:
-        # torch raises a RuntimeError with these words instead of a MemoryError.
+        # torch raises a RuntimeError with this text instead of a MemoryError.
         if not isinstance(error, MemoryError) and "can't allocate memory" not in str(error):
             raise
         raise BackendError(

@@ -41,25 +41,25 @@ def train(
 ) -> TrainResult:
     """Train splats from a capture and write them, their metrics and a report into a folder.
 
-    Nothing in the folder is touched before the options, the capture and the memory are found good.
+    The folder is not modified until the options, the capture and the memory have been checked.
 
     Args:
-        config: How to train.
-        data: What to train on.
-        output: Folder for the results; made if it is not there.
+        config: Training options.
+        data: Capture options.
+        output: Folder for the results; created if missing.
         on_event: Called with each event, in the thread that called `train`.
-        control: Through which others ask to stop, pause or save.
-        resume: Go on from the last checkpoint in `output`.
+        control: Requests of other threads to stop, pause or save.
+        resume: Resume from the last checkpoint in `output`.
         overwrite: Replace another run in `output`; files that no training writes stay.
-        start_checkpoint: Go on from this checkpoint of another folder.
-        onlookers: Those who watch, whose pictures are drawn between steps.
-        team: The processes that train together, where this one is rank 0; the others call
-            `follow`.
-        agent: Of the torchrun that starts this again where a process is lost: kept in the folder
-            until the run has ended, so that it is gone on with then.
+        start_checkpoint: Resume from this checkpoint of another folder.
+        viewers: Viewer clients, whose frame requests are rendered between steps.
+        team: Process group of a distributed training, where this process is rank 0; the others
+            call `run_worker`.
+        agent: Identifier of the torchrun that restarts lost processes; kept in the folder until
+            the run has ended, so that a restart resumes the run.
 
     Returns:
-        How it ended. Stopping by `control` is no error.
+        The result of the run. A stop by `control` is no error.
 
     Raises:
         GsError: bad input, a folder in use, too little memory, a full disk or a diverged training.
@@ -126,7 +126,7 @@ def _prepared(
     control: Control,
     team: ProcessGroup | None,
 ) -> Prepared:
-    """The trainer, where all ranks of the team have made the same."""
+    """The prepared trainer, after all ranks have confirmed that theirs are equal."""
     found, failure = None, None
     try:
         found = prepare(
@@ -155,7 +155,7 @@ def _prepared(
 
 @contextmanager
 def _kept_for(agent: str, folder: RunFolder) -> Iterator[Callable[[TrainResult], None]]:
-    """Keep in the folder whose run it is until the run has ended, or has failed by itself."""
+    """Keep the torchrun identifier in the folder until the run has ended or failed."""
     ended = False
 
     def end(result: TrainResult) -> None:

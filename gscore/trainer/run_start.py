@@ -23,7 +23,7 @@ from .trainer import Trainer
 
 
 class RunStart:
-    """Read before the photos are, so that what cannot be used is refused at once."""
+    """Start state of a run, read before the photos so that invalid input fails early."""
 
     def __init__(
         self,
@@ -34,18 +34,18 @@ class RunStart:
         resume: bool,
         start_checkpoint: Path | None,
     ) -> None:
-        """Find the checkpoint and read the splats that the run begins with, if there are any.
+        """Read the checkpoint and the start splats of the run, if any.
 
         Args:
-            folder: Of the run.
-            config: How to train.
-            data: What to train on.
-            resume: Go on from the last checkpoint in `folder`.
-            start_checkpoint: Go on from this one, of another folder.
+            folder: Run folder.
+            config: Training options.
+            data: Capture options.
+            resume: Resume from the last checkpoint in `folder`.
+            start_checkpoint: Resume from this checkpoint of another folder.
 
         Raises:
-            ConfigError: both are asked for, or a file that was named is not there.
-            FormatError: the checkpoint that was named, each one in the folder, or the file of
+            ConfigError: both `resume` and `start_checkpoint` are given, or a file is missing.
+            FormatError: the given checkpoint, all checkpoints in the folder, or the file of start
                 splats is damaged.
         """
         if resume and start_checkpoint is not None:
@@ -62,29 +62,29 @@ class RunStart:
                 asked = as_int_dict("asked", self._checkpoint.session.get("asked", {}))
             config = limited_as(config, asked, self._checkpoint.config)
         self._config = config
-        """As the checkpoint has them, where the same is asked for."""
+        """The options, capped as in the checkpoint where the requested values are the same."""
         self.config = unlimited(config, asked)
-        """The options to train with, before photos limit them."""
+        """The options before caps by the number of photos."""
         self.ended = self._end()
-        """How the run ended if it has nothing left to do."""
+        """Result of a run that is already complete; None: steps are left."""
         self.splats: Decoded | None = None
-        """Given splats in COLMAP world, until `go_on`."""
+        """Start splats, COLMAP world, until `resume`."""
         if config.start_splats is not None and self.ended is None:
             self.splats = read_decoded(config.start_splats)
 
     @property
     def resumes(self) -> bool:
-        """Whether steps were taken before."""
+        """Whether the run resumes from a checkpoint."""
         return self._checkpoint is not None
 
     @property
     def taken(self) -> int:
-        """How many they were."""
+        """Steps of the checkpoint; 0 without one."""
         return 0 if self._checkpoint is None else self._checkpoint.steps
 
     @property
     def origin(self) -> np.ndarray | None:
-        """The local origin of the steps before, zeros where they had none; None: there are none."""
+        """Local origin of the checkpoint, zeros if it has none; None: no checkpoint."""
         found = self._checkpoint
         if found is None:
             return None
@@ -93,13 +93,12 @@ class RunStart:
 
     @property
     def wants_stereo(self) -> bool:
-        """Whether stereo is to be asked for points: those before steps that were taken without it
-        started from others."""
+        """Whether to compute stereo points; a resumed run does so only if it started with them."""
         found = self._checkpoint
         return found is None or bool(found.session.get("stereo"))
 
     def facts(self) -> dict[str, Any]:
-        """What others who train along need to begin alike, as JSON values."""
+        """Values that worker ranks need for the same start, as JSON values."""
         found = self._checkpoint
         return {
             "taken": self.taken,
@@ -108,11 +107,11 @@ class RunStart:
         }
 
     def frame(self, photos: Photos) -> TrainingFrame | None:
-        """The training world of the steps before; None: there are none, so `photos` make it.
+        """The training frame of the checkpoint; None: no checkpoint.
 
         Raises:
-            ConfigError: the checkpoint is of other photos, or of options that may not change.
-            FormatError: it states no such world.
+            ConfigError: the checkpoint has other photos, or other options that must not change.
+            FormatError: it has no valid frame.
         """
         found = self._checkpoint
         if found is None:
@@ -123,12 +122,12 @@ class RunStart:
             return TrainingFrame.from_dict(found.trainer["frame"])
 
     def resume(self, trainer: Trainer, session: Session) -> None:
-        """Put trainer and session where the checkpoint has them, and let go of what was read.
+        """Restore trainer and session from the checkpoint, and release the data that was read.
 
         Raises:
             ConfigError: the checkpoint's depth maps, region or guides are not those of `trainer`.
-            FormatError: it states what no run writes.
-            GsError: a damaged checkpoint cannot be set aside.
+            FormatError: it has invalid values.
+            GsError: a damaged checkpoint cannot be renamed.
         """
         self.splats = None  # as large as the parameters
         found = self._checkpoint
@@ -147,7 +146,7 @@ class RunStart:
             session.warn(_set_aside(path, found.steps), "damaged_checkpoint")
 
     def _last(self) -> Checkpoint | None:
-        """The last checkpoint of the folder that is whole; damaged ones after it are noted."""
+        """The last intact checkpoint of the folder; later, damaged ones are recorded."""
         paths = self._folder.checkpoints()
         for path in reversed(paths):
             try:
@@ -165,13 +164,13 @@ class RunStart:
         return None
 
     def _end(self) -> TrainResult | None:
-        """How the run in the folder ended, if it did and its last checkpoint is whole."""
+        """Result of the run in the folder, if it is complete and its last checkpoint intact."""
         if not self._resumes or self._checkpoint is None or self._damaged:
             return None
         return finished_run(self._folder, self._checkpoint, self._config, self._data)
 
     def _other_capture_options(self) -> list[str]:
-        """How the capture's options differ from those of the run in the folder, as given."""
+        """Differences between the capture options and those of the run in the folder."""
         with contextlib.suppress(ConfigError):
             stored, _ = load_config(self._folder.config)
             found = differences(stored, self._data, ignore=("source", "rig", "test_list"))
@@ -181,7 +180,7 @@ class RunStart:
 
 
 def _set_aside(path: Path, step: int) -> str:
-    """Rename a damaged checkpoint, so that it is not looked at again; a sentence about it."""
+    """Rename a damaged checkpoint, so that it is not read again; returns a warning."""
     aside = path.with_name(f"{path.name}.damaged")
     try:
         path.replace(aside)

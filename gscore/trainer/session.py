@@ -44,7 +44,7 @@ _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
 _CHECKPOINTS_KEPT = 2
 _PAUSE = 0.02
-"""Seconds between two looks at what those who watch want, after the last step."""
+"""Seconds between polls of the viewer clients after the last step."""
 _CROWDED = (
     "Many splats stand closer before a camera than the points of the capture let expect. They are "
     "left there, as with --free-space 0."
@@ -55,12 +55,12 @@ _FILLED = (
     "leaves what stands before a mesh."
 )
 _MANY_CLEARED = 0.02
-"""Splats taken out before cameras, as a share of those at the end, that are told. Trainings of real
-captures take out up to 0.005 in all."""
+"""Share of splats removed in front of cameras, of those at the end, that causes a warning.
+Trainings of real captures remove up to 0.005 in all."""
 
 
 class Session:
-    """Takes a trainer through a run, tells about it and writes everything into its folder."""
+    """A run of a trainer: training loop, events, and all files of the run folder."""
 
     def __init__(
         self,
@@ -82,9 +82,8 @@ class Session:
         region: str = "",
         guide: str = "",
     ) -> None:
-        """`enough`: a sentence on steps that are left out; `asked`: what was asked for of the
-        options that photos limited; `region`: a sentence on the part of the splats that is
-        trained; `guide`: some on meshes that guide it."""
+        """`enough`: message on caps of steps and splats; `asked`: requested values of the capped
+        options; `region`: message on the trained region; `guide`: messages on the guide meshes."""
         self._trainer = trainer
         self._config = trainer.config
         self._folder = folder
@@ -117,17 +116,16 @@ class Session:
         self._waits = StragglerMonitor(trainer.team.hosts) if trainer.team else None
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on with the clock and the history of a checkpoint.
+        """Restore the clock and the history of a checkpoint.
 
         Raises:
-            ValueError, KeyError, TypeError: it states something that no session writes.
+            ValueError, KeyError, TypeError: `state` has invalid values.
         """
         self._meter.restore(state["meter"])
         self._evals = as_records("evals", state["evals"])
         self._warnings = as_str_list("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
-        # What goes on is decided already, so little of it is decided again; but what photos are
-        # good for is.
+        # A resumed run keeps its decisions, except for the caps, which are computed again.
         self._decided_before = as_str_dict("decided", state.get("decided", {}))
         self._decided_before.pop("enough", None)
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
@@ -136,7 +134,7 @@ class Session:
         self._trainer.rate_factor = self._watchdog.rate_factor
 
     def _decided(self) -> dict[str, str]:
-        """What was decided for these photos: sentences by what they are of."""
+        """Decisions for these photos: messages by topic."""
         found = {
             "enough": self._enough,
             "stereo": self._stereo.why,
@@ -148,13 +146,13 @@ class Session:
         return self._decided_before | {topic: words for topic, words in found.items() if words}
 
     def warn(self, message: str, code: str = "") -> None:
-        """Tell the user, now and in the report."""
+        """Emit a warning, and keep it for the report."""
         if message not in self._warnings:
             self._warnings.append(message)
         self._emit(Warn(message=message, code=code))
 
     def run(self) -> TrainResult:
-        """Train until the last step or until asked to stop, then write the results."""
+        """Train until the last step or a stop request, then write the results."""
         self._results.write_inputs()
         self._started()
         trainer, control = self._trainer, self._control
@@ -197,7 +195,7 @@ class Session:
         return result
 
     def _show_around(self, *, at_leisure: bool = False) -> None:
-        """Draw what those who watch want to see."""
+        """Render the frame requests of the viewer clients."""
         self._viewers.answer(self._drawn, at_leisure=at_leisure)
 
     def _drawn(self, request: FrameRequest) -> bytes:
@@ -206,7 +204,7 @@ class Session:
 
     @contextmanager
     def _work_kept(self) -> Iterator[None]:
-        """Write a checkpoint where a photo cannot be had any more, and say so with the error."""
+        """Write a checkpoint if a photo cannot be read any more, and mention it in the error."""
         try:
             yield
         except (DatasetError, FormatError) as error:
@@ -256,7 +254,7 @@ class Session:
                 poses=self._placing.why,
                 viewer=self._viewers.why,
                 enough=self._enough,
-                # The masks of a region are made as it goes, and its own sentence says so.
+                # The masks of a region are computed, and the region's own message covers them.
                 mask_mode="none" if self._region else photos.mask_mode,
                 region=self._region,
                 guide=self._guide,
@@ -290,11 +288,11 @@ class Session:
 
     @property
     def _guarded(self) -> bool:
-        """Whether there is to be something to go back to."""
+        """Whether states are kept for the watchdog to go back to."""
         return self._config.watchdog and self._config.checkpoint_seconds > 0
 
     def _watch(self) -> None:
-        """Begin to watch, unless this goes on with a run that is watched."""
+        """Start the watchdog, unless a resumed run already has its state."""
         good = self._watchdog.good
         here = bool(good) and self._folder.checkpoint(good[-1]).is_file()
         if not self._config.watchdog or here:
@@ -316,7 +314,7 @@ class Session:
         return self._config.watchdog and diverged
 
     def _rescue(self) -> None:
-        """Go back to a good state and on from there at lower rates; GsError if there is none."""
+        """Restore a good state and continue at lower rates; GsError if there is none."""
         trainer, step = self._trainer, self._trainer.steps
         back = self._watchdog.rescue(step)
         trainer.release()
@@ -326,7 +324,7 @@ class Session:
         self._meter.rewind(back, splats=trainer.splat_count)
         self._steering.restore(found.session.get("steering"))
         self._evals = [entry for entry in self._evals if entry["step"] <= back]
-        # Those of the way that led astray must not be what a resume finds.
+        # A resume must not find checkpoints of the diverged steps.
         self._folder.drop_checkpoints_after(back)
         self.warn(
             f"Step {step}: training diverged. Went back to step {back}, and on with all learning "
@@ -335,7 +333,7 @@ class Session:
         )
 
     def _answer(self) -> None:
-        """Do what was asked for besides pausing and stopping."""
+        """Handle control commands other than pause and stop."""
         for line in self._control.unknown():
             self.warn(f"There is no control command {quoted(line)}.", "control")
         if self._control.take_snapshot():
@@ -410,7 +408,7 @@ class Session:
         return found
 
     def _depth_report(self) -> DepthReport | None:
-        """Rendered against given depth, where there are maps."""
+        """Rendered against given depth, if there are depth maps."""
         trainer = self._trainer
         return measure_depth(
             trainer.photos,
@@ -423,10 +421,10 @@ class Session:
         trainer, reason = self._trainer, self._steering.reason
         if trainer.team:
             trainer.collect()
-            if reason:  # the others of a run that was stopped hear with which exit code it ends
+            if reason:  # workers of a stopped run receive its exit code later
                 trainer.team.shutdown()
         finished, reason = bool(reason), reason or self._control.stop_reason
-        self._answer()  # a snapshot asked for just before the stop
+        self._answer()  # a snapshot requested just before the stop
         cleared = trainer.pruner.around.count
         if cleared > _MANY_CLEARED * trainer.trained_count:
             self.warn(

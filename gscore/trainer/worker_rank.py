@@ -20,17 +20,17 @@ _WHERE = "options of rank 0"
 
 
 def run_worker(team: ProcessGroup, source: Path | None) -> bool:
-    """Take part in a training until rank 0 says that it is over.
+    """Run the commands of rank 0 until it ends the training.
 
     Args:
-        team: All who train together.
-        source: Where this machine has the capture; None: where rank 0 has it.
+        team: Process group of the training.
+        source: Path of the capture on this machine; None: the path on rank 0.
 
     Returns:
-        Whether it came to its end.
+        Whether the training completed.
 
     Raises:
-        GsError: this rank cannot go on; the others know unless `team.told` is False.
+        GsError: this rank failed; the others have been notified unless `team.told` is False.
     """
     mmap_large_blocks()
     order = team.receive()
