@@ -64,9 +64,9 @@ _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Pictures are 0 to 1; colours of 100 come from splats that ran away."""
 _HOLD_EVERY = 100
-"""Steps between two looks at the bounds of `bounds`."""
+"""Steps between two sanitizing passes, see `model.sanitize`."""
 _ROWS_A_PART = 1 << 16
-"""Splats that are looked at together where not all need be."""
+"""Splats per part of `parts`."""
 
 
 class Trainer:
@@ -96,18 +96,24 @@ class Trainer:
     ) -> None:
         """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
 
-        `depth` holds what to supervise depth with; `known` is the share of the pixels that masks
-        leave whose depth stereo found, None: nobody looked; `gains` how photos were exposed, which
-        is learnt, None: they are taken as they are; `placing` where training cameras stand, None:
-        where the capture has them; `photo_cache` is how many bytes of photos may be kept, None:
-        all; `team` are the processes that train together, each of which makes such a trainer;
-        `region`, in COLMAP world, holds the splats of `start` that are trained, None: all are;
-        where there is no `start`, `photos` are those that are narrowed to it; `guide` are the
-        meshes that guide the run; `block` is the one in whose cell alone splats are added, None:
-        they are everywhere.
+        Args:
+            config: Training options.
+            photos: The capture; with a `region` and no `start`, masked to the region.
+            frame: Training frame; None: fitted to the capture.
+            start: Start splats, COLMAP world.
+            depth: Targets of depth supervision.
+            points: Start points, COLMAP world.
+            known: Share of the unmasked pixels with stereo depth; None: stereo did not run.
+            gains: Exposure gains to learn; None: photo colours are used unchanged.
+            placing: Checked training cameras; None: those of the capture.
+            photo_cache: Bytes of photos to keep in memory; None: all.
+            team: Process group of a distributed training; each rank has such a trainer.
+            region: Box of the splats of `start` that are trained, COLMAP world; None: all are.
+            guide: Guide meshes.
+            block: Block whose cell limits where splats are added; None: everywhere.
 
         Raises:
-            DatasetError: nothing to train on.
+            DatasetError: no training photos.
             ConfigError: `start` has more splats than the config allows, or none in `region`.
         """
         if not photos.train:
@@ -120,7 +126,7 @@ class Trainer:
         self._given = start is not None
         self._judge(known)
         self.team = team
-        """Those with whom each step is taken together; None: this process trains alone."""
+        """Process group of a distributed training; None: one process."""
         self.frame = frame or TrainingFrame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
         most = max_splats_per_model(config, self._models)
@@ -135,17 +141,17 @@ class Trainer:
             subject=photos.mask_mode == "composite",
         )
         self.depth: DepthLoss | None = None
-        """The depth loss, where depth is supervised."""
+        """The depth loss; None: no depth supervision."""
         if depth is not None:
             self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
         self.guide: GuideLoss | None = None
-        """The loss of a guide's surface, where there is one."""
+        """The loss of the surface mesh; None: no surface mesh."""
         if guide is not None and guide.surface is not None:
             self.guide = GuideLoss(
                 guide.surface, weight=config.guide_weight, scale=self.frame.similarity.scale
             )
         self.guide_digest = "" if guide is None else guide.digest
-        """Changes with any of the meshes that guide the run; empty: none do."""
+        """Hash of the guide meshes; empty: none."""
         self._block = block
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
@@ -153,31 +159,31 @@ class Trainer:
         self.steps = 0
         """Steps taken."""
         self.bad_rows = 0
-        """Gradient rows left out so far because they were not finite."""
+        """Gradient rows skipped so far because they were not finite."""
         self.lost_rows = 0
-        """Splats taken out so far because they ran away; see `bounds`."""
+        """Runaway splats reset so far, see `model.sanitize`."""
         self.rate_factor = 1.0
         """All learning rates are multiplied by this."""
         self._skipped = 0
         self.laps = StageTimer()
-        """What the parts of the last step took."""
+        """Seconds of the parts of the last step."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self.photo_parameters = PhotoParameters(
             config, gains, initial_poses(placing, photos.train, self.frame)
         )
-        """How photos were exposed and where they were taken, as far as that is learnt."""
+        """Learnt exposure gains and camera poses of the photos."""
         self._v_viewmat = zeros(4, 4)
         self.region = None if region is None else region.in_training(self.frame.similarity)
-        """The box that matters, training world; of given splats, those in it may not leave it."""
+        """The region box, training world; start splats inside are kept inside."""
         self.still: FrozenSplats | None = None
-        """What stands around them and is drawn with them; None: nothing does."""
+        """Frozen splats around the region, rendered with the trained ones; None: none."""
         if region is not None and start is not None:
             start, self.still = split_frozen(start, region, config, self.frame)
         first, free_space = initial_splats(
             config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
         )
         self.members = self._members_of(first)
-        """The models that are trained side by side; of given splats there is one."""
+        """The models that are trained in parallel; with start splats, one."""
         self.renderer = ModelRenderer(
             config,
             photos,
@@ -188,7 +194,7 @@ class Trainer:
             cache=photo_cache,
             still=self.still,
         )
-        """The splats as cameras see them."""
+        """Renderer of the current model."""
         self._rasterizer = self.renderer.rasterizer
         self._view_batcher = ViewBatcher(
             config,
@@ -212,11 +218,11 @@ class Trainer:
             if guide is not None and guide.free
             else None,
         )
-        """What goes besides what the strategy takes out."""
+        """Pruning in addition to that of the strategy."""
         self._disable = disabled_skips(config.without)
         self._given_degree = first.sh_degree
         self.cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
-        """SH degree of given splats before it was cut to what the config allows."""
+        """SH degree of the start splats before it was cut to that of the config."""
         for member in self.members:
             if Skip.SH_BANDS in config.without:
                 row_ops.widen_sh(member.model, config.sh_degree)
@@ -224,17 +230,17 @@ class Trainer:
 
     @property
     def model(self) -> Model:
-        """The splats of the first model with all that is kept for each of them."""
+        """The first model: splats with their moments and counters."""
         return self.members[0].model
 
     @property
     def splat_count(self) -> int:
-        """How many splats there are, with those that stand still."""
+        """Number of splats, frozen ones included."""
         return self.trained_count + self._standing
 
     @property
     def trained_count(self) -> int:
-        """How many splats are trained."""
+        """Number of trained splats."""
         return sum(len(member.model) for member in self.members)
 
     @property
@@ -243,8 +249,8 @@ class Trainer:
 
     @property
     def region_words(self) -> str:
-        """A sentence on the part of the splats that is trained, or where they are added; empty: all
-        are, everywhere."""
+        """Message on the trained region, or on the cell in which splats are added; empty: no
+        limit."""
         if self.region is None:
             return _IN_CELL if self._block else ""
         if not self._given:
@@ -253,15 +259,15 @@ class Trainer:
         return f"{count} in the region; {number(self._standing)} around it stand still."
 
     def plan_of(self, iterations: int) -> Plan:
-        """The plan of a run of this length; costs next to nothing."""
+        """The plan of a run of this length; cheap."""
         config = replace(self.config, iterations=iterations)
         return self._plan_of(config, drops=self.drop_rate > 0, models=self._models)
 
     def replan(self, iterations: int) -> None:
-        """Change the length of the run: from the next step on all schedules are those of a run
-        that is `iterations` steps long."""
+        """Change the length of the run: from the next step on, all schedules are those of a run
+        of `iterations` steps."""
         self.plan = self.plan_of(iterations)
-        """When things happen."""
+        """Schedules of the run."""
         self.strategy = make_strategy(
             self.config, self.plan, extent=self.frame.extent, may_grow=self._may_grow
         )
@@ -269,7 +275,7 @@ class Trainer:
             self.depth.set_length(iterations)
 
     def _may_grow(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: beside which of `means` [N, 3] splats may be added."""
+        """[N] bool: the `means` [N, 3] next to which splats may be added."""
         if self._block is None:
             return all_within(means)
         world = self.frame.similarity.points_from_training(means.numpy())
@@ -277,19 +283,19 @@ class Trainer:
 
     @property
     def photo_factor(self) -> float:
-        """What the sides of the photo of the last step were divided by."""
+        """Divisor of the photo's sides in the last step."""
         return self._view_batcher.factor
 
     def step(self) -> StepResult:
-        """Render a view, compare it with the photo, improve the splats.
+        """Render a view, compute its loss, and update the splats.
 
-        A team takes as many views at once as it has ranks, each rank another one, and `steps` goes
-        up by as many. Rank 0 calls for the step; the others, who heard that, call this too.
+        A team of R ranks processes R views in one step, a different one on each rank, and `steps`
+        rises by R. Rank 0 broadcasts the step; the workers then call this too.
 
         Raises:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
-            DatasetError, FormatError: a photo that is not kept in memory is missing, damaged or
-                another one than it was, on any rank; the step was not begun.
+            DatasetError, FormatError: a photo that is not cached is missing, damaged or changed,
+                on any rank; the step was not begun.
             RankLostError: another process is gone.
         """
         if self.team is None:
@@ -299,7 +305,7 @@ class Trainer:
             return self._step(self._photos_at_once(self.team))
 
     def _step(self, count: int) -> StepResult:
-        """A step that takes `count` views at once, on this rank one of them."""
+        """A step of `count` views, one of them on this rank."""
         step, laps = self.steps + count, StageTimer()
         self.laps = laps
         self.renderer.forget()
@@ -329,7 +335,7 @@ class Trainer:
     def _step_of(
         self, member: EnsembleMember, training_view: TrainingView, step: int
     ) -> StepResult:
-        """The part of `step` that one of the models takes."""
+        """The part of `step` for one of the models."""
         config, model, laps, count = (
             self.config,
             member.model,
@@ -338,7 +344,7 @@ class Trainer:
         )
         for (
             index
-        ) in training_view.indices:  # also for those of other ranks, whose rows are then the same
+        ) in training_view.indices:  # views of other ranks too, so that rows stay equal on all
             model.sync_visible(self.renderer.view(index, self.photo_factor), threads=config.threads)
         laps.lap("settle")
         opacities, leaf = self._step_opacities(model, step)
@@ -350,7 +356,7 @@ class Trainer:
         self.steps = step
         laps.lap("loss")
         self._assert_finite(model, training_view, value)
-        # What breaks a loss is often a splat that ran away; the next views do without it.
+        # A loss that is not finite often comes from one runaway splat; reset it at once.
         sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
         lost_rows = 0 if sane else self._hold(model)
         if lost_rows or not math.isfinite(value):
@@ -397,7 +403,7 @@ class Trainer:
         """Losses and mean squared errors of all photos of a batch.
 
         Raises:
-            DatasetError: another rank's photo cannot be had; nothing was done.
+            DatasetError: another rank cannot read its photo; nothing was changed.
         """
         if self.team is None or member.batch is None:
             return [loss.value], [loss.mse]
@@ -430,8 +436,8 @@ class Trainer:
         opacities: torch.Tensor,
         leaf: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Fill the model's gradients, and let gains and poses learn of theirs; returns those in
-        the splats' places in the picture."""
+        """Compute the model's gradients, and update gains and poses with theirs; returns the
+        gradients in the projected means."""
         model, batch = member.model, member.batch
         moves = self.photo_parameters.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._rasterizer.gradients(
@@ -454,20 +460,20 @@ class Trainer:
         return v_means2d
 
     def error(self, views: int = 8) -> float:
-        """Root of the mean squared error of the pixels that count, in some training views at the
-        next step's resolution."""
+        """Root mean squared error of the unmasked pixels, in some training views at the next
+        step's resolution."""
         indices = self.sampler.indices
         chosen = indices[:: -(-len(indices) // views)]
         return self.renderer.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:
-        """The splats as they are now, in COLMAP world, with the SH degrees in use so far; first
-        those that stand still."""
+        """The current splats, in COLMAP world, with the SH degrees in use so far; frozen splats
+        first."""
         shown = self.renderer.splats()
         return self._whole(self._in_world({name: p.clone() for name, p in shown.items()}))
 
     def parts(self) -> Iterator[Splats]:
-        """What `splats` gives, some rows at a time, which are only good until the next step."""
+        """The rows of `splats` in parts, which are valid until the next step."""
         if self.still is not None:
             yield from self.still.parts(_ROWS_A_PART, self.model.sh_degree)
         for member in self.members:
@@ -478,14 +484,13 @@ class Trainer:
                 yield self._in_world(part | {"opacities": opacities})
 
     def make_room(self) -> None:
-        """Give back what the rasterizer keeps from step to step, before something else takes
-        memory."""
+        """Free the memory that the rasterizer keeps between steps."""
         self.renderer.forget()
         self._rasterizer.release()
 
     def finish(self) -> Splats:
-        """What `splats` gives, when no step will follow: of one model without a copy, and the
-        memory that only steps need is given back. Views can still be drawn."""
+        """The splats after the last step: as `splats`, but a single model is not copied and the
+        memory of steps is freed. Views can still be rendered."""
         self.make_room()
         for member in self.members:
             member.model.sync(threads=self.config.threads)
@@ -493,13 +498,13 @@ class Trainer:
         return self._whole(self._in_world(self.renderer.splats()))
 
     def release(self) -> None:
-        """Give back what `restore` will replace; until then nothing else may be asked for."""
+        """Free the state that `restore` replaces; only `restore` may be called next."""
         self.make_room()
         for member in self.members:
             member.model.drop_moments()
 
     def state(self) -> dict[str, Any]:
-        """What is not a tensor, as JSON values."""
+        """State other than tensors, as JSON values."""
         found = {
             "steps": self.steps,
             "iterations": self.plan.iterations,
@@ -514,44 +519,44 @@ class Trainer:
         return found | self._view_batcher.state() | self.pruner.state()
 
     def collect(self) -> None:
-        """Bring what other ranks know alone to rank 0, which calls for it."""
+        """Collect on rank 0 the state that only other ranks have; called on rank 0."""
         if self.team and not self._collected:
             self.team.broadcast(rank_commands.collect())
             self._collect_now()
 
     def _collect_now(self) -> None:
-        """As `collect`, where all ranks are about to end for the same error."""
+        """As `collect`, without a broadcast: all ranks are about to end with the same error."""
         for member in self.members:
             if member.batch and not member.batch.complete:
                 member.batch.collect(member.model)
 
     @property
     def _collected(self) -> bool:
-        """Whether rank 0 knows all that a checkpoint needs; the same on all ranks."""
+        """Whether rank 0 has the whole state of a checkpoint; equal on all ranks."""
         return all(member.batch is None or member.batch.complete for member in self.members)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All tensors that the next step depends on, by name; no copies. Of a team, those of this
-        rank; after `collect` rank 0 has all."""
+        """All tensors that the next step depends on, by name; no copies. In a team, those of this
+        rank; after `collect`, rank 0 has all."""
         out = {"generator": self.generator.get_state()}
         for member in self.members:
             out |= member.tensors()
         return out | self.photo_parameters.tensors()
 
     def _judge(self, known: float | None, models: int | None = None) -> None:
-        """Decide what photos decide by the share of their pixels whose depth is `known`, but for
-        the number of `models` if that was decided before."""
+        """Decide on dropout and ensemble by the share of pixels with `known` depth; `models` is
+        the number of models if it was decided before."""
         config, mask_mode = self.config, self.photos.mask_mode
         self._known = known
         self.drop_rate, self.drop_words = drop_rate_of(config, known=known, mask_mode=mask_mode)
-        """Share of the splats that is left out of the last step, and a sentence on it where these
-        photos decide; empty: none are, or the options say so."""
+        """Dropout rate at the last step, and a message on it if the photos decided; empty: no
+        dropout, or set by the options."""
         self._models, self.ensemble_words = self._models_for(known)
         if models is not None and models != self._models:
             self._models, self.ensemble_words = models, ""
 
     def _models_for(self, known: float | None) -> tuple[int, str]:
-        """How many models there are, and a sentence on them where these photos decide that."""
+        """Number of models, and a message if the photos decided it."""
         if self._given:
             return 1, ""
         photos = self.photos
@@ -564,28 +569,28 @@ class Trainer:
         )
 
     def _members_of(self, first: Splats) -> list[EnsembleMember]:
-        """As many models as there are to be, all of these splats."""
+        """The ensemble members, each with a copy of these splats."""
         return [
             EnsembleMember(place, Model(tensors_from_splats(first)), self.team)
             for place in range(self._models)
         ]
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        """Go on from what `state` and `tensors` of another trainer with this config returned; the
-        tensors are taken over. Rank 0 hands both to all others of its team.
+        """Restore `state` and `tensors` of another trainer with this config; takes ownership of
+        the tensors. Rank 0 sends both to the other ranks.
 
         The length of the run is that of the config, unless a time budget leaves it open.
 
         Raises:
-            ValueError, KeyError: they are not what those return.
+            ValueError, KeyError: `state` or `tensors` are invalid.
         """
-        # What was found of the photos then: a run that stereo gave no points does not ask it again.
+        # The stored share: a resumed run without stereo points does not run stereo again.
         known = self._known
         if state.get("known") is not None:
             known = as_float("known", state["known"], low=0)
         models, like = self._models_for(known)[0], self.model
         if (there := count_members(tensors)) != models:
-            # Photos decided on them when the run began, by the rule of then.
+            # The photos decided the number when the run began, perhaps by an older rule.
             by_photos = self.config.ensemble_below and there in {1, self.config.ensemble}
             if self._given or not by_photos:
                 raise ValueError(f"it has {there} models, expected {models}")
@@ -619,7 +624,7 @@ class Trainer:
         self.pruner.restore(state)
 
     def _whole(self, trained: Splats) -> Splats:
-        """`trained` splats after those that stand still, COLMAP world."""
+        """Frozen splats followed by the `trained` ones, COLMAP world."""
         if self.still is None:
             return trained
         return joined([self.still.world, trained])
@@ -637,19 +642,19 @@ class Trainer:
     def _learn_of_photos(
         self, indices: Sequence[int], v_log_gain: tuple[float, float, float]
     ) -> None:
-        """Let gains and poses take their steps; the derivatives are those of this rank's photo."""
+        """Update gains and poses; the derivatives are those of this rank's photo."""
         done = self.steps / self.plan.iterations
         if self.photo_parameters.gains is None and not self.photo_parameters.pose_rate(done):
             return
         mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
         slopes = self.team.all_gather(mine) if self.team else np.array([mine])
-        # Each model has its own photo: as many more steps, each as much shorter.
+        # Each of M models has its own photo, so there are M times the steps, each 1/M as long.
         factor = self.rate_factor / len(self.members)
         self.photo_parameters.learn(indices, slopes, done=done, factor=factor)
 
     def _step_opacities(self, model: Model, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """The opacities that this step draws, and, where they are not the model's own, the leaf
-        that their gradients belong to."""
+        """Opacities for this step, and the leaf tensor of their gradients if they are not the
+        model's own."""
         opacities = model.params["opacities"]
         rate = drop_rate_at(self.drop_rate, step, self.plan.iterations)
         if rate <= 0:
@@ -658,7 +663,7 @@ class Trainer:
         return drop_splats(leaf, rate, self.generator), leaf
 
     def _sh_degree_at(self, step: int) -> int:
-        """The degree in use; that of given splats from the start."""
+        """SH degree in use; that of start splats from the first step on."""
         return max(self.plan.sh_degree_at(step), self._given_degree)
 
     def _rest_at(self, step: int, count: int) -> ShUpdate:
@@ -684,7 +689,7 @@ class Trainer:
         )
 
     def _mark(self, model: Model) -> float:
-        """A number of the splats, where a team compares them: as often as they are held."""
+        """CRC of the splats for the comparison between ranks, every `_HOLD_EVERY` steps; else 0."""
         return float(crc_of(model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
 
     def _assert_finite(self, model: Model, training_view: TrainingView, value: float) -> None:
@@ -710,7 +715,8 @@ class Trainer:
     def _learn(
         self, member: EnsembleMember, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
     ) -> tuple[Change, int]:
-        """Step with the model's gradients; what changed, and how many rows were left out."""
+        """Update the model with its gradients; returns the changes and the number of skipped
+        rows."""
         model, batch, radii = member.model, member.batch, self._rasterizer.radii
         counters = batch.counters(model) if batch else model.rows
         drawn = DrawnView(

@@ -22,7 +22,7 @@ def splats_from_points(
     seed: int,
     near: NearestPoints | None = None,
 ) -> Splats:
-    """One round splat at each point, as large as the distance to its neighbours (Kerbl et al.
+    """One isotropic splat at each point, sized by the distance to its neighbours (Kerbl et al.
     2023).
 
     Args:
@@ -32,7 +32,7 @@ def splats_from_points(
         scale: Standard deviation in root-mean-square distances to the three nearest neighbours.
         max_splats: More points than this are thinned at random.
         seed: Of that thinning.
-        near: Who is near to the points that are finite; None: is found out.
+        near: Tree of the finite points; None: it is built.
 
     Returns:
         At most `max_splats` splats of SH degree 0, training world.

@@ -15,7 +15,7 @@ _TOP, _NODES = 1 - 1e-6, 20_001
 
 
 def merge_models(models: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """The raw parameters of one model that looks like the mean of several.
+    """Raw parameters of one model that renders as the mean of several.
 
     Args:
         models: Raw parameters of each, as in `Splats`, of one SH degree.
@@ -25,7 +25,7 @@ def merge_models(models: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.T
 
 
 def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
-    """What splats need so that as many `models` in one place take as much light as one did.
+    """Opacities with which splats of several `models` in one place absorb as much light as one.
 
     A splat of opacity o is drawn where alpha = o exp(-r^2 / 2) is 1/255 or more, and there it
     takes the optical depth -log(1 - alpha), in all 2 pi (Li2(o) - Li2(1/255)) standard deviations
@@ -38,7 +38,7 @@ def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
         models: At least 1; of 1, nothing changes.
 
     Returns:
-        [N] float32 logits. What was not drawn is as it was.
+        [N] float32 logits. Splats below the drawing threshold are unchanged.
     """
     if models == 1:
         return opacities
@@ -53,7 +53,7 @@ def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
 
 @cache
 def _shared(models: int) -> torch.Tensor:
-    """[_NODES] float64: what opacities at even distances, from 1/255 to _TOP, are shared as."""
+    """[_NODES] float64: shared opacities of evenly spaced opacities from 1/255 to _TOP."""
     from scipy.special import spence  # half a second, and only ensembles need it
 
     nodes = np.linspace(_DRAWN_FROM, _TOP, _NODES)

@@ -1,7 +1,7 @@
 """3D filter: minimum scale of splats by the sampling rate of the photos (Mip-Splatting).
 
-A splat thinner than a pixel of every photo is as thin as chance left it. Its photos do not show
-that, since the rasterizer widens it to half a pixel; a picture taken from nearer does.
+The photos do not constrain a splat thinner than a pixel of every photo, because the rasterizer
+widens it to half a pixel; a closer view would show the arbitrary thickness.
 """
 
 import math
@@ -15,20 +15,19 @@ from ...raster.request import Frustum
 from .model import Model
 
 _MARGIN = 0.15
-"""Splats so far outside of a picture, as a share of its sides, may still reach into it."""
+"""Margin around a picture, as a share of its sides, from which splats may still reach into it."""
 
 
 def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tensor:
-    """How finely photos sample places: pixels per world unit in the photo that is nearest, among
-    those that have the place in their picture, hidden or not (Yu et al. 2024, Mip-Splatting,
-    section 4.2).
+    """Sampling rates of positions: pixels per world unit in the nearest photo whose picture
+    contains the position, occluded or not (Yu et al. 2024, Mip-Splatting, section 4.2).
 
     Args:
         means: [N, 3] float32, world units.
-        views: Perspective ones.
+        views: Perspective views.
 
     Returns:
-        [N] float32; 0 where no photo has the place.
+        [N] float32; 0 where no photo contains the position.
     """
     rates = zeros(len(means))
     if not len(means):
@@ -47,17 +46,17 @@ def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tenso
 
 
 def apply_min_scale(model: Model, views: Iterable[Frustum], pixels: float) -> None:
-    """Make axes as long as `pixels` of the photo that is nearest, where they are shorter.
+    """Lengthen axes to at least `pixels` of the nearest photo.
 
     Args:
         model: Changed in place; the number of rows stays.
-        views: Those trained on, with photos at full size.
+        views: Training views at full photo size.
         pixels: Standard deviation, above 0.
     """
     rates = sampling_rates(model.params["means"], views)
     floor = math.log(pixels) - torch.log(rates)
     scales = model.params["scales"]
-    # No photo, no limit: log 0 would be one of infinite size.
+    # Without a photo there is no limit; log 0 would make it infinite.
     floor.masked_fill_(rates == 0, -math.inf)
     torch.maximum(scales, floor[:, None], out=scales)
     model.replace("scales", scales, *model.moments("scales"), grad=model.grads["scales"])

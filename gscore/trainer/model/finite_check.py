@@ -10,7 +10,7 @@ from .model import Model
 
 
 def assert_finite(model: Model, loss: float, *, step: int, view: str) -> None:
-    """Raise GsError if the loss or any gradient is not finite, and say which."""
+    """Raise GsError naming the loss or the first gradient that is not finite."""
     if not math.isfinite(loss):
         raise GsError(f"Step {step}, view {view}: the loss is {loss}.")
     for name, grad in model.grads.items():

@@ -24,8 +24,8 @@ def splats_from_cloud(
     most: int,
     seed: int,
 ) -> Splats:
-    """One splat a point of `cloud` (training world), thinned to `most` by `seed`; `near`: the
-    points of the cloud that are finite."""
+    """One splat for each point of `cloud` (training frame), thinned to `most` by `seed`; `near`:
+    tree of the finite points."""
     return splats_from_points(
         cloud,
         extent=frame.extent,
@@ -38,10 +38,10 @@ def splats_from_cloud(
 
 
 def splats_from_given(start: Splats, config: TrainConfig, frame: TrainingFrame) -> Splats:
-    """Given splats (world), with no higher SH degree than the config has.
+    """Start splats (world) in the training frame, with at most the SH degree of the config.
 
     Raises:
-        ConfigError: they are none, or more than `max_splats`.
+        ConfigError: there are none, or more than `max_splats`.
     """
     check_splat_count(start, config)
     start = cut_degree(start, config.sh_degree)
@@ -54,7 +54,7 @@ def splats_from_given(start: Splats, config: TrainConfig, frame: TrainingFrame) 
 
 
 def check_splat_count(start: Splats, config: TrainConfig) -> None:
-    """Raise ConfigError unless given splats are some, and no more than `max_splats`."""
+    """Raise ConfigError unless there are 1 to `max_splats` start splats."""
     if not 0 < len(start) <= config.max_splats:
         raise ConfigError(
             f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "

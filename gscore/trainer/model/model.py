@@ -15,52 +15,52 @@ _SEEN, _LAG = "shN_seen", "shN_lag"
 
 
 class ShUpdate(Enum):
-    """What the higher SH coefficients do in a step of the others."""
+    """Update of the higher SH coefficients in a training step."""
 
     STEP = auto()
     ACCUMULATE = auto()
-    """Their gradients add up for a later step."""
+    """Gradients accumulate for a later step."""
     OFF = auto()
-    """They are not in use: as if there were none."""
+    """The coefficients are not in use yet."""
 
 
 class Moments(NamedTuple):
-    """What Adam keeps for a parameter."""
+    """Adam state of a parameter."""
 
     first: torch.Tensor
     second: torch.Tensor
     steps: int
     """Taken so far."""
     gathered: torch.Tensor | None = None
-    """Gradients that have added up for its next step; None: none."""
+    """Accumulated gradients for the next step; None: none."""
 
 
 class Model:
-    """N splats with everything that is kept for each of them.
+    """N splats with their parameters, gradients, Adam moments and counters.
 
-    Rows are added, removed and overwritten by `strategy.ops` only, so that parameters, moments and
-    counters cannot get out of step. SH coefficients are stored up to the degree in use.
+    Rows are added, removed and overwritten by `strategy.row_ops` only, so that parameters, moments
+    and counters stay aligned. SH coefficients are stored up to the degree in use.
 
-    Rows of shN, three quarters of all numbers, take Adam's steps late: one that got no gradient
-    waits until a view may show it or somebody asks, and then makes up for all steps at once. So
-    `params["shN"]` holds what a rasterizer should see only after `settle` or `settle_for`, or in
-    `settled`.
+    Rows of shN, three quarters of all numbers, use lazy Adam: a row that receives no gradient is
+    pending until a view may show it or it is read, and then catches up on all skipped steps. So
+    `params["shN"]` is current only after `sync` or, for a view, `sync_visible`; `synced` returns
+    current parameters.
     """
 
     def __init__(
         self, tensors: Mapping[str, torch.Tensor], moments: Mapping[str, Moments] | None = None
     ) -> None:
-        """Take over raw float32 tensors as in `Splats` and their moments; None: zero ones."""
+        """Take ownership of raw float32 tensors as in `Splats` and their moments; None: zeros."""
         self.params: dict[str, torch.Tensor] = {}
         self.grads: dict[str, torch.Tensor] = {}
-        """Where gradients go, as `params`. Those of shN are added up until it takes a step."""
+        """Gradients, shaped as `params`. Those of shN accumulate until its next step."""
         n = len(tensors["means"])
         self.rows: dict[str, torch.Tensor] = {
             name: zeros(n, dtype=torch.uint8) for name in (_SEEN, _LAG)
         }
-        """[N] counters: those of the strategy, float32, and which rows of shN wait, uint8."""
+        """[N] counters: those of the strategy, float32, and pending steps of shN rows, uint8."""
         self.drift = zeros(adam.LAGS, dtype=torch.float64)
-        """What a row of shN that waits has to make up for, by number of steps."""
+        """Factor of the pending update of a shN row, by number of skipped steps."""
         self._moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
         self._steps: dict[str, int] = dict.fromkeys(PARAMETERS, 0)
         self._rates: dict[str, float] = dict.fromkeys(PARAMETERS, 0.0)
@@ -99,9 +99,9 @@ class Model:
         grad: torch.Tensor | None = None,
         steps: int | None = None,
     ) -> None:
-        """Put another tensor, with its moments, in the place of a parameter.
+        """Replace a parameter and its moments.
 
-        `grad` is what has gathered of its gradient; None: nothing.
+        `grad` is its accumulated gradient; None: zeros.
         """
         self.params[name] = value.detach().contiguous()
         self._moments[name] = moment1.contiguous(), moment2.contiguous()
@@ -115,8 +115,8 @@ class Model:
         of_value: Callable[[torch.Tensor], torch.Tensor],
         of_rest: Callable[[torch.Tensor], torch.Tensor],
     ) -> None:
-        """Put what functions make of them in the places of a parameter and of its moments and
-        gathered gradient: one after the other, so that no more than one is there twice."""
+        """Apply functions to a parameter, and to its moments and accumulated gradient: one tensor
+        after another, so that no more than one exists twice."""
         self.params[name] = of_value(self.params[name]).contiguous()
         first, second = self._moments.pop(name)
         first = of_rest(first).contiguous()
@@ -137,14 +137,14 @@ class Model:
         photos: int = 1,
         threads: int = 0,
     ) -> int:
-        """One Adam step with `grads`; rows of those that are not finite count as zero.
+        """One Adam step with `grads`; rows that are not finite count as zero.
 
         Args:
             radii: [N] int32, above 0 where the view showed a splat; None: everywhere.
-            shN: What the higher SH coefficients do.
-            photos: Whose gradients `grads` are the mean of: steps are counted in photos, and
-                momentum fades as it would in so many steps. Higher SH coefficients, whose
-                gradients gather anyway, count their own steps.
+            shN: Update of the higher SH coefficients.
+            photos: Photos whose mean gradient `grads` is: steps are counted in photos, and
+                momentum decays as in that number of steps. Higher SH coefficients, whose
+                gradients accumulate anyway, count their own steps.
             threads: 0: all cores.
 
         Returns:
@@ -164,18 +164,18 @@ class Model:
         return adam.step(slots, radii, threads=threads)
 
     def sync_visible(self, view: Frustum, *, threads: int = 0) -> None:
-        """Let the rows that `view` may show make up for the steps they skipped."""
-        self._settled = None  # a step follows: nobody looks at them again
+        """Let the rows that `view` may show catch up on skipped steps."""
+        self._settled = None  # a step follows, so the cached copy is not read again
         self._catch_up(view, threads=threads)
 
     def sync(self, *, threads: int = 0) -> None:
-        """Let all rows make up for the steps they skipped, so that they may be moved about."""
+        """Let all rows catch up on skipped steps, for example before rows are reordered."""
         self._settled = None
         self._catch_up(None, threads=threads)
 
     def synced(self, *, threads: int = 0) -> dict[str, torch.Tensor]:
-        """The parameters as `settle` would leave them, which this does not do: looking at a model
-        changes no bit of its training."""
+        """The parameters as after `sync`, without changing the model: rendering a model changes no
+        bit of its training."""
         if self._settled is None:
             shN = self.params["shN"]
             if self._waiting():
@@ -185,7 +185,7 @@ class Model:
         return self._settled
 
     def synced_rows(self, rows: slice, *, threads: int = 0) -> dict[str, torch.Tensor]:
-        """Some rows of what `settled` returns, without the memory that all of them take."""
+        """Some rows of `synced`, without the memory for all of them."""
         if self._settled is not None:
             return {name: p[rows] for name, p in self._settled.items()}
         params = {name: p[rows] for name, p in self.params.items()}
@@ -197,7 +197,7 @@ class Model:
         return params
 
     def drop_moments(self) -> None:
-        """Forget what only further steps need: moments and gradients. Settle before."""
+        """Free moments and gradients, which only further steps need. Call `sync` before."""
         self._moments.clear()
         self.grads.clear()
 

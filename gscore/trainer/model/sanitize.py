@@ -1,8 +1,8 @@
 """Sanitizing of the model: runaway rows are reset, saturated parameters are clamped.
 
-A row that ran away (one that is not finite, or colours of 1e30) costs every view that sees it, and
-nothing in its gradients brings it back. Taken out means transparent and neutral in everything else,
-without moments: the strategy removes or relocates it as it does with other transparent splats.
+A runaway row (not finite, or with colours of 1e30) spoils every view that shows it, and its
+gradients do not bring it back. A reset row is transparent and neutral in everything else, without
+moments: the strategy removes or relocates it like other transparent splats.
 """
 
 import math
@@ -16,15 +16,15 @@ MAX_MEAN = 1e6
 MAX_SCALE = 1e3
 """Largest standard deviation, in camera extents."""
 MAX_SPREAD = 5.0
-"""Axes are held below this, in camera extents plus the distance from the middle of the cameras.
-Such a splat is one colour all over every picture. Trained captures reach 1.4, sky and walls."""
+"""Upper bound of axes, in camera extents plus the distance from the mean camera position. A splat
+of that size is one colour over every picture. Trained captures reach 1.4 (sky and walls)."""
 MAX_VALUE = 1e4
 """Largest quaternion component, logit and SH coefficient."""
 MAX_LOGIT = 20.0
-"""Opacities are held within this: the slope of a sigmoid beyond drowns in the optimizer's epsilon,
-so they would never come back. Trained captures reach 17."""
+"""Bound of opacity logits: beyond it the slope of the sigmoid is smaller than the optimizer's
+epsilon, so they would never return. Trained captures reach 17."""
 MAX_RATIO = 1e5
-"""Longest against shortest axis. Thinner pancakes look the same and cost float32 its digits."""
+"""Longest to shortest axis. Thinner discs look the same and lose float32 precision."""
 _LARGEST = 1e37
 """Second moments above this are infinite after a few more steps."""
 _GONE = -MAX_LOGIT
@@ -32,14 +32,14 @@ _NEUTRAL = {"means": 0.0, "quats": 1.0, "scales": -10.0, "opacities": _GONE, "sh
 
 
 def clamp_runaways(model: Model, *, extent: float) -> int:
-    """Take out the rows that ran away and hold opacities and thin axes within their bounds.
+    """Reset runaway rows, and clamp opacities and axes to their bounds.
 
     Args:
         model: Changed in place; the number of rows stays.
         extent: Camera extent in training units.
 
     Returns:
-        Number of rows taken out.
+        Number of rows reset.
     """
     limits = {
         "means": MAX_MEAN * extent,
@@ -50,7 +50,7 @@ def clamp_runaways(model: Model, *, extent: float) -> int:
     }
     with torch.no_grad():
         scales = model.params["scales"]
-        # However short, an axis does no harm.
+        # Short axes are harmless, so scales have no lower limit here.
         good = ((scales <= math.log(MAX_SCALE * extent)) & scales.isfinite()).all(dim=1)
         for name, limit in limits.items():
             p = model.params[name].detach()
@@ -66,7 +66,7 @@ def clamp_runaways(model: Model, *, extent: float) -> int:
         torch.maximum(scales, floor, out=scales)
         for name, p in model.params.items():
             _reset_overflowed_moments(model, name)
-            # Tells the model that its numbers are not what they were.
+            # Invalidates the model's cached parameters.
             model.replace(name, p, *model.moments(name), grad=model.grads[name])
     return count
 
@@ -75,12 +75,12 @@ def _clamp_spread(model: Model, extent: float) -> None:
     scales = model.params["scales"]
     if scales.numel() == 0 or float(scales.max()) <= math.log(MAX_SPREAD * extent):
         return
-    distance = model.params["means"].norm(dim=1, keepdim=True)  # cameras lie about the origin
+    distance = model.params["means"].norm(dim=1, keepdim=True)  # cameras are around the origin
     torch.minimum(scales, torch.log(MAX_SPREAD * (extent + distance)), out=scales)
 
 
 def _all_within(values: torch.Tensor, limit: float) -> bool:
-    """Whether all lie in [-limit, limit] and are finite; one pass, which NaN survives."""
+    """Whether all are in [-limit, limit] and finite; one pass, which propagates NaN."""
     low, high = torch.aminmax(values)
     return -limit <= float(low) and float(high) <= limit and math.isfinite(float(low))
 
@@ -96,7 +96,7 @@ def _remove_rows(model: Model, bad: torch.Tensor) -> None:
 
 
 def _reset_overflowed_moments(model: Model, name: str) -> None:
-    """Clear moments that overflowed, as of one gradient of 1e20: such a row never moved again."""
+    """Clear moments that overflowed, as after one gradient of 1e20: such rows would stop moving."""
     first, second = model.moments(name)
     if second.numel() == 0 or _all_within(second, _LARGEST):
         return

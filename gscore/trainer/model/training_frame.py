@@ -34,10 +34,10 @@ class TrainingFrame:
 
         Args:
             scene: Cameras and points in COLMAP world.
-            near: Near plane, world units; lowered where it is more than a hundredth of the extent.
+            near: Near plane, world units; lowered if it is more than a hundredth of the extent.
 
         Raises:
-            ShapeError: a camera is farther than `FARTHEST`; such points are not counted.
+            ShapeError: a camera is farther than `FARTHEST`; such points are ignored.
         """
         centers = scene.cameras.centers
         similarity = Similarity.fit(centers)
@@ -47,7 +47,7 @@ class TrainingFrame:
         points = scene.points.points
         away = distances(points, middle)[within_reach(points)]
         if len(away):
-            # One camera, or all in one place: only the points tell a length.
+            # One camera, or all in one place: only the points define a scale.
             distance = float(np.median(away))
             if distance > SMALLEST and radius < _DEGENERATE * distance:
                 radius = distance
@@ -63,7 +63,7 @@ class TrainingFrame:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The frame as JSON values, of which `from_dict` makes exactly this frame again."""
+        """The frame as JSON values, from which `from_dict` restores exactly this frame."""
         facts = {
             "scale": self.similarity.scale,
             "shift": self.similarity.shift.tolist(),
@@ -74,7 +74,7 @@ class TrainingFrame:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "TrainingFrame":
-        """The frame that `to_dict` described; ValueError or KeyError where it did not."""
+        """The frame from the values of `to_dict`; ValueError or KeyError if they are invalid."""
         shift = np.array(data["shift"], np.float64)
         scale, extent, near = (as_float(key, data[key]) for key in ("scale", "extent", "near"))
         if not (extent > 0 and near > 0):
@@ -85,5 +85,5 @@ class TrainingFrame:
 
 
 def checkpoint_origin(data: dict[str, Any]) -> np.ndarray:
-    """[3] the local origin in what `TrainingFrame.to_dict` made, zeros where it has none."""
+    """[3] local origin in the values of `TrainingFrame.to_dict`, zeros if it has none."""
     return checked_origin(data.get("origin", [0.0, 0.0, 0.0]))
