@@ -41,10 +41,10 @@ class RunLinks(bpy.types.PropertyGroup):
         name="Test View", description="Picture of one of its test views", type=bpy.types.Image
     )
     guide_surface: PointerProperty(
-        name="Splats Lie On", description="Its meshes to lie on", type=bpy.types.Collection
+        name="Surface Mesh", description="Its surface meshes", type=bpy.types.Collection
     )
     guide_free: PointerProperty(
-        name="Nothing Before", description="Its meshes to keep free", type=bpy.types.Collection
+        name="Free-Space Mesh", description="Its free-space meshes", type=bpy.types.Collection
     )
     train_within: PointerProperty(
         name="Only Within", description="The object around its subject", type=bpy.types.Object

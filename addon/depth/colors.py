@@ -82,7 +82,7 @@ class ColorCameras(BaseOperator, bpy.types.Operator):
 
     show: BoolProperty(
         name="Show",
-        description="Color the cameras; else give them their own colors back",
+        description="Color the cameras; off: restore their colors",
         default=True,
         options={"SKIP_SAVE"},
     )

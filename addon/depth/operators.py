@@ -22,7 +22,7 @@ class _DepthWork(BaseOperator):
 
     wait: BoolProperty(
         name="Wait",
-        description="Return when it has ended; for scripts",
+        description="Return when the job has ended; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -51,14 +51,14 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
     confirm = "Predict Anew"
     filter_glob: StringProperty(default="*.onnx", options={"HIDDEN"})
     overwrite: BoolProperty(
-        name="All Anew",
-        description="Replace maps that are there; else only photos without one are predicted",
+        name="Replace All",
+        description="Replace existing maps; off: predict only photos without a map",
         options={"SKIP_SAVE"},
     )
 
     download: BoolProperty(
         name="Download",
-        description="Fetch the network, where it is not on this computer",
+        description="Download the network if it is not on this computer",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -98,7 +98,7 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
 
 
 class CheckDepth(_DepthWork, bpy.types.Operator):
-    """Compare the depth maps with the SfM points, as a training does; writes nothing"""
+    """Compare the depth maps with the SfM points, as a training does; no files are written"""
 
     bl_idname = "gscore.check_depth"
     bl_label = "Check Maps"
@@ -109,7 +109,7 @@ class CheckDepth(_DepthWork, bpy.types.Operator):
 
 
 class CancelDepth(Cancelling, bpy.types.Operator):
-    """End the work on depth maps; maps that are made stay, and the next prediction goes on"""
+    """Cancel the depth job; finished maps are kept, and the next prediction continues"""
 
     bl_idname = "gscore.cancel_depth"
     bl_label = "Cancel"
@@ -121,7 +121,7 @@ class CancelDepth(Cancelling, bpy.types.Operator):
 
 
 class ShowDepthSheet(BaseOperator, bpy.types.Operator):
-    """Show photos and depth maps side by side in an image editor, in a new window if need be"""
+    """Show photos and depth maps side by side in an image editor"""
 
     bl_idname = "gscore.show_depth_sheet"
     bl_label = "Contact Sheet"

@@ -30,8 +30,8 @@ class _OfRun(BaseOperator):
 
 
 class MeasureErrors(_OfRun, bpy.types.Operator):
-    """Compare the training's result with all its photos, in the background. Cameras take the colors
-    of their photos' errors, and an object beside the splats shows them in the colors of theirs"""
+    """Compare the result with all its photos, in the background. Cameras are colored by the errors
+    of their photos, and a new object shows the splats colored by their errors"""
 
     bl_idname = "gscore.measure_errors"
     bl_label = "Measure Errors"
@@ -39,7 +39,7 @@ class MeasureErrors(_OfRun, bpy.types.Operator):
 
     wait: BoolProperty(
         name="Wait",
-        description="Return when it has ended; for scripts",
+        description="Return when the job has ended; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -52,7 +52,7 @@ class MeasureErrors(_OfRun, bpy.types.Operator):
 
 
 class StopErrors(Cancelling, bpy.types.Operator):
-    """End the measuring; nothing is shown"""
+    """Cancel the measurement; no error map is made"""
 
     bl_idname = "gscore.stop_errors"
     bl_label = "Stop"
@@ -65,7 +65,7 @@ class StopErrors(Cancelling, bpy.types.Operator):
 
 
 class ColorByError(_OfRun, bpy.types.Operator):
-    """Color the cameras by the errors of their photos, or give them their own colors back"""
+    """Color the cameras by the errors of their photos, or restore their colors"""
 
     bl_idname = "gscore.color_by_error"
     bl_label = "Color Cameras"
@@ -73,7 +73,7 @@ class ColorByError(_OfRun, bpy.types.Operator):
 
     show: BoolProperty(
         name="Show",
-        description="Color the cameras; else give them their own colors back",
+        description="Color the cameras; off: restore their colors",
         default=True,
         options={"SKIP_SAVE"},
     )
@@ -96,7 +96,7 @@ class ColorByError(_OfRun, bpy.types.Operator):
 
 
 class ShowErrorMap(_OfRun, bpy.types.Operator):
-    """Show the splats in the colors of their errors, or as they are"""
+    """Show the error map, or the splats in their own colors"""
 
     bl_idname = "gscore.show_error_map"
     bl_label = "Color Splats"
@@ -104,7 +104,7 @@ class ShowErrorMap(_OfRun, bpy.types.Operator):
 
     show: BoolProperty(
         name="Show",
-        description="Show the errors in the place of the splats; else the splats again",
+        description="Show the error map in place of the splats; off: show the splats",
         default=True,
         options={"SKIP_SAVE"},
     )
@@ -116,7 +116,7 @@ class ShowErrorMap(_OfRun, bpy.types.Operator):
 
 
 class RemoveErrors(_OfRun, bpy.types.Operator):
-    """Remove the splats in the colors of their errors, and those colors of the cameras"""
+    """Remove the error map, and restore the colors of the cameras"""
 
     bl_idname = "gscore.remove_errors"
     bl_label = "Remove Errors"

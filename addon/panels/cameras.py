@@ -64,7 +64,7 @@ def draw_import(
         row.enabled = facts is not None and bool(facts.kind)
         row.operator("gscore.import_cameras", icon="CAMERA_DATA")
         return
-    again = row.operator("gscore.import_cameras", text="Import Cameras Anew", icon="FILE_REFRESH")
+    again = row.operator("gscore.import_cameras", text="Import Cameras Again", icon="FILE_REFRESH")
     again.capture = there.name
     if not context.scene.gscore.capture_path.strip():
         again.directory = stored_paths.read(there, stored_paths.SOURCE)
@@ -111,7 +111,7 @@ def draw_mask(
 
 
 class AlignmentPanel(TabPanel, bpy.types.Panel):
-    """Where up and the ground are, and how large the capture is"""
+    """Up direction, ground and scale of the capture"""
 
     bl_idname = "GSCORE_PT_alignment"
     bl_label = "Alignment and Export"

@@ -56,7 +56,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
         if problem:
             sentence(layout, context, problem, icon="ERROR")
         elif found is None:
-            layout.label(text="Looking into it...", icon="TIME")
+            layout.label(text="Reading the folder...", icon="TIME")
         else:
             rows(layout, [(k, v) for k, v in found.lines() if k != found.kind])
             for item in found.problems:

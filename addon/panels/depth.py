@@ -79,7 +79,7 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
         sentence(layout, context, error_words(error), icon="ERROR")
         return False
     if here is None:
-        layout.label(text="Looking for it...", icon="TIME")
+        layout.label(text="Searching...", icon="TIME")
     elif not here and not networks.may_go_online():
         text = f"It is not on this computer ({networks.terms(network)}). {networks.OFFLINE}"
         sentence(layout, context, text, icon="ERROR")
@@ -97,7 +97,7 @@ def draw_predict(layout: bpy.types.UILayout, facts: ShownFacts) -> None:
         text = "Predict Rest" if facts.depths else "Predict Depth Maps"
         row.operator("gscore.predict_depth", text=text, icon="PLAY")
     if facts.depths:
-        again = row.operator("gscore.predict_depth", text="Predict Anew", icon="FILE_REFRESH")
+        again = row.operator("gscore.predict_depth", text="Predict Again", icon="FILE_REFRESH")
         again.overwrite = True
 
 

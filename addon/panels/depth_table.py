@@ -39,14 +39,14 @@ _filled: dict[str, DepthReport] = {}
 class DepthItem(bpy.types.PropertyGroup):
     """A row; `name` is the view's, the numbers are looked up in the report."""
 
-    verdict: StringProperty(name="Map", description="What became of the depth map of the view")
+    verdict: StringProperty(name="Map", description="State of the depth map of the view")
 
 
 class DepthTable(bpy.types.PropertyGroup):
     """The table of a scene; `name` is the scene's."""
 
     views: CollectionProperty(type=DepthItem)
-    active: IntProperty(name="View", description="The view whose numbers are shown below")
+    active: IntProperty(name="View", description="View whose figures are shown below")
 
 
 class DepthTables(bpy.types.PropertyGroup):
@@ -60,7 +60,7 @@ class GSCORE_UL_depth(bpy.types.UIList):  # noqa: N801 Blender's rule
 
     problems: BoolProperty(
         name="Not Accepted Only",
-        description="Show only views whose map is refused, missing or not compared yet",
+        description="Show only views whose map is rejected, missing or not compared yet",
     )
 
     def draw_item(

@@ -15,7 +15,7 @@ def _is_large(ob: bpy.types.Object) -> bool:
 
 
 class EditPanel(TabPanel, bpy.types.Panel):
-    """What is done to splats by hand; each has settings in the panel at the lower left"""
+    """Manual edits of splats; settings are in the Adjust Last Operation panel at the lower left"""
 
     bl_idname = "GSCORE_PT_edit"
     bl_label = "Edit Splats"

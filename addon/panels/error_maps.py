@@ -19,10 +19,10 @@ _WORST = 5
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):
-    """How far the result is from its photos, and where"""
+    """Differences between the result and its photos"""
 
     bl_idname = "GSCORE_PT_errors"
-    bl_label = "Errors"
+    bl_label = "Error Maps"
     bl_parent_id = "GSCORE_PT_result"
     bl_options: ClassVar = {"DEFAULT_CLOSED"}
 
@@ -59,7 +59,7 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
 def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: ErrorsJob) -> None:
     """How a measuring ended, and what the colors stand for."""
     if job.wanted:
-        layout.label(text="Bringing the splats in...", icon="TIME")
+        layout.label(text="Importing the splats...", icon="TIME")
     if job.sentence:
         icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
         sentence(layout, context, job.sentence, icon=icon)

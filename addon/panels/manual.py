@@ -21,7 +21,7 @@ _SECTIONS = {
     "splats.edit_operators": "edit",
     "splats.select_operators": "edit",
     "paint": "paint",
-    "error_maps": "where-it-is-wrong",
+    "error_maps": "error-maps",
     "region_training": "steer-training",
     "render": "render",
     "live": "displays",
@@ -64,7 +64,7 @@ def draw_help(layout: bpy.types.UILayout) -> None:
 
 
 class OpenManual(BaseOperator, bpy.types.Operator):
-    """Open the manual of Train Splats in the web browser; it is on this computer"""
+    """Open the manual of Train Splats in the web browser; it is stored on this computer"""
 
     bl_idname = "gscore.open_manual"
     bl_label = "Manual"

@@ -12,7 +12,7 @@ from .widgets import TabPanel
 
 
 class PaintPanel(TabPanel, bpy.types.Panel):
-    """The brush, and the button that begins and ends painting"""
+    """The brush, and the button that starts and ends painting"""
 
     bl_idname = "GSCORE_PT_paint"
     bl_label = "Paint"

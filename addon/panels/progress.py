@@ -20,7 +20,7 @@ _CURVE_SCALE = 6.0
 
 
 class ProgressPanel(TabPanel, bpy.types.Panel):
-    """How the training, or the search for cameras, is going"""
+    """Progress of the training or of the search for cameras"""
 
     bl_idname = "GSCORE_PT_progress"
     bl_label = "Progress"
@@ -55,7 +55,7 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
 
 
 class DecisionsPanel(TabPanel, bpy.types.Panel):
-    """What the training decided by what the capture is like"""
+    """Decisions of the training, made from the capture"""
 
     bl_idname = "GSCORE_PT_decisions"
     bl_label = "Decisions"

@@ -14,7 +14,7 @@ _WARNINGS_SHOWN = 3
 
 
 class RegionPanel(TabPanel, bpy.types.Panel):
-    """A part of the splats, trained again while all else stands still"""
+    """Training of the splats in the crop box; all others are frozen"""
 
     bl_idname = "GSCORE_PT_region"
     bl_label = "Train a Region"
@@ -57,7 +57,7 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Region
         if job.started is not None and job.started.region:
             sentence(layout, context, job.started.region)
     elif job.wanted:
-        layout.label(text="Bringing the splats in...", icon="TIME")
+        layout.label(text="Importing the splats...", icon="TIME")
     if job.sentence:
         icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
         sentence(layout, context, job.sentence, icon=icon)

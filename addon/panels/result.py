@@ -98,7 +98,7 @@ def draw_outdated(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
 
 
 class FiltersPanel(TabPanel, bpy.types.Panel):
-    """Which splats are shown, and what to do with the others"""
+    """Filters that hide splats, and actions on the hidden ones"""
 
     bl_idname = "GSCORE_PT_filters"
     bl_label = "Filters"
@@ -137,7 +137,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
 
 
 class MorePanel(TabPanel, bpy.types.Panel):
-    """What is seldom needed"""
+    """Less common actions"""
 
     bl_idname = "GSCORE_PT_result_more"
     bl_label = "More"

@@ -17,7 +17,7 @@ from .widgets import TabPanel, job
 
 
 class NowPanel(TabPanel, bpy.types.Panel):
-    """The bars of what is under way, above all panels, so that nobody has to look for them"""
+    """Progress bars of running jobs, above all panels"""
 
     bl_idname = "GSCORE_PT_now"
     bl_label = "Now"

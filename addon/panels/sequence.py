@@ -14,7 +14,7 @@ from .widgets import TabPanel, rows, sentence
 
 
 class SequencePanel(TabPanel, bpy.types.Panel):
-    """What plays on the timeline"""
+    """Playback of the sequence on the timeline"""
 
     bl_idname = "GSCORE_PT_sequence"
     bl_label = "Sequence"

@@ -62,7 +62,7 @@ class TrainPanel(TabPanel, bpy.types.Panel):
 
 
 class TrainOptionsPanel(TabPanel, bpy.types.Panel):
-    """Options that seldom matter"""
+    """Options for special cases"""
 
     bl_idname = "GSCORE_PT_train_options"
     bl_label = "Options"
@@ -96,7 +96,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
 
 
 class GuidesPanel(TabPanel, bpy.types.Panel):
-    """Meshes of the scene that the training heeds"""
+    """Meshes of the scene that guide the training"""
 
     bl_idname = "GSCORE_PT_guides"
     bl_label = "Guide Meshes"
@@ -113,7 +113,7 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
             row.operator("gscore.add_guides", text="", icon="ADD").role = role
         given = any(getattr(settings, name) is not None for name in guides.ROLES.values())
         if given and panel_root(context.scene) is None and not sequence.frames_of(context.scene)[0]:
-            text = "Import the cameras: they say where these meshes stand among the photos."
+            text = "Import the cameras: they place these meshes relative to the photos."
             sentence(layout, context, text, icon="ERROR")
 
 

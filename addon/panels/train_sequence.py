@@ -34,7 +34,7 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
             sentence(layout, context, problem, icon="INFO")
             return
         if frames is None:
-            layout.label(text="Looking for frames...", icon="TIME")
+            layout.label(text="Searching for frames...", icon="TIME")
             return
         numbers = f"{frames[0].number} to {frames[-1].number}"
         rows(layout, [("Frames", f"{len(frames):,}: {numbers}")])
@@ -96,7 +96,7 @@ def draw_state(
     if there is None and not train_sequence.is_started(output):
         big.operator("gscore.train_sequence", icon="PLAY")
         return
-    big.operator("gscore.train_sequence", text="Go On", icon="PLAY").resume = True
+    big.operator("gscore.train_sequence", text="Resume", icon="PLAY").resume = True
     over = big.operator("gscore.train_sequence", text="Start Over", icon="FILE_REFRESH")
     over.overwrite = True
 

@@ -17,7 +17,7 @@ _NO_BRUSH = "There is no brush yet; choose one in the image editor, then press L
 
 
 class PaintMask(BaseOperator, bpy.types.Operator):
-    """Paint on the photo of the camera what is not to count in training; erased is left out"""
+    """Paint a mask on the photo of the camera: erased pixels are excluded from the training"""
 
     bl_idname = "gscore.paint_mask"
     bl_label = "Paint Mask"
@@ -66,7 +66,7 @@ class _OnMask(BaseOperator):
 
 
 class SaveMask(_OnMask, bpy.types.Operator):
-    """Save the mask where training looks for it. Hold Alt to forget what was painted instead"""
+    """Save the mask for the training. Alt: discard the unsaved strokes instead"""
 
     bl_idname = "gscore.save_mask"
     bl_label = "Save Mask"
@@ -87,7 +87,7 @@ class SaveMask(_OnMask, bpy.types.Operator):
 
 
 class DiscardMask(_OnMask, bpy.types.Operator):
-    """Forget what was painted since the mask was saved; its file stays as it is"""
+    """Discard the strokes since the mask was saved; its file is not changed"""
 
     bl_idname = "gscore.discard_mask"
     bl_label = "Discard Mask"
@@ -102,7 +102,7 @@ class DiscardMask(_OnMask, bpy.types.Operator):
 
 
 class MaskBrush(_OnMask, bpy.types.Operator):
-    """Have the brush take pixels out of the training, or bring them back"""
+    """Set the brush to exclude pixels from the training, or to include them"""
 
     bl_idname = "gscore.mask_brush"
     bl_label = "Mask Brush"
@@ -110,10 +110,10 @@ class MaskBrush(_OnMask, bpy.types.Operator):
 
     does: EnumProperty(
         name="Brush",
-        description="What the brush does",
+        description="Effect of the brush",
         items=(
-            ("HIDE", "Leave Out", "What is painted does not count"),
-            ("SHOW", "Bring Back", "What is painted counts again"),
+            ("HIDE", "Exclude", "What is painted does not count"),
+            ("SHOW", "Include", "What is painted counts again"),
         ),
     )
 
@@ -144,8 +144,8 @@ class MaskPanel(bpy.types.Panel):
         image = shown(context)
         layout.label(text=masks.photo_name(image), icon="IMAGE_ALPHA")
         row = layout.row(align=True)
-        row.operator("gscore.mask_brush", text="Leave Out").does = "HIDE"
-        row.operator("gscore.mask_brush", text="Bring Back").does = "SHOW"
+        row.operator("gscore.mask_brush", text="Exclude").does = "HIDE"
+        row.operator("gscore.mask_brush", text="Include").does = "SHOW"
         row = layout.row(align=True)
         row.operator("gscore.save_mask", icon="FILE_TICK")
         row.operator("gscore.discard_mask", text="", icon="X")

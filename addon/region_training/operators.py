@@ -15,8 +15,8 @@ from .job import RegionJob
 
 
 class TrainRegion(BaseOperator, bpy.types.Operator):
-    """Train the splats in the crop box again, in the background; all others stand still.
-    The result takes their place when it is done, and undo brings the earlier ones back"""
+    """Train the splats in the crop box again, in the background; all others are frozen.
+    The result replaces them when it is complete; undo restores the earlier splats"""
 
     bl_idname = "gscore.train_region"
     bl_label = "Train Region"
@@ -46,7 +46,7 @@ class TrainRegion(BaseOperator, bpy.types.Operator):
 
 
 class StopRegion(Cancelling, bpy.types.Operator):
-    """End the training of the region; the splats stay as they were"""
+    """Cancel the region training; the splats are not changed"""
 
     bl_idname = "gscore.stop_region"
     bl_label = "Stop"

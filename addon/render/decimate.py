@@ -83,13 +83,13 @@ def likeness(
 
 
 class DecimateSplats(Editing, bpy.types.Operator):
-    """Keep as many splats as are wanted, those that show most, and say what pictures lose by it"""
+    """Keep the splats of highest contribution, up to a given number, and report the loss of PSNR"""
 
     bl_idname = "gscore.decimate_splats"
     bl_label = "Decimate Splats"
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
-    count: IntProperty(name="Splats", description="How many stay", default=100_000, min=1)
+    count: IntProperty(name="Splats", description="Number to keep", default=100_000, min=1)
 
     def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Delete the others."""

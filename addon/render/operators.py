@@ -66,7 +66,7 @@ class UseEngine(OnScene, bpy.types.Operator):
 
 
 class UsePhotoColors(OnScene, bpy.types.Operator):
-    """Show and save colors as the splats have them: view transform Standard, no look, no dither"""
+    """Show and save colors as trained: view transform Standard, no look, no dither"""
 
     bl_idname = "gscore.use_photo_colors"
     bl_label = "Use the Colors of the Photos"
@@ -79,7 +79,7 @@ class UsePhotoColors(OnScene, bpy.types.Operator):
 
 
 class ComparePhoto(IncrementalOperator, bpy.types.Operator):
-    """Render from an imported camera and show it beside its photo, with the error and the PSNR"""
+    """Show photo, render and error of an imported camera side by side, with the PSNR"""
 
     bl_idname = "gscore.compare_photo"
     bl_label = "Compare with Photo"
@@ -96,7 +96,7 @@ class ComparePhoto(IncrementalOperator, bpy.types.Operator):
 
 
 class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
-    """Compare with the photo that the splats meet worst of those that were measured"""
+    """Compare with the photo of the lowest measured PSNR"""
 
     bl_idname = "gscore.compare_worst_photo"
     bl_label = "Compare Worst Photo"
@@ -136,7 +136,7 @@ def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str
 
 
 class SetUpCompositing(OnScene, bpy.types.Operator):
-    """Add a scene for the splats and nodes that put them before and behind meshes by depth"""
+    """Add a scene for the splats, and nodes that combine splats and meshes by depth"""
 
     bl_idname = "gscore.set_up_compositing"
     bl_label = "Composite Splats with Meshes"
@@ -144,7 +144,7 @@ class SetUpCompositing(OnScene, bpy.types.Operator):
 
     transparent: bpy.props.BoolProperty(
         name="Transparent Meshes' Film",
-        description="Render meshes over nothing, so that their edges blend with the splats behind",
+        description="Render meshes with a transparent film, to blend their edges with splats",
         default=True,
     )
 
@@ -155,7 +155,7 @@ class SetUpCompositing(OnScene, bpy.types.Operator):
 
 
 class RemoveCompositing(OnScene, bpy.types.Operator):
-    """Take the splats' scene and the nodes between render and compositor away again"""
+    """Remove the splats' scene and the compositing nodes"""
 
     bl_idname = "gscore.remove_compositing"
     bl_label = "Remove Compositing"

@@ -10,7 +10,7 @@ class RenderSettings(bpy.types.PropertyGroup):
 
     antialias: bpy.props.EnumProperty(
         name="Anti-Aliasing",
-        description="Compensate opacities for the widening of splats smaller than a pixel",
+        description="Reduce the opacity of splats smaller than a pixel, which are drawn wider",
         items=[
             (AUTO, "As Trained", "On for models trained with it, off for others"),
             (ON, "On", "For models trained with it (Mip-Splatting)"),
@@ -20,8 +20,8 @@ class RenderSettings(bpy.types.PropertyGroup):
     )
     blur_samples: bpy.props.IntProperty(
         name="Blur Samples",
-        description="Pictures of which one with depth of field or motion blur is the mean; more "
-        "make wide blur smoother",
+        description="Number of pictures averaged for depth of field or motion blur; more make "
+        "wide blur smoother",
         default=32,
         min=1,
         max=4096,
@@ -29,7 +29,7 @@ class RenderSettings(bpy.types.PropertyGroup):
     )
     live: bpy.props.BoolProperty(
         name="Live Viewport",
-        description="In Rendered shading, have the graphics card draw splats until the exact "
+        description="In Rendered shading, draw splats with the graphics card until the exact "
         "picture is ready",
         default=True,
     )

@@ -16,8 +16,8 @@ from .operators import use_engine
 
 
 class ShowSplats(BaseOperator, bpy.types.Operator):
-    """Show the splats as they were trained: engine, colors and shading are set, photos hidden, and
-    views are turned to the splats, as the photo's camera that looks most as they do sees them"""
+    """Show the splats as they were trained: set engine, colors and shading, hide photos, and align
+    views with the photo camera of the most similar direction"""
 
     bl_idname = "gscore.show_splats"
     bl_label = "Show Splats"
@@ -25,7 +25,7 @@ class ShowSplats(BaseOperator, bpy.types.Operator):
 
     trained: BoolProperty(
         name="Trained",
-        description="Those of the last training, whatever is active",
+        description="Show the splats of the last training instead of the active object",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 

@@ -27,11 +27,11 @@ def ends_early(scene: bpy.types.Scene) -> bool:
 
 
 class SeeThroughSplats(OnScene, bpy.types.Operator):
-    """Let rays of Cycles pass as many soft splats as lie behind each other (Light Paths >
-    Transparent)"""
+    """Raise the limit of transparent bounces in Cycles (Light Paths > Transparent) to the number of
+    soft splats behind each other"""
 
     bl_idname = "gscore.see_through_splats"
-    bl_label = "Let Rays Pass Splats"
+    bl_label = "Raise Transparent Bounces"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     @classmethod

@@ -13,7 +13,7 @@ FINISHED = "finished"
 class SequenceJob(VerbJob):
     """The training of one sequence."""
 
-    kept = "Stopped; complete frames are kept, and Go On continues from there."
+    kept = "Stopped; complete frames are kept, and Resume continues from there."
     less = "choose fewer splats or smaller photos, then go on"
 
     def __init__(

@@ -22,7 +22,7 @@ class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
     bl_options: ClassVar = {"REGISTER"}
 
     resume: BoolProperty(
-        name="Go On",
+        name="Resume",
         description="Continue the sequence in the output folder",
         options={"SKIP_SAVE"},
     )
@@ -60,7 +60,7 @@ class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
 
 
 class StopSequence(Cancelling, bpy.types.Operator):
-    """Stop after a checkpoint; complete frames are kept, and Go On continues from there"""
+    """Stop after a checkpoint; complete frames are kept, and Resume continues from there"""
 
     bl_idname = "gscore.stop_sequence"
     bl_label = "Stop"

@@ -14,13 +14,13 @@ class TrainSequenceSettings(bpy.types.PropertyGroup):
         "frames",
         "Frames",
         default="",
-        description="Which frames: 0,5,12 or 0:30 or 0:30:5 (first, last, step); empty: all",
+        description="Frames to train: 0,5,12 or 0:30 or 0:30:5 (first, last, step); empty: all",
     )
     next_iterations: declared(SequenceOptions(), "next_iterations", "Steps of Later Frames")
     warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
     guide_start: bpy.props.IntProperty(
         name="Guides Start",
-        description="Frame of the timeline that shows the guide meshes as they are in the first "
+        description="Frame of the timeline at which the guide meshes match the first "
         "frame that is trained; later frames of the sequence take later ones",
         default=1,
     )

@@ -51,7 +51,7 @@ def train_sequence(
         raise ValueError(f"The frames of {source} are being trained already.")
     if is_started(output) and not (resume or overwrite):
         raise ValueError(
-            f"{output} holds a sequence; press Go On to continue it, or Start Over to replace it."
+            f"{output} holds a sequence; press Resume to continue it, or Start Over to replace it."
         )
     own, machine = scene.gscore_train_sequence, start_training.machine()
     if resume:

@@ -19,7 +19,7 @@ from .job import SearchJob
 
 
 class ChooseVideo(OnScene, bpy.types.Operator):
-    """Choose a video that was filmed around the subject; sharp frames of it become the photos"""
+    """Choose a video that was filmed around the subject; its sharp frames become the photos"""
 
     bl_idname = "gscore.choose_video"
     bl_label = "Choose Video"
@@ -57,8 +57,8 @@ class ChooseVideo(OnScene, bpy.types.Operator):
 
 
 class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
-    """Find out where each photo was taken, in the background; Blender stays free.
-    Of a video, sharp frames are taken first"""
+    """Find the camera of each photo by structure from motion, in the background.
+    From a video, sharp frames are extracted first"""
 
     bl_idname = "gscore.find_cameras"
     bl_label = "Find Cameras"
@@ -86,7 +86,7 @@ class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
 
 
 class CancelSearch(Cancelling, bpy.types.Operator):
-    """End the search; what was found is kept, and Find Cameras goes on from there"""
+    """Cancel the search; its results are kept, and Find Cameras continues from there"""
 
     bl_idname = "gscore.cancel_search"
     bl_label = "Cancel"

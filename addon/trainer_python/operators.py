@@ -13,14 +13,14 @@ from .setup import CURRENT, contents
 
 
 class CheckTrainer(BaseOperator, bpy.types.Operator):
-    """Ask the chosen Python whether it can train; without one, look for one that can"""
+    """Check whether the chosen Python can train; if none is chosen, search for one"""
 
     bl_idname = "gscore.check_trainer"
     bl_label = "Check"
 
     wait: BoolProperty(
         name="Wait",
-        description="Return when the answer is there; for scripts",
+        description="Return when the check is complete; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -38,7 +38,7 @@ class CheckTrainer(BaseOperator, bpy.types.Operator):
 
 
 class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
-    """Make a private Python environment for training: downloads torch and its company"""
+    """Make a private Python environment for training: downloads torch and its dependencies"""
 
     bl_idname = "gscore.make_environment"
     bl_label = "Make Environment"
@@ -50,7 +50,7 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
     )
     wait: BoolProperty(
         name="Wait",
-        description="Return when it is made; for scripts",
+        description="Return when the environment is complete; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -73,7 +73,7 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
 
 
 class CancelSetup(BaseOperator, bpy.types.Operator):
-    """End the check, or the making of an environment; one that was there before stays"""
+    """Cancel the check or the installation; an earlier environment is kept"""
 
     bl_idname = "gscore.cancel_setup"
     bl_label = "Cancel"

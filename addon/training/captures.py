@@ -45,7 +45,7 @@ def _all(scene: bpy.types.Scene) -> Iterator[Path]:
 
 
 class ChooseCapture(OnScene, bpy.types.Operator):
-    """Choose a capture that this scene knows; its output, splats and test view come with it"""
+    """Choose a capture of this scene, with its output, splats and test view"""
 
     bl_idname = "gscore.choose_capture"
     bl_label = "Choose Capture"

@@ -10,7 +10,7 @@ from . import guides
 
 
 class AddGuides(OnScene, bpy.types.Operator):
-    """Put the selected objects among those that guide the training, in a collection of their own"""
+    """Add the selected objects to the collection of meshes that guide the training"""
 
     bl_idname = "gscore.add_guides"
     bl_label = "Add Selected"
@@ -18,10 +18,10 @@ class AddGuides(OnScene, bpy.types.Operator):
 
     role: EnumProperty(
         name="Role",
-        description="What the training makes of them",
+        description="How the training uses the meshes",
         items=(
-            ("surface", "Splats Lie On", "Splats are to lie on them"),
-            ("free", "Nothing Before", "Nothing is to stand between the photos and them"),
+            ("surface", "Surface Mesh", "Splats are pulled onto these meshes"),
+            ("free", "Free-Space Mesh", "Splats between the cameras and these meshes are removed"),
         ),
     )
 

@@ -11,7 +11,7 @@ from . import results, start_training
 
 
 class ImportResult(ImportOperator, bpy.types.Operator):
-    """Bring the splats of the run in the output folder into this file, where the capture stands"""
+    """Import the splats of the run in the output folder, aligned with the capture"""
 
     bl_idname = "gscore.import_result"
     bl_label = "Show Trained Splats"

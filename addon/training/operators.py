@@ -15,11 +15,11 @@ from .training_job import Job
 
 
 class _OnJob(BaseOperator):
-    """What operators on a training share: the scene's own, or one named by its id."""
+    """Base of the operators on a training: that of the scene, or one given by its id."""
 
     job_id: StringProperty(
         name="Training",
-        description="Which training; empty: the one of this scene",
+        description="Id of the training; empty: that of this scene",
         options={"HIDDEN", "SKIP_SAVE"},
     )
     allowed: ClassVar[tuple[str, ...]] = (run_state.STARTING, run_state.RUNNING, run_state.PAUSED)
@@ -48,7 +48,7 @@ class _OnJob(BaseOperator):
 
 
 class Train(ConfirmMixin, OnScene, bpy.types.Operator):
-    """Train splats from the capture in the background; Blender stays free"""
+    """Train splats from the capture in the background; Blender stays usable"""
 
     bl_idname = "gscore.train"
     bl_label = "Train"
@@ -80,7 +80,7 @@ class Train(ConfirmMixin, OnScene, bpy.types.Operator):
 
 
 class FitTraining(OnScene, bpy.types.Operator):
-    """Take the number of splats, or the width of the photos, that fits into the free memory"""
+    """Reduce the number of splats, or the width of the photos, to fit into the free memory"""
 
     bl_idname = "gscore.fit_training"
     bl_label = "Fit into Memory"
@@ -88,7 +88,7 @@ class FitTraining(OnScene, bpy.types.Operator):
 
     which: EnumProperty(
         name="Change",
-        description="What to make smaller",
+        description="Setting to reduce",
         items=(
             ("SPLATS", "Splats", "Fewer splats"),
             ("WIDTH", "Photos", "Smaller photos"),
@@ -111,7 +111,7 @@ class FitTraining(OnScene, bpy.types.Operator):
 
 
 class ResumeTraining(OnScene, bpy.types.Operator):
-    """Go on with the run in the output folder from its last checkpoint"""
+    """Resume the run in the output folder from its last checkpoint"""
 
     bl_idname = "gscore.resume_training"
     bl_label = "Resume"
@@ -129,7 +129,7 @@ class ResumeTraining(OnScene, bpy.types.Operator):
 
 
 class PauseTraining(_OnJob, bpy.types.Operator):
-    """Let the trainer wait: it keeps its memory, and Blender gets all cores"""
+    """Pause the trainer: it keeps its memory and frees its CPU cores"""
 
     bl_idname = "gscore.pause_training"
     bl_label = "Pause"
@@ -141,7 +141,7 @@ class PauseTraining(_OnJob, bpy.types.Operator):
 
 
 class ContinueTraining(_OnJob, bpy.types.Operator):
-    """Let a waiting trainer go on"""
+    """Continue a paused training"""
 
     bl_idname = "gscore.continue_training"
     bl_label = "Continue"
@@ -153,7 +153,7 @@ class ContinueTraining(_OnJob, bpy.types.Operator):
 
 
 class StopTraining(_OnJob, bpy.types.Operator):
-    """Write a checkpoint and the splats as they are, and end; Resume goes on from there"""
+    """Write a checkpoint and the current splats, and end; Resume continues from there"""
 
     bl_idname = "gscore.stop_training"
     bl_label = "Stop"
@@ -164,13 +164,13 @@ class StopTraining(_OnJob, bpy.types.Operator):
 
 
 class FollowTraining(OnScene, bpy.types.Operator):
-    """Choose the capture and the output folder of this training, so that its splats come here"""
+    """Choose the capture and output folder of this training, to show its splats here"""
 
     bl_idname = "gscore.follow_training"
     bl_label = "Follow Training"
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
-    job_id: StringProperty(name="Training", description="Which one", options={"HIDDEN"})
+    job_id: StringProperty(name="Training", description="Id of the training", options={"HIDDEN"})
 
     def act(self, context: bpy.types.Context) -> str:
         """Choose them."""
@@ -204,7 +204,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
 
 
 class UpdateSplats(_OnJob, bpy.types.Operator):
-    """Show the splats as they are now in the viewport"""
+    """Show the current splats of the training in the viewport"""
 
     bl_idname = "gscore.update_splats"
     bl_label = "Update Splats"

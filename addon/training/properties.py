@@ -116,7 +116,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     preset: EnumProperty(
         name="Preset",
-        description="How much effort to spend; fills in the numbers below",
+        description="Quality and duration of the training; sets the values below",
         items=preset_items(),
         default="normal",
         update=_preset_changed,
@@ -149,7 +149,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     use_masks: BoolProperty(
         name="Use Masks",
-        description="Heed the photos' opacity or the masks folder of the capture",
+        description="Use the alpha channel of the photos, or the masks folder of the capture",
         default=True,
     )
     mask_mode: declared(_DATA, "mask_mode", "Masks Mean", items=_MASK_MODES)
@@ -157,7 +157,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     depth_mode: declared(_TRAIN, "depth_mode", "Use Depth", items=_items(Switch, _DEPTH_MODES))
     depth_shown: EnumProperty(
         name="Report",
-        description="Which report on the depth maps is shown",
+        description="Report on the depth maps to show",
         items=_DEPTH_REPORTS,
         default="RUN",
     )
@@ -180,21 +180,21 @@ class SceneSettings(bpy.types.PropertyGroup):
     target_psnr: declared(_TRAIN, "target_psnr", "Target PSNR", soft_max=40.0)
     early_stop: declared(_TRAIN, "early_stop", "Stop When Nothing Improves")
     guide_surface: PointerProperty(
-        name="Splats Lie On",
-        description="Collection of meshes that splats are to lie on: walls, floors, a scan. What "
-        "shows in the viewport counts, with modifiers",
+        name="Surface Mesh",
+        description="Collection of meshes onto which splats are pulled: walls, floors, a scan. "
+        "Objects visible in the viewport are used, with modifiers",
         type=bpy.types.Collection,
     )
     guide_free: PointerProperty(
-        name="Nothing Before",
-        description="Collection of meshes before which nothing stands, as seen from any photo: "
-        "splats there are taken out. What shows in the viewport counts, with modifiers",
+        name="Free-Space Mesh",
+        description="Collection of meshes with free space up to the cameras of all photos: splats "
+        "there are removed. Objects visible in the viewport are used, with modifiers",
         type=bpy.types.Collection,
     )
     train_within: PointerProperty(
         name="Only Within",
-        description="Object whose bounds hold what matters, a crop box or an empty: photos count "
-        "only where they look at it. Import the cameras first, and put it around the subject",
+        description="Object whose bounding box limits the training, a crop box or an empty: only "
+        "pixels that show the box are used. Import the cameras first, then place it",
         type=bpy.types.Object,
         poll=_may_bound,
     )
@@ -210,7 +210,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     preview: PointerProperty(
         name="Test View",
-        description="Picture of a test view as the splats show it now",
+        description="Test view rendered from the current splats",
         type=bpy.types.Image,
     )
     outcome_of: StringProperty(

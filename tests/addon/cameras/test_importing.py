@@ -516,7 +516,7 @@ def test_the_button_stays(scene, folder: Path, tmp_path: Path) -> None:
     """Oracle: what the panel draws; one set of cameras, also where the capture has moved."""
     scene.gscore.capture_path = str(folder)
     bpy.ops.gscore.import_cameras()
-    assert "(Import Cameras Anew)" in drawn(CamerasPanel)
+    assert "(Import Cameras Again)" in drawn(CamerasPanel)
     moved = folder.rename(tmp_path / "elsewhere")
     scene.gscore.capture_path = str(moved)
     bpy.ops.gscore.import_cameras(capture="studio")

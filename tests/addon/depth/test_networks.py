@@ -64,7 +64,7 @@ def test_a_network_that_is_here_needs_no_question(play: Play, online) -> None:
     online(False)
     called = play({"say": DONE}, here=(SMALL.name,))
     shown = drawn(DepthPanel)
-    assert "(Predict Anew)" in shown and "Download" not in shown
+    assert "(Predict Again)" in shown and "Download" not in shown
     assert bpy.ops.gscore.predict_depth(wait=True) == {"FINISHED"}
     words = json.loads(called.read_text())
     assert words[words.index("--model") + 1] == SMALL.name and "--download" not in words
@@ -76,7 +76,7 @@ def test_one_that_is_not_here_is_fetched_on_a_click_alone(play: Play, online) ->
     called = play({"say": DONE})
     shown = drawn(DepthPanel)
     assert "To download: 99 MB, licence Apache-2.0" in shown
-    assert "(Download and Predict)" in shown and "(Predict Anew)" not in shown
+    assert "(Download and Predict)" in shown and "(Predict Again)" not in shown
     asked = " ".join(networks.question(SMALL))
     assert all(word in asked for word in ("99 MB", "Apache-2.0", SMALL.page, "SHA-256"))
     with pytest.raises(RuntimeError, match="press Download and Predict"):

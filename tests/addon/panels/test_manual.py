@@ -45,7 +45,7 @@ def looked_up(name: str) -> str:
         ("bpy.ops.gscore.paint_splats", "paint"),
         ("bpy.types.BrushSettings.radius", "paint"),
         ("bpy.ops.gscore.make_environment", "install"),
-        ("bpy.ops.gscore.measure_errors", "where-it-is-wrong"),
+        ("bpy.ops.gscore.measure_errors", "error-maps"),
         ("bpy.types.SequenceSettings.speed", "sequences"),
     ],
 )

@@ -130,8 +130,8 @@ def test_stop_and_go_on(video, play: Play) -> None:
     until(lambda: job.ended)
     text = settle()
     assert "Stopped; complete frames are kept" in text and "1 of 4 frames are trained" in text
-    assert "(Go On)" in text and "(Start Over)" in text
-    with pytest.raises(RuntimeError, match="press Go On to continue it"):
+    assert "(Resume)" in text and "(Start Over)" in text
+    with pytest.raises(RuntimeError, match="press Resume to continue it"):
         bpy.ops.gscore.train_sequence()
     called = play({"say": DONE})
     bpy.ops.gscore.train_sequence(resume=True, wait=True)
