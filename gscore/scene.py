@@ -24,6 +24,26 @@ def is_focal(focal: float, width: float, height: float) -> bool:
     return FOCAL_RANGE[0] * side <= focal <= FOCAL_RANGE[1] * side
 
 
+NEAR = 0.01
+"""Near plane where none is known, world units."""
+
+
+def near_plane(near: float, extent: float) -> float:
+    """A near plane, lowered where it is more than a hundredth of the extent of a scene."""
+    return min(near, 0.01 * extent)
+
+
+def splat_near(means: np.ndarray) -> float:
+    """Near plane for splats of unknown cameras, world units.
+
+    Their extent is the median distance of the means [N, 3] from the median of these.
+    """
+    if not len(means):
+        return NEAR
+    extent = float(np.median(distances(means, np.median(means, axis=0))))
+    return near_plane(NEAR, extent) if extent > 0 else NEAR
+
+
 _BLOCK = 1 << 16
 """Points that are computed with together: no second copy of millions of them is made."""
 

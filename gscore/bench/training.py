@@ -232,7 +232,7 @@ def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
             cameras,
             index,
             background=background,
-            near=trainer.frame.near / trainer.frame.similarity.scale,
+            near=trainer.frame.world_near,
             antialias=trainer.config.antialias,
             threads=trainer.config.threads,
         ).rgb

@@ -17,9 +17,11 @@ from ..errors import ConfigError
 from ..formats import WrittenFile, files_of, format_to_write, read_splats, write_splat_file
 from ..io.files import read_bytes
 from ..io.lod_file import is_lod_file
+from ..io.ply.near_comment import near_comment, stated_near
 from ..io.ply.up_axis import UP_NOTE, stated_up
 from ..lod.read import LOD_FORMAT, read_lod
 from ..quoting import brief
+from ..scene import splat_near
 from ..splats import Splats
 from ..text_format import count_words, number, size_words
 from .args.convert_options import SPZ_VERSION
@@ -89,7 +91,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
         _pictured(args, views)
     count = sum(len(model.splats) for model in models)
     request = _with_views(request, args, views, count)
-    write = _writer(models, args.spz_version, keeps_up=not request.moves)
+    write = _writer(models, request, args.spz_version)
     edited = apply_edits(
         [model.splats for model in models],
         request,
@@ -176,11 +178,14 @@ def _with_views(
 _Write = Callable[[Path, Splats], WrittenFile]
 
 
-def _writer(models: list[ModelArgument], spz_version: int, *, keeps_up: bool) -> _Write:
+def _writer(models: list[ModelArgument], request: EditRequest, spz_version: int) -> _Write:
     """Writes splats in the format of a file's name, with the axis that the first model states as
-    up where they were not moved."""
-    up = stated_up(models[0].file.comments) if keeps_up else ""
-    comments = (_MARK, f"{UP_NOTE}{up}") if up else (_MARK,)
+    up where they were not moved, and its near plane where it states one."""
+    given, comments = models[0].file.comments, [_MARK]
+    if not request.moves and (up := stated_up(given)):
+        comments.append(f"{UP_NOTE}{up}")
+    if (near := stated_near(given)) is not None:
+        comments.append(near_comment(near * (request.scale or 1.0)))
 
     def write(path: Path, splats: Splats) -> WrittenFile:
         return write_splat_file(
@@ -188,7 +193,7 @@ def _writer(models: list[ModelArgument], spz_version: int, *, keeps_up: bool) ->
             splats,
             antialiased=models[0].antialias,
             origin=models[0].origin,
-            comments=comments,
+            comments=tuple(comments),
             spz_version=spz_version,
         )
 
@@ -206,7 +211,9 @@ def _write_picture(
 ) -> None:
     index = _pictured(args, views)
     if views is None:
-        views = EditViews(cameras=some_view(before), threads=args.threads)
+        views = EditViews(
+            cameras=some_view(before), near=splat_near(before.means), threads=args.threads
+        )
     write_before_after(args.picture, before, after, views, index)
 
 

@@ -17,6 +17,7 @@ from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr
 from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
+from ..io.ply.near_comment import near_comment, stated_near
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.splat_errors import SplatErrors
@@ -207,7 +208,14 @@ def _write_map(path: Path, model: ModelArgument, errors: SplatErrors) -> dict[st
     found = errors.mean()
     bright = brightest(found)
     colored = error_map(model.splats, found, bright=bright)
-    write_splat_file(path, colored, antialiased=model.antialias, origin=model.origin)
+    near = stated_near(model.file.comments)
+    write_splat_file(
+        path,
+        colored,
+        antialiased=model.antialias,
+        origin=model.origin,
+        comments=() if near is None else (near_comment(near),),
+    )
     return {"error_map": str(path), "error_bright": bright}
 
 
@@ -353,7 +361,7 @@ def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[st
     except GsError as error:
         return dataset, [f"The run trained a region, but whole pictures are measured: {error}"]
     narrow = config.start_splats is None
-    return RegionPhotos(dataset, box, near=config.near, narrow=narrow), []
+    return RegionPhotos(dataset, box, near=model.near, narrow=narrow), []
 
 
 def _of_the_training(model: ModelArgument) -> Course:

@@ -12,12 +12,19 @@ from ..io.cameras_json import read_cameras_json
 from ..io.files import is_file
 from ..io.lod_file import LOD_ENDING, is_lod_file
 from ..io.lod_index import LodIndex
+from ..io.ply.splats import header_comments
 from ..lod.build import LodFacts, build_lod
 from ..lod.measure import measured_levels
 from ..quoting import brief
 from ..text_format import count_words, number, size_words
 from ..warning_log import collected_warnings
-from .args.model_argument import background_of, find_run, find_splats, near_of, trained_antialiased
+from .args.model_argument import (
+    background_of,
+    find_run,
+    find_splats,
+    trained_antialiased,
+    trained_near,
+)
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
@@ -126,10 +133,11 @@ def _facts_of(model: Path) -> LodFacts:
     """What the file and its run say besides the splats."""
     run = find_run(model)
     train = load_config(run / "config.json")[1] if run else None
+    comments = header_comments(model) if is_file(model) else ()
     beside = (run or model.parent) / "cameras.json"
     return LodFacts(
         antialias=is_antialiased(model) or trained_antialiased(train),
-        near=near_of(train),
+        near=trained_near(comments, run, train),
         background=background_of(train),
         cameras=read_cameras_json(beside) if is_file(beside) else None,
     )

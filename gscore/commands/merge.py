@@ -13,6 +13,7 @@ from ..events import ENDED, FINISHED
 from ..formats import format_to_write, write_splat_file
 from ..io.block_record import BLOCK_RECORD, RUN_BLOCK, BlockRecord, read_block
 from ..io.metrics_file import read_metrics
+from ..io.ply.near_comment import near_comment, stated_near
 from ..io.runs import is_run, read_run
 from ..quoting import as_typed, brief
 from ..text_format import count_words, number
@@ -71,12 +72,14 @@ def run(args: argparse.Namespace) -> int:
             ]
         )
         status.show(["Writing the splats"])
+        stated = [near for m in models if (near := stated_near(m.file.comments)) is not None]
+        near = [near_comment(min(stated))] if stated else []
         written = write_splat_file(
             args.output,
             merged.splats,
             antialiased=models[0].antialias,
             origin=models[0].origin,
-            comments=("Merged by gscore",),
+            comments=("Merged by gscore", *near),
         )
     warnings += written.notes
     order = sorted(range(len(runs)), key=lambda i: records[i].index)

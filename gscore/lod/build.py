@@ -26,7 +26,7 @@ from ..io.lod_file import (
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel, row_floats
 from ..quoting import brief
 from ..raster.backend import default_threads
-from ..scene import Cameras
+from ..scene import Cameras, splat_near
 from ..sh import sh0_to_rgb
 from ..splats import PARAMETERS, Splats
 from .chunk_layout import chunks_of, levels_above
@@ -45,7 +45,8 @@ class LodFacts:
     """What the file says of the model besides its splats."""
 
     antialias: bool = False
-    near: float = 0.01
+    near: float | None = None
+    """Near plane, world units; None: one for these splats."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     cameras: Cameras | None = None
 
@@ -80,6 +81,7 @@ def build_lod(
     told("Sorting splats by place", 0.0)
     levels = levels_above(len(means))
     chunks = chunks_of(means, levels)
+    near = splat_near(means) if facts.near is None else facts.near
     del means
     origin = says_origin(model)
     made: list[LodIndex] = []
@@ -91,7 +93,7 @@ def build_lod(
         index = LodIndex(
             sh_degree=degree,
             antialias=facts.antialias,
-            near=facts.near,
+            near=near,
             background=facts.background,
             cameras=None if facts.cameras is None else facts.cameras.about(origin),
             origin=origin,

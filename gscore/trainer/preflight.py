@@ -36,11 +36,12 @@ def check_training(trainer: Trainer) -> list[str]:
 
 def _world(trainer: Trainer) -> Iterator[str]:
     frame, config = trainer.frame, trainer.config
-    near = frame.near / frame.similarity.scale
+    near = frame.world_near
     if near < 0.999 * config.near:
         yield (
             f"The capture is small in its own units, so the near plane was lowered from "
-            f"{config.near:g} to {near:.3g}; use the same when rendering (--near {near:.3g})."
+            f"{config.near:g} to {near:.3g}, which the PLY states; "
+            "other programs may need the same."
         )
     if config.start_splats and is_antialiased(config.start_splats) != config.antialias:
         yield (

@@ -112,7 +112,8 @@ def prepare(
     given_splats = None if start is None else start.of_capture(about).about(about).splats
     if region is not None:
         region = region.about(about)
-        photos = RegionPhotos(photos, region, near=config.near, narrow=start is None)
+        near = TrainingFrame.of(photos.scene, near=config.near).world_near
+        photos = RegionPhotos(photos, region, near=near, narrow=start is None)
     asked, given = config, photos.scene.points.given
     limited = partial(
         cap_by_photos,

@@ -2,7 +2,9 @@
 
 import argparse
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,14 @@ from ...config import Background, DataConfig, TrainConfig
 from ...errors import ConfigError, DatasetError
 from ...formats import SplatFile, is_splat_file, read_splat_file
 from ...io.colmap.folder import find_model
-from ...io.files import check_regular
+from ...io.files import check_regular, is_file
+from ...io.ply.near_comment import stated_near
+from ...io.ply.splats import header_comments
 from ...io.runs import options_of_run
 from ...io.unsupported_formats import describe_unsupported
 from ...quoting import as_typed
 from ...raster.api import Rendered, render, render_camera
-from ...scene import Cameras
+from ...scene import Cameras, splat_near
 from ...splats import Splats
 
 
@@ -72,10 +76,11 @@ class ModelArgument:
         """Colour behind the splats in measurements."""
         return background_of(self.train)
 
-    @property
+    @cached_property
     def near(self) -> float:
-        """Near plane of the training, world units."""
-        return near_of(self.train)
+        """Near plane of the training, world units; where it is not known, one for these splats."""
+        near = trained_near(self.file.comments, self.run, self.train)
+        return splat_near(self.splats.means) if near is None else near
 
     @property
     def cameras(self) -> Cameras | None:
@@ -110,9 +115,23 @@ def background_of(train: TrainConfig | None) -> tuple[float, float, float]:
     return (1.0, 1.0, 1.0) if is_white else (0.0, 0.0, 0.0)
 
 
-def near_of(train: TrainConfig | None) -> float:
-    """Near plane of a training, world units; the usual one where none is known."""
-    return train.near if train else 0.01
+def trained_near(
+    comments: Iterable[str], run: Path | None, train: TrainConfig | None
+) -> float | None:
+    """Near plane of a training, world units; None: neither the file nor its run tells.
+
+    Args:
+        comments: Header comments of the file of splats; trainings state lowered near planes there.
+        run: Folder of the run; its PLY states it for files of other formats.
+        train: Options of the run.
+
+    Raises:
+        FormatError: A comment states no near plane.
+    """
+    stated = stated_near(comments)
+    if stated is None and run is not None and is_file(ply := run / "point_cloud.ply"):
+        stated = stated_near(header_comments(ply))
+    return stated if stated is not None or train is None else train.near
 
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...scene import Scene, checked_origin, distances, within_reach
+from ...scene import Scene, checked_origin, distances, near_plane, within_reach
 from ...transforms import SMALLEST, Similarity
 from .checkpoint_schema import as_float
 
@@ -27,6 +27,11 @@ class TrainingFrame:
     """Near plane, training units."""
     origin: np.ndarray | None = None
     """Local origin of the world, as `Cameras.origin`."""
+
+    @property
+    def world_near(self) -> float:
+        """Near plane, world units of the capture."""
+        return self.near / self.similarity.scale
 
     @classmethod
     def of(cls, scene: Scene, *, near: float) -> "TrainingFrame":
@@ -54,11 +59,10 @@ class TrainingFrame:
                 scale = 2.0 ** -math.ceil(math.log2(distance))
                 similarity = Similarity(scale=scale, shift=middle)
         extent = _MARGIN * (radius or 1.0)
-        near = min(near, 0.01 * extent)
         return cls(
             similarity=similarity,
             extent=extent * similarity.scale,
-            near=near * similarity.scale,
+            near=near_plane(near, extent) * similarity.scale,
             origin=scene.cameras.origin,
         )
 
