@@ -139,7 +139,7 @@ TRAINER = {
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""
 MOST_BESIDE_HALLS = 10
 MOST_PUBLIC = 40
-IMPORTED = {"gscore", "gscore._version", "gscore.errors", "gscore.extras"}
+IMPORTED = {"gscore", "gscore._version"}
 """What `import gscore` loads of gscore."""
 NOT_IMPORTED = {
     *("torch", "numpy", "bpy", "scipy", "PIL"),
