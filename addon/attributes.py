@@ -53,20 +53,20 @@ FORMATS = {
     "INT16_2D": ("value", 2),
     "INT32_2D": ("value", 2),
 }
-"""The same for everything that follows when points are deleted or joined."""
+"""The same for all attributes that are kept when points are deleted or joined."""
 _BLOCK = 1 << 12
-"""Splats rearranged at once."""
+"""Splats rearranged per block."""
 SELECTION = ".select_vert"
 _POINT_SELECTION = ".selection"
 _TINY = float(np.finfo(np.float32).tiny)
 _LARGEST_OPACITY = 1.0 - 2.0**-24
 """The float32 below 1."""
 _SMALLEST_SCALE = np.float32(np.log(_TINY))
-"""Log of the scale that a splat without extent gets."""
+"""Log scale of a splat without extent."""
 
 
 def write(datablock: Any, splats: Splats) -> None:
-    """Give a mesh or point cloud that has exactly N points the attributes of N splats.
+    """Write the attributes of N splats to a mesh or point cloud with exactly N points.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
@@ -106,7 +106,7 @@ def columns(splats: Splats) -> list[tuple[str, str, np.ndarray]]:
 
 
 def declare(datablock: Any, name: str, kind: str) -> None:
-    """Have a point attribute of this name and data type, whatever had the name before."""
+    """Create a point attribute of this name and data type, in place of any other of the name."""
     old = datablock.attributes.get(name)
     if old is not None and (old.data_type, old.domain) != (kind, "POINT"):
         datablock.attributes.remove(old)
@@ -126,10 +126,10 @@ def column(datablock: Any, name: str, *, called: str = "") -> np.ndarray:
     Args:
         datablock: Mesh or PointCloud with `attributes`.
         name: Of the attribute.
-        called: What users know the datablock by, where it has another name.
+        called: The datablock's name in messages, if not its own.
 
     Raises:
-        ValueError: the attribute is missing, is no point attribute of a known type, or holds
+        ValueError: the attribute is missing, is no point attribute of a known type, or has
             numbers that are not finite.
     """
     attribute = check_vectors(datablock, name, called=called)
@@ -145,9 +145,9 @@ def check_finite(values: np.ndarray, name: str, called: str) -> None:
     """Raise ValueError unless all values [N, K] of an attribute are finite.
 
     Args:
-        values: They.
+        values: Attribute values.
         name: Of the attribute.
-        called: What users know the splats by.
+        called: The splats' name in messages.
     """
     if not np.isfinite(values).all():
         bad = ~np.isfinite(values).all(axis=1)
@@ -158,7 +158,7 @@ def check_finite(values: np.ndarray, name: str, called: str) -> None:
 
 
 def check_vectors(datablock: Any, name: str, *, called: str = "") -> Any:
-    """The attribute; ValueError unless it is one of points, of vectors; `called` as `column`."""
+    """The attribute; ValueError unless it is a point attribute of vectors; `called` as `column`."""
     attribute = datablock.attributes.get(name)
     wanted = attribute is not None and attribute.domain == "POINT"
     if not wanted or attribute.data_type not in _KINDS:
@@ -171,7 +171,7 @@ def check_vectors(datablock: Any, name: str, *, called: str = "") -> Any:
 
 
 def copy_active(mesh: Any, old: Any) -> None:
-    """Have those of a mesh active, and shown by renders, that are so in another one."""
+    """Copy the active and the rendered color attribute from another mesh."""
     ours, theirs = mesh.attributes, old.attributes
     if theirs.active is not None and theirs.active.name in ours:
         ours.active = ours[theirs.active.name]
@@ -181,7 +181,7 @@ def copy_active(mesh: Any, old: Any) -> None:
 
 
 def point_count(datablock: Any) -> int:
-    """The vertices of a mesh, or points of a point cloud."""
+    """Number of vertices of a mesh, or points of a point cloud."""
     return len(datablock.vertices if hasattr(datablock, "vertices") else datablock.points)
 
 
@@ -212,28 +212,28 @@ def read(datablock: Any, *, rest: bool = True) -> Splats:
     """Splats of a mesh or point cloud, raw parameters in the datablock's space.
 
     A vertex added by hand has a scale of zero: such a splat gets the smallest scale and opacity
-    that float32 holds, and so is never seen.
+    of float32, and so is invisible.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
-        rest: Read the view-dependent coefficients too; they are most of the numbers.
+        rest: Read shN too, which is most of the data.
 
     Raises:
-        ValueError: attributes are missing (they are named) or hold numbers that are not finite.
+        ValueError: attributes are missing (the message names them) or have non-finite values.
     """
     return as_splats({name: column(datablock, name) for name in names(datablock, rest=rest)})
 
 
 def names(datablock: Any, *, rest: bool = True, called: str = "") -> list[str]:
-    """Names of the attributes of splats that a mesh or point cloud has, as `as_splats` wants them.
+    """Names of the splat attributes of a mesh or point cloud, for `as_splats`.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
-        rest: Those of the view-dependent coefficients too.
+        rest: Include shN.
         called: As `column`.
 
     Raises:
-        ValueError: attributes are missing; they are named.
+        ValueError: attributes are missing; the message names them.
     """
     check(datablock, called=called)
     found = [BASE, SCALE, ROTATION]
@@ -263,11 +263,11 @@ def as_splats(columns: dict[str, np.ndarray]) -> Splats:
 
 
 def repainted(splats: Splats, rows: np.ndarray, base: np.ndarray) -> Splats:
-    """The same splats with another constant colour and opacity in some rows.
+    """The same splats with new sh0 and opacities in some rows.
 
     Args:
-        splats: As `as_splats` made them; what is no colour and no opacity is shared.
-        rows: [K], which of them.
+        splats: From `as_splats`; all other parameters are shared.
+        rows: [K] indices.
         base: [K, 4] of `radiance:base`, finite.
     """
     sh0, opacities = splats.sh0.copy(), splats.opacities.copy()
@@ -284,7 +284,7 @@ def _logits(opacities: np.ndarray, never_seen: np.ndarray) -> np.ndarray:
 
 
 def check(datablock: Any, *, called: str = "") -> None:
-    """Raise ValueError, which names what is missing, unless there are the attributes of splats;
+    """Raise ValueError, which names missing attributes, unless all splat attributes are there;
     `called` as `column`."""
     missing = [n for n in (POSITION, SCALE, ROTATION, BASE) if n not in datablock.attributes]
     # Blender drops `position` from a mesh without vertices.
@@ -297,19 +297,19 @@ def check(datablock: Any, *, called: str = "") -> None:
 
 
 def is_splats(name: str) -> bool:
-    """Whether an attribute of this name is one of those of splats."""
+    """True if the name is that of a splat attribute."""
     return name in (POSITION, SCALE, ROTATION, BASE) or name.startswith(SH)
 
 
 def kind_of(name: str) -> str:
-    """The data type that `write` gives an attribute of splats."""
+    """The data type of a splat attribute, as `write` creates it."""
     return {BASE: "FLOAT_COLOR", ROTATION: "QUATERNION"}.get(name, "FLOAT_VECTOR")
 
 
 def add_points(mesh: Any, count: int) -> None:
-    """Add points to a mesh; those that are there stay as they are.
+    """Add points to a mesh; existing ones stay unchanged.
 
-    They are not selected, which Blender would leave them: the live viewport tints what is.
+    New points are deselected, which Blender does not do: the live viewport tints selected splats.
     """
     chosen = np.append(selected(mesh), np.zeros(count, bool))
     mesh.vertices.add(count)
@@ -320,24 +320,24 @@ def add_points(mesh: Any, count: int) -> None:
 
 
 def has_selection(mesh: Any) -> bool:
-    """Whether `leave_points_unselected` was called of a mesh."""
+    """True if `leave_points_unselected` was called for a mesh."""
     return _POINT_SELECTION in mesh.attributes
 
 
 def leave_points_unselected(mesh: Any) -> None:
-    """Have the points that nodes make of a mesh show as not selected in Edit Mode.
+    """Show the points that nodes make from a mesh as deselected in Edit Mode.
 
-    Blender 5 draws those of what is edited over its vertices, and without such an attribute as
-    selected. Nodes may not store one of that name, but keep what the mesh has.
+    Blender 5 draws these points over the vertices of an edited mesh, as selected without the
+    attribute. Nodes may not store one of that name, but keep the mesh's.
 
     Args:
-        mesh: A mesh that may be written and is not in Edit Mode.
+        mesh: A writable mesh outside Edit Mode.
     """
     declare(mesh, _POINT_SELECTION, "BOOLEAN")
 
 
 def selected(mesh: Any) -> np.ndarray:
-    """[N] bool: the selected vertices of a mesh that is not in Edit Mode."""
+    """[N] bool: the selected vertices of a mesh outside Edit Mode."""
     found = np.zeros(len(mesh.vertices), bool)
     if (selection := mesh.attributes.get(SELECTION)) is not None:
         selection.data.foreach_get("value", found)
@@ -374,5 +374,5 @@ def _by_splat(columns: list[np.ndarray], count: int) -> np.ndarray:
 
 
 def _triples(values: np.ndarray) -> np.ndarray:
-    """Three numbers as one thing of twelve bytes, which numpy moves much faster."""
+    """Three floats as one element of twelve bytes, which numpy moves much faster."""
     return values.view("V12")[..., 0]

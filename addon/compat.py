@@ -14,7 +14,7 @@ BLEND_RELATIVE: set[str] = (
     if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
     else set()
 )
-"""Option of properties whose paths may begin with `//`; older versions take that for granted."""
+"""Property option for paths that may begin with `//`; implied in older versions."""
 
 
 def matrix_to_numpy(matrix: Any) -> np.ndarray:
@@ -23,7 +23,7 @@ def matrix_to_numpy(matrix: Any) -> np.ndarray:
 
 
 def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
-    """Set the input socket called `name` of a geometry nodes modifier, and have it evaluated.
+    """Set the input socket `name` of a geometry nodes modifier, and update the modifier.
 
     Raises:
         KeyError: the node group has no such input.
@@ -41,7 +41,7 @@ def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any)
 
 
 def curves_of(block: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """The curves of an animated datablock; since 4.4 its action may hold those of others too."""
+    """F-curves of an animated datablock; since 4.4 its action may also contain those of others."""
     animation = block.animation_data
     if not hasattr(animation, "action_slot"):
         return list(animation.action.fcurves)
@@ -50,11 +50,11 @@ def curves_of(block: bpy.types.ID) -> list[bpy.types.FCurve]:
 
 
 HAS_GEOMETRY_SETS = hasattr(bpy.types.Object, "evaluated_geometry")
-"""Whether `evaluated_geometry` has something to give: from 4.5 on."""
+"""True if `evaluated_geometry` is supported: 4.5 and later."""
 
 
 def evaluated_geometry(ob: bpy.types.Object) -> Any:
-    """All that an evaluated object's modifiers make, a GeometrySet; None before 4.5."""
+    """GeometrySet of an evaluated object; None before 4.5."""
     return ob.evaluated_geometry() if HAS_GEOMETRY_SETS else None
 
 
@@ -65,7 +65,7 @@ def use_nodes(material: bpy.types.Material) -> None:
 
 
 def remove_by_wildcard(node: bpy.types.Node) -> None:
-    """Let a Remove Named Attribute node take a pattern; since 5.0 that is an input socket."""
+    """Switch a Remove Named Attribute node to patterns; since 5.0 by an input socket."""
     if hasattr(node, "pattern_mode"):
         node.pattern_mode = "WILDCARD"
     else:
@@ -73,12 +73,12 @@ def remove_by_wildcard(node: bpy.types.Node) -> None:
 
 
 def panorama_settings(camera: bpy.types.Camera) -> Any:
-    """What holds the settings of a panoramic camera; before 5.0 that is Cycles', if it is on."""
+    """Settings of a panoramic camera; before 5.0 those of Cycles, if it is enabled."""
     return camera if hasattr(camera, "panorama_type") else getattr(camera, "cycles", None)
 
 
 def splat_cloud_type() -> str:
-    """What nodes call a point cloud of Blender's own splats; empty before 5.3, which has none."""
+    """Node type of native splat point clouds; empty before 5.3, which has none."""
     kinds = bpy.types.PointCloud.bl_rna.properties.get("type")
     items = {} if kinds is None else kinds.enum_items
     there = "GAUSSIAN_SPLAT" in items and hasattr(bpy.types, "GeometryNodePointsSetType")
@@ -92,7 +92,7 @@ def rec709_to_scene() -> np.ndarray:
 
 
 def world_nodes(world: bpy.types.World) -> bpy.types.NodeTree | None:
-    """The nodes that make a world's light, if it has any; since 5.0 every world has."""
+    """Shader nodes of a world, if it has any; since 5.0 every world does."""
     tree = world.node_tree
     return tree if tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes) else None
 
@@ -105,13 +105,13 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
 
 
 def index_pass_name() -> str:
-    """What Cycles calls the pass of objects' indices; since 5.0 as the panel does."""
+    """Name of the object index pass in Cycles; since 5.0 the same as in the panel."""
     older = "node_tree" in bpy.types.Scene.bl_rna.properties  # the compositor's, gone in 5.0
     return "IndexOB" if older else "Object Index"
 
 
 def make_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
-    """A scene's compositor nodes, switched on; new ones pass the render on."""
+    """Compositor nodes of a scene, enabled; new ones pass the render through."""
     if not hasattr(scene, "compositing_node_group"):
         scene.use_nodes = True
         return scene.node_tree
@@ -125,7 +125,7 @@ def make_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
 
 
 def compositor_result(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
-    """The socket that takes a compositor tree's picture; its node is made where there is none."""
+    """Input socket of a compositor tree's output; the node is created if missing."""
     if hasattr(bpy.types, "CompositorNodeComposite"):
         found = next((n for n in tree.nodes if n.type == "COMPOSITE"), None)
         node = found or tree.nodes.new("CompositorNodeComposite")
@@ -138,13 +138,13 @@ def compositor_result(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
 
 
 def new_math_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A math node in a compositor tree; since 5.0 it is the one of shaders."""
+    """A math node in a compositor tree; since 5.0 the shader one."""
     compositing = hasattr(bpy.types, "CompositorNodeMath")
     return tree.nodes.new("CompositorNodeMath" if compositing else "ShaderNodeMath")
 
 
 def new_dilate_node(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
-    """A node that lets a mask grow so far; since 5.0 a socket says how far."""
+    """A node that dilates a mask by `pixels`; since 5.0 set by a socket."""
     node = tree.nodes.new("CompositorNodeDilateErode")
     if hasattr(node, "distance"):
         node.distance = pixels
@@ -154,8 +154,8 @@ def new_dilate_node(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
 
 
 def tool_settings(context: bpy.types.Context) -> bpy.types.ToolSettings:
-    """Those of the scene. Asked for them itself, the context of Blender 4.2 takes the scene for its
-    owner for good: in the next file what it gives, as its window, points to freed memory."""
+    """Tool settings of the scene. `context.tool_settings` in Blender 4.2 would keep the scene as
+    its owner: after the next file load its members, e.g. the window, point to freed memory."""
     return context.scene.tool_settings
 
 
@@ -163,24 +163,23 @@ _DECLARES_DEPTH = hasattr(gpu.types.GPUShaderCreateInfo, "depth_write")
 
 
 def shaders_write_depth() -> bool:
-    """Whether shaders may; where it cannot be declared OpenGL does without. Asked while drawing."""
+    """True if shaders may write depth, which OpenGL does undeclared. Call while drawing."""
     return _DECLARES_DEPTH or gpu.platform.backend_type_get() == "OPENGL"
 
 
 def blends_float32() -> bool:
-    """Whether four float32 a pixel can be blended; Apple's graphics cards do not. Asked while
-    drawing."""
+    """True if float32 RGBA can be blended, which Apple GPUs cannot. Call while drawing."""
     return gpu.platform.backend_type_get() != "METAL"
 
 
 def draws_into_views() -> bool:
-    """Whether what is bound before a 3D view is drawn can be drawn to after it: the target of its
-    picture. Seen of these two; Metal was never run. Asked while drawing."""
+    """True if the framebuffer bound before a 3D view is drawn is still its target afterwards.
+    Verified for these two backends; Metal is untested. Call while drawing."""
     return gpu.platform.backend_type_get() in {"OPENGL", "VULKAN"}
 
 
 def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
-    """Have a shader's `gl_FragDepth` count."""
+    """Declare that a shader writes `gl_FragDepth`."""
     if _DECLARES_DEPTH:
         info.depth_write("ANY")
 
@@ -188,4 +187,4 @@ def declare_depth(info: gpu.types.GPUShaderCreateInfo) -> None:
 TEXTURES_ARE_ENCODED = (
     "is_scene_linear_with_rec709_srgb_target" in inspect.signature(draw_texture_2d).parameters
 )
-"""Whether `draw_texture_2d` takes values for encoded ones where its target is; else for light."""
+"""True if `draw_texture_2d` reads values as encoded for an encoded target; else as linear."""

@@ -11,11 +11,11 @@ from .capture.folders import means_capture
 from .core import find_capture
 
 ROOT = __package__.removesuffix(".addon")
-"""Name under which Blender knows the add-on."""
+"""Package name of the add-on in Blender."""
 
 
 def own_folder() -> Path:
-    """The folder that Blender gives the add-on for what it makes for itself."""
+    """The add-on's folder for its own files, assigned by Blender."""
     try:
         return Path(bpy.utils.extension_path_user(ROOT))
     except ValueError:  # run from a checkout, not installed as an extension
@@ -23,14 +23,14 @@ def own_folder() -> Path:
 
 
 def absolute(text: str, what: str) -> Path:
-    """The folder or file meant by a property; `//` is the folder of the .blend file.
+    """Absolute path of a property; `//` is the folder of the .blend file.
 
     Args:
-        text: As the user wrote it.
+        text: The property's value.
         what: Name of the property, for messages.
 
     Raises:
-        ValueError: nothing is given, or it is relative to a file that is not saved.
+        ValueError: the text is empty, or relative to an unsaved file.
     """
     if not text.strip():
         raise ValueError(f"{what} is empty; choose a folder.")
@@ -43,11 +43,11 @@ def absolute(text: str, what: str) -> Path:
 
 
 def relative(path: Path, folder: Path | None = None) -> str:
-    """A path to keep in the .blend file: relative to it where that is possible.
+    """A path for the .blend file: relative to it where possible.
 
     Args:
         path: Absolute.
-        folder: Where the file will lie; None: where it lies.
+        folder: Future folder of the .blend file; None: its current one.
     """
     if folder is None and not bpy.data.filepath:
         return str(path)
@@ -63,7 +63,7 @@ def capture_folder(scene: bpy.types.Scene) -> Path:
     """The scene's capture.
 
     Raises:
-        ValueError: none is chosen, or it is not there.
+        ValueError: no capture is chosen, or it does not exist.
     """
     folder = absolute(scene.gscore.capture_path, "Capture")
     if not folder.exists():
@@ -74,14 +74,14 @@ def capture_folder(scene: bpy.types.Scene) -> Path:
 
 
 def output_folder(scene: bpy.types.Scene, default: str = "") -> Path:
-    """The folder of the scene's results, whether it is there or not.
+    """Output folder of the scene, which need not exist.
 
     Args:
-        scene: With a capture, if it names no folder.
-        default: Folder in which one is made up for scenes that name none.
+        scene: Has an output folder or a capture.
+        default: Parent of the output folders of scenes without one.
 
     Raises:
-        ValueError: it cannot be told.
+        ValueError: the scene has neither a folder nor a capture.
     """
     if scene.gscore.output_path.strip():
         return absolute(scene.gscore.output_path, "Output")
@@ -96,7 +96,7 @@ def output_folder(scene: bpy.types.Scene, default: str = "") -> Path:
 
 
 def _untaken(wanted: Path, capture: Path) -> Path:
-    """The folder, or one with a number where another capture of this file has its results there.
+    """The folder, or a numbered one if another capture of this file uses it.
 
     Captures in different folders may have the same name.
     """

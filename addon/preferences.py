@@ -9,12 +9,12 @@ from .core import depth_networks
 from .paths import ROOT
 
 FILE = "FILE"
-"""Value of `depth_network` where a file of the user's own is meant."""
+"""Value of `depth_network` for a file of the user."""
 
 SECTIONS: list[Callable[[bpy.types.UILayout, "Preferences"], None]] = []
-"""What else draws here, above the rest."""
+"""Drawing functions of other modules, above the rest."""
 PYTHON_CHOSEN: list[Callable[["Preferences"], None]] = []
-"""Called when another Python is chosen."""
+"""Callbacks after a change of the Python path."""
 
 
 def _file_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:

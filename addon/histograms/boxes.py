@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 _WIDTH, _HEIGHT = 260.0, 70.0
 _LEAST = 120.0
-"""Width below which there is none."""
+"""Smallest width of a box."""
 _GAP = 28.0
-"""Between two, and to what is above and below: room for what is written above each."""
+"""Gaps between boxes and above and below them, with room for their titles."""
 _MARGIN = 16.0
-"""To what lies over the view at its sides."""
+"""Distance from overlapping regions at the sides."""
 
 
 @dataclass(frozen=True)
@@ -23,23 +23,23 @@ class Box:
 
     @property
     def right(self) -> float:
-        """Its other side."""
+        """Right side."""
         return self.x + self.width
 
     @property
     def top(self) -> float:
-        """Its upper end."""
+        """Upper side."""
         return self.y + self.height
 
     def meets(self, other: "Box") -> bool:
-        """Whether the two have a place in common."""
+        """True if the boxes overlap."""
         across = self.x < other.right and other.x < self.right
         return across and self.y < other.top and other.y < self.top
 
 
 @dataclass(frozen=True, kw_only=True)
 class Over:
-    """What lies over a view."""
+    """Regions over a view."""
 
     left: Sequence[Box] = ()
     right: Sequence[Box] = ()
@@ -50,14 +50,13 @@ class Over:
 
 def placed(view: Box, over: Over, count: int, scale: float) -> list[Box]:
     """Boxes of one size at the view's lower right, away from the settings of the last operator:
-    side by side where there is room, else one above the other, as many as there is room for; above
-    what floats in their way.
+    side by side if they fit, else stacked, as many as fit; above overlapping regions.
 
     Args:
-        view: All of it.
-        over: What lies over it.
-        count: How many.
-        scale: Of Blender's interface.
+        view: The whole view.
+        over: Regions over it.
+        count: Number of boxes.
+        scale: Interface scale of Blender.
     """
     left = max([view.x, *(one.right for one in over.left)])
     right = min([view.right, *(one.x for one in over.right)])

@@ -28,10 +28,10 @@ _KEPT = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Count:
-    """What was made of a mesh."""
+    """Counts of a mesh."""
 
     looked_at: tuple[np.ndarray, ...] = ()
-    """Opacities and sizes that were counted, by which it is told that nothing has changed."""
+    """Counted opacities and sizes, to detect changes."""
     found: dict[str, Histogram] = field(default_factory=dict)
 
 
@@ -40,32 +40,32 @@ _NOTHING = _Count()
 
 @dataclass
 class _Entry:
-    """What is known of an object."""
+    """State of an object."""
 
     mesh: int = 0
-    """Session number of what was counted, or is."""
+    """Session uid of the counted mesh."""
     count: _Count = _NOTHING
     stale: bool = True
     wanted: bool = False
-    """Whether somebody has asked since it was stale."""
+    """True if requested since it became stale."""
     changed: float = float("-inf")
     """Monotonic seconds."""
     going: TaskRunner | None = None
 
 
 class Counted:
-    """Those of the objects that were asked for last."""
+    """Histograms of the most recently requested objects."""
 
     def __init__(self) -> None:
         self._entries: dict[int, _Entry] = {}
-        """By the object's session number, the one that was asked for last at the end."""
+        """By session uid of the object, most recently requested last."""
 
     def of(self, ob: bpy.types.Object) -> dict[str, Histogram]:
-        """Of an object's own mesh, by kind; nothing where there are no splats, or attributes are
+        """Histograms of an object's own mesh by kind; empty without splats, or if attributes are
         missing or not finite.
 
-        After a change, and in Edit Mode, where splats are out of reach, they are those of before
-        until a thread has counted; of many splats there is nothing until then at first.
+        After a change, and in Edit Mode, where splats cannot be read, the previous ones are
+        returned until a thread has counted; of many splats none at first.
         """
         mesh, entry = ob.data, self._entries.pop(ob.session_uid, None) or _Entry()
         self._entries[ob.session_uid] = entry
@@ -87,26 +87,26 @@ class Counted:
         return entry.count.found
 
     def forget(self, uids: set[int]) -> None:
-        """Count these meshes anew when they are asked for next, and have been quiet for a while."""
+        """Count these meshes again at the next request, once they are unchanged for a while."""
         for entry in self._entries.values():
             if entry.mesh in uids:
                 entry.stale, entry.changed = True, time.monotonic()
 
     def clear(self) -> None:
-        """Forget all."""
+        """Drop all counts."""
         for entry in self._entries.values():
             _give_up(entry)
         self._entries.clear()
 
     def collect(self) -> bool:
-        """Begin and go on counting; whether there is something new to show."""
+        """Start and continue counts; true if there are new results."""
         new = [_step(entry) for entry in self._entries.values()]
         if any(new):
             redraw_views()
         return any(new)
 
     def waits(self) -> bool:
-        """Whether a count is under way, or waits for a mesh to be quiet."""
+        """True if a count runs, or is due when its mesh stops changing."""
         return any(entry.wanted or entry.going for entry in self._entries.values())
 
 
@@ -117,7 +117,7 @@ def _give_up(entry: _Entry) -> None:
 
 
 def _step(entry: _Entry) -> bool:
-    """Begin or go on; whether there is something else to show."""
+    """Start or continue a count; true if there are new results."""
     if entry.going is None:
         if entry.wanted and time.monotonic() - entry.changed >= QUIET:
             entry.stale = entry.wanted = False
@@ -132,8 +132,8 @@ def _step(entry: _Entry) -> bool:
 
 
 def _counting(uid: int, before: _Count) -> Pieces[_Count]:
-    """Count a mesh, read an attribute a piece; what was there before where it is still right, or
-    the mesh is out of reach."""
+    """Count a mesh, one attribute per step; returns `before` if it is still right, or if the mesh
+    cannot be read."""
     columns: dict[str, np.ndarray] = {}
     for name, width in ((attributes.BASE, 4), (attributes.SCALE, 3)):
         mesh = with_uid(bpy.data.meshes, uid)
@@ -141,10 +141,10 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
         values = yield from run_in_thread(lambda check, size=count * width: written(size), "")
         mesh = with_uid(bpy.data.meshes, uid)
         if mesh is None or mesh.is_editmode or len(mesh.vertices) != count:
-            return before  # another count follows, or nobody asks any more
+            return before  # another count follows, or none is requested
         try:
             attribute = attributes.check_vectors(mesh, name)
-        except ValueError:  # the panel says what is the matter
+        except ValueError:  # the panel shows the reason
             return _NOTHING
         key, found = attributes.FORMATS[attribute.data_type]
         if found != width:
@@ -173,7 +173,7 @@ _FOLLOWER = poll_timer.Poller(COUNTED.collect, COUNTED.waits)
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Meshes were changed, by whomever."""
+    """Mark changed meshes as stale."""
     meshes = {
         u.id.original.session_uid for u in depsgraph.updates if isinstance(u.id, bpy.types.Mesh)
     }
@@ -184,11 +184,11 @@ HANDLERS = {"depsgraph_update_post": _changed}
 
 
 def on_register() -> None:
-    """Count in Blender's beat."""
+    """Start counting on the poll timer."""
     poll_timer.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
-    """Count no more."""
+    """Stop counting."""
     poll_timer.FOLLOWERS.remove(_FOLLOWER)
     COUNTED.clear()

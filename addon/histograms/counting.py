@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 OPACITY, SIZE = "opacity", "size"
-"""What is counted."""
+"""Kinds of histograms."""
 SHOWN = (0.3, 0.6, 0.95)
 HIDDEN = (0.45, 0.45, 0.45)
 """Colours of bars, RGB in [0, 1]."""
 _BINS = 96
 _TAILS = (0.001, 0.999)
-"""Shares of the splats between which sizes are drawn; the rest is at the ends."""
+"""Quantiles of the drawn range of sizes; the rest is at its ends."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,25 +25,25 @@ class Histogram:
     high: float
     """Value at the right end, or its logarithm."""
     logarithmic: bool
-    """Whether the axis is one of natural logarithms."""
+    """True if the axis is in natural logarithms."""
 
     def place(self, value: float) -> float:
-        """Where a value lies on the axis, 0 at its left and 1 at its right end."""
+        """Position of a value on the axis, from 0 at its left to 1 at its right end."""
         if self.logarithmic:
             value = np.log(max(value, 1e-30))
         return float(np.clip((value - self.low) / (self.high - self.low), 0, 1))
 
     def value(self, place: float) -> float:
-        """What lies at a place on the axis: the other way round."""
+        """Value at a position on the axis, the inverse of `place`."""
         value = self.low + place * (self.high - self.low)
         return float(np.exp(value)) if self.logarithmic else float(value)
 
     def heights(self) -> np.ndarray:
-        """[bins] in [0, 1]: the bars, whose areas go with the square roots of the counts."""
+        """[bins] in [0, 1]: heights of the bars, proportional to the square roots of the counts."""
         return np.sqrt(self.counts / max(int(self.counts.max(initial=0)), 1))
 
     def ends(self, smallest: float, largest: float) -> tuple[float, float]:
-        """Places between which a limit each leaves something; a limit of 0 is none."""
+        """Positions of the two limits on the axis; a limit of 0 is none."""
         return (
             self.place(smallest) if smallest > 0 else 0.0,
             self.place(largest) if largest > 0 else 1.0,
@@ -74,13 +74,13 @@ class Histogram:
 
 
 def of_opacities(opacities: np.ndarray) -> Histogram:
-    """Of values [N] in [0, 1]."""
+    """Histogram of opacities [N] in [0, 1]."""
     counts, _ = np.histogram(opacities, _BINS, (0, 1))
     return Histogram(counts=counts, low=0.0, high=1.0, logarithmic=False)
 
 
 def of_sizes(sizes: np.ndarray) -> Histogram:
-    """Of positive values [N], on a logarithmic axis."""
+    """Histogram of positive sizes [N], on a logarithmic axis."""
     logs = np.log(np.maximum(sizes, 1e-30))
     low, high = np.quantile(logs, _TAILS) if len(logs) else (0.0, 1.0)
     low, high = (low, high) if high - low > 1e-3 else (low - 0.5, low + 0.5)

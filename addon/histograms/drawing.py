@@ -12,7 +12,7 @@ _BACK = (0.1, 0.1, 0.1, 0.75)
 _HANDLE, _BRIGHT = (0.75, 0.75, 0.75, 1.0), (1.0, 1.0, 1.0, 1.0)
 _PADDING = 6.0
 _GRIP = 6.0
-"""Half the width of a handle's foot; pixels at the usual scale, as all here."""
+"""Half the width of a handle's foot; pixels at interface scale 1, as all sizes here."""
 
 
 def draw(
@@ -24,16 +24,16 @@ def draw(
     bright: int | None,
     scale: float,
 ) -> None:
-    """Bars, handles, and what they say, in pixels of the region that is drawn.
+    """Draw bars, handles and text, in pixels of the drawn region.
 
     Args:
-        box: That of the bars.
-        histogram: What is counted.
-        title: Of what.
-        limits: Smallest and largest value that shows; 0: no limit.
-        places: Of the handles, in [0, 1].
-        bright: Number of the handle under the mouse.
-        scale: Of Blender's interface.
+        box: Box of the bars.
+        histogram: Counts.
+        title: Text above the bars.
+        limits: Smallest and largest visible value; 0: no limit.
+        places: Positions of the handles, in [0, 1].
+        bright: Index of the handle under the mouse.
+        scale: Interface scale of Blender.
     """
     pad = _PADDING * scale
     shapes = [(_rectangle(box.x - pad, box.y - pad, box.right + pad, box.top + pad), _BACK)]
@@ -78,12 +78,12 @@ def _rectangle(left: float, low: float, right: float, high: float) -> list[tuple
 
 
 def _foot(x: float, y: float, size: float) -> list[tuple[float, float]]:
-    """A triangle that points up at a place on the axis."""
+    """A triangle that points up to a position on the axis."""
     return [(x - size, y - size), (x + size, y - size), (x, y + size)]
 
 
 def _fill(shapes: list[tuple[list[tuple[float, float]], tuple[float, ...]]]) -> None:
-    """Triangles, each with the color of its shape."""
+    """Draw triangles, each in the color of its shape."""
     shader = gpu.shader.from_builtin("FLAT_COLOR")
     places = [(x, y, 0.0) for corners, _ in shapes for x, y in corners]
     colors = [color for corners, color in shapes for _ in corners]

@@ -17,17 +17,17 @@ from .limits import Handle, handles, limits_of
 _KINDS = OPACITY, SIZE
 """From left to right."""
 _REACH = 10.0
-"""Pixels around a box, or a handle, at which the mouse still takes it."""
+"""Distance at which the mouse still grabs a box or a handle, pixels."""
 _FINE = 0.1
-"""Share of the mouse's way that a handle goes while Shift is held."""
+"""Factor of a handle's motion to the mouse's while Shift is pressed."""
 
 
 def problem(context: bpy.types.Context, view: bpy.types.Region) -> str:
-    """Why a view shows no histograms though they are wanted, a sentence; empty where it does.
+    """Reason why a view shows no histograms although they are enabled; empty if it shows them.
 
     Args:
-        context: Of the view's area.
-        view: Its main region.
+        context: Context of the view's area.
+        view: Main region of the area.
     """
     ob = in_question(context)
     if not context.space_data.show_gizmo:
@@ -42,8 +42,8 @@ def problem(context: bpy.types.Context, view: bpy.types.Region) -> str:
 def in_view(
     context: bpy.types.Context, kind: str
 ) -> tuple[bpy.types.Object, Histogram, Box] | None:
-    """The splats whose histogram of a kind the context's view shows, the histogram, and where;
-    None: it shows none."""
+    """Splat object, histogram of a kind and box in the context's view; None: the view shows
+    none."""
     ob = in_question(context) if context.window_manager.gscore_histograms else None
     if ob is None or not editable_check.keeps(ob):
         return None
@@ -52,7 +52,7 @@ def in_view(
 
 
 def box_of(context: bpy.types.Context, kind: str) -> Box | None:
-    """Where the histogram of a kind lies in the context's region; None: there is no room."""
+    """Box of the histogram of a kind in the context's region; None: it does not fit."""
     boxes, number = _boxes(context, context.region), _KINDS.index(kind)
     return boxes[number] if number < len(boxes) else None
 
@@ -84,21 +84,21 @@ class HistogramGizmo(bpy.types.Gizmo):
     __slots__ = ("before", "begins", "held", "histogram", "hovered", "kind", "place", "uid", "x")
 
     def setup(self) -> None:
-        """Nothing is held."""
+        """Initialise without a grabbed handle."""
         self.kind: str = OPACITY
         self.hovered: Handle | None = None
         self.held: Handle | None = None
         self.begins = False
-        """Whether the mouse has not moved yet."""
+        """True until the mouse moves."""
         self.uid = 0
-        """Session number of the object whose limit is dragged."""
+        """Session uid of the object whose limit is dragged."""
         self.histogram: Histogram | None = None
-        """What it is dragged along, whatever is counted meanwhile."""
+        """Histogram at the start of the drag, kept while counts change."""
         self.before, self.place, self.x = 0.0, 0.0, 0.0
         self.use_draw_modal = True
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw it, if there is something to show and room for it."""
+        """Draw the histogram, if there is one and it fits."""
         if (there := in_view(context, self.kind)) is None:
             return
         ob, histogram, box = there
@@ -115,7 +115,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         )
 
     def test_select(self, context: bpy.types.Context, location: tuple[float, float]) -> int:
-        """0 where the mouse takes a handle, else -1."""
+        """0 if the mouse is over a handle, else -1."""
         if (there := in_view(context, self.kind)) is None:
             return -1
         ob, histogram, box = there
@@ -124,7 +124,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         if not (box.x - reach <= x <= box.right + reach and box.y - reach <= y <= box.top):
             return -1
         place = (x - box.x) / box.width
-        # Of two at one place, the one that can go to where the mouse is.
+        # Of two at one position, the one that can move to the mouse.
         self.hovered = min(
             handles(self.kind),
             key=lambda one: (
@@ -135,7 +135,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         return 0
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Take the handle that is nearest; it comes to a mouse that is far from it."""
+        """Grab the nearest handle, which jumps to a distant mouse."""
         if (there := in_view(context, self.kind)) is None or self.hovered is None:
             return {"CANCELLED"}
         ob, self.histogram, box = there
@@ -149,7 +149,7 @@ class HistogramGizmo(bpy.types.Gizmo):
     def modal(
         self, context: bpy.types.Context, event: bpy.types.Event, tweak: set[str]
     ) -> set[str]:
-        """Follow the mouse, as long as the view is about the same splats."""
+        """Follow the mouse while the view shows the same splats."""
         there, x = in_view(context, self.kind), event.mouse_region_x
         if there is None or there[0].session_uid != self.uid or x == self.x:
             return {"RUNNING_MODAL"}
@@ -162,7 +162,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         return {"RUNNING_MODAL"}
 
     def exit(self, context: bpy.types.Context, cancel: bool) -> None:
-        """Let go: an undo step, or as it was before."""
+        """Finish the drag: an undo step, or the previous limit if cancelled."""
         ob, held = with_uid(bpy.data.objects, self.uid), self.held
         self.held = None
         if ob is None or held is None:
@@ -178,8 +178,8 @@ class HistogramGizmo(bpy.types.Gizmo):
         self.place = handle.place(self.histogram, ob)
 
     def _twin(self, ob: bpy.types.Object, width: float, *, up: bool) -> Handle | None:
-        """The other handle, if it stands within a pixel of the one that is held, and is the one
-        that can go that way."""
+        """The other handle, if it is within a pixel of the grabbed one and can move in this
+        direction."""
         assert self.held is not None and self.histogram is not None
         for other in handles(self.kind):
             apart = abs(other.place(self.histogram, ob) - self.place) * width
@@ -204,11 +204,11 @@ class HistogramGizmos(bpy.types.GizmoGroup):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """They are wanted, and there are splats."""
+        """True if the histograms are enabled and there are splats."""
         return context.window_manager.gscore_histograms and in_question(context) is not None
 
     def setup(self, context: bpy.types.Context) -> None:
-        """One gizmo a histogram."""
+        """One gizmo per histogram."""
         for kind in _KINDS:
             self.gizmos.new(HistogramGizmo.bl_idname).kind = kind
 
@@ -217,7 +217,7 @@ CLASSES = (HistogramGizmo, HistogramGizmos)
 
 
 def on_register() -> None:
-    """Make the switch one of all windows: no file keeps it, and undo leaves it."""
+    """Store the switch in the window manager: no file saves it, and undo does not change it."""
     bpy.types.WindowManager.gscore_histograms = bpy.props.BoolProperty(
         name="Handles in View",
         description="Show the histograms at the lower end of 3D views, with handles that the mouse "
@@ -228,5 +228,5 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take the switch away."""
+    """Remove the switch."""
     del bpy.types.WindowManager.gscore_histograms

@@ -10,10 +10,10 @@ _SIZE = 192
 
 
 class HistogramIcons(PictureIcons):
-    """One of each kind, of the object that was shown last."""
+    """One icon per kind, of the last shown object."""
 
     def update(self, ob: bpy.types.Object, kind: str) -> int:
-        """The icon of a histogram, with what the filters hide in grey; 0 where there is none."""
+        """Icon id of a histogram, hidden splats in grey; 0 if there is none."""
         if (found := COUNTED.of(ob).get(kind)) is None:
             return 0
         limits = limits_of(ob, kind)

@@ -8,26 +8,26 @@ from .counting import OPACITY, SIZE, Histogram
 
 @dataclass(frozen=True)
 class Handle:
-    """The end of what is shown, on one side of a histogram."""
+    """A limit of the visible splats, on one side of a histogram."""
 
     kind: str
-    """Of the histogram."""
+    """Kind of the histogram."""
     setting: str
-    """Of the object: the limit that it moves."""
+    """Property of the object for the limit."""
     is_upper: bool
 
     @property
     def rest(self) -> float:
-        """Place at which there is no limit."""
+        """Position without a limit."""
         return 1.0 if self.is_upper else 0.0
 
     def place(self, histogram: Histogram, ob: Any) -> float:
-        """Where it stands for an object's limit, in [0, 1] from left to right."""
+        """Position for an object's limit, in [0, 1] from left to right."""
         limit = getattr(ob.gscore, self.setting)
         return histogram.place(limit) if limit > 0 else self.rest
 
     def move(self, histogram: Histogram, ob: Any, place: float) -> None:
-        """Set the object's limit to what lies at a place; none at the end where it rests. It does
+        """Set the object's limit to the value at a position; none at its end of the axis. It does
         not pass the other handle."""
         for other in handles(self.kind):
             if other != self:
@@ -45,11 +45,11 @@ _ALL = (
 
 
 def handles(kind: str) -> list[Handle]:
-    """Those of a histogram, from left to right."""
+    """Handles of a histogram, from left to right."""
     return [handle for handle in _ALL if handle.kind == kind]
 
 
 def limits_of(ob: Any, kind: str) -> tuple[float, float]:
-    """The smallest and the largest value that an object's filters leave of a kind; 0: no limit."""
+    """Smallest and largest value of a kind that pass an object's filters; 0: no limit."""
     ends = {handle.is_upper: getattr(ob.gscore, handle.setting) for handle in handles(kind)}
     return ends.get(False, 0.0), ends.get(True, 0.0)

@@ -13,7 +13,7 @@ class BaseOperator:
     """Mixed in before bpy.types.Operator; an operator's class is called as its button says."""
 
     def act(self, context: bpy.types.Context) -> str:
-        """Do it; what to tell the user, or nothing.
+        """Run the operator; the text of its report, or an empty string.
 
         Raises:
             GsError, ValueError, OSError: it cannot be done; the message is for the user.
@@ -29,7 +29,7 @@ class BaseOperator:
         return ()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Blender calls this."""
+        """Entry point of Blender."""
         try:
             editable_check.check(*self.changes(context))
             told = self.act(context)
@@ -40,18 +40,18 @@ class BaseOperator:
         return {"FINISHED"}
 
     def refuse(self, error: Exception) -> set[str]:
-        """Say why it cannot be done, in the words of panels; what Blender is then to be told."""
+        """Report an error with the panels' option names; returns the operator's result."""
         self.report({"ERROR"}, error_words(error))
         return {"CANCELLED"}
 
     def warn(self, sentences: Iterable[str]) -> None:
-        """Show what the user should know besides."""
+        """Report warnings."""
         for sentence in sentences:
             self.report({"WARNING"}, sentence)
 
 
 class OnScene(BaseOperator):
-    """Sets something of the scene."""
+    """Changes the scene."""
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene."""
@@ -64,7 +64,7 @@ def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
 
 
 def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
-    """The same in a view layer, which no window has to show."""
+    """`select_only` in a view layer, which need not be shown in a window."""
     for other in layer.objects.selected:
         if other is not None:  # removed, and the layer not yet brought up to date
             other.select_set(False, view_layer=layer)

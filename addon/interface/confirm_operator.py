@@ -8,20 +8,20 @@ from ..core import GsError
 from . import editable_check
 
 WIDTH = 90
-"""Characters of a line in a dialog and in the preferences."""
+"""Characters per line in a dialog and in the preferences."""
 _PIXELS = 520
 
 
 def wrapped(
     layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = WIDTH
 ) -> None:
-    """A sentence as several labels, because Blender's labels do not wrap.
+    """Draw a sentence as several labels, because Blender's labels do not wrap.
 
     Args:
         layout: Gets a column.
         text: The sentence.
         icon: Before the first line.
-        width: Characters of a line.
+        width: Characters per line.
     """
     column = layout.column(align=True)
     column.scale_y = 0.8
@@ -30,7 +30,7 @@ def wrapped(
 
 
 def letters(context: bpy.types.Context) -> int:
-    """How many letters fit on a line of the region that is drawn."""
+    """Characters per line in the drawn region."""
     width = context.region.width if context.region else 260
     # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
     scale = context.preferences.system.ui_scale or 1.0  # without a window it is 0
@@ -42,10 +42,10 @@ class ConfirmMixin:
     alone does nothing."""
 
     confirm = "OK"
-    """On the button that goes on."""
+    """Text of the confirm button."""
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """What will be done, in sentences; none: there is nothing to ask.
+        """Sentences about the effects; none: no confirmation is needed.
 
         Raises:
             GsError, ValueError, OSError: it cannot be done; the message says why.
@@ -53,7 +53,7 @@ class ConfirmMixin:
         raise NotImplementedError
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask."""
+        """Show the dialog."""
         try:
             editable_check.check(*self.changes(context))
             self.lines = self.question(context)
@@ -70,6 +70,6 @@ class ConfirmMixin:
         )
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The sentences, instead of the operator's properties."""
+        """Draw the sentences in place of the operator's properties."""
         for line in getattr(self, "lines", ()):  # a redo panel has none
             wrapped(self.layout, line, icon="DOT")

@@ -31,7 +31,7 @@ def problem(block: bpy.types.ID) -> str:
 
 
 def keeps(block: bpy.types.ID) -> bool:
-    """Whether changes of a datablock stay."""
+    """True if Blender keeps changes of a datablock."""
     return not problem(block)
 
 

@@ -17,7 +17,7 @@ _CENTRAL = 0.25
 
 
 def ball(places: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-    """Middle [3] and radius of most of places [N, 3], N > 0, with weights [N]; None: equal ones."""
+    """Centre [3] and radius of the bulk of points [N, 3], N > 0; weights [N], None: equal."""
     weights = np.ones(len(places)) if weights is None else weights
     low, high = (1 - MOST) / 2, (1 + MOST) / 2
     # Of a box, as the median lies on the ground wherever that has the most places.
@@ -27,7 +27,7 @@ def ball(places: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndar
 
 
 def quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> np.ndarray:
-    """[S] quantiles of values [N] that have weights [N], N > 0; where all are 0, equal ones."""
+    """Weighted quantiles [S] of values [N], weights [N], N > 0; equal weights if all are 0."""
     order = np.argsort(values)
     ranks = np.cumsum(weights[order] if weights.any() else np.ones(len(values)))
     at = np.searchsorted(ranks, np.multiply(shares, ranks[-1]))
@@ -42,7 +42,7 @@ def views_of(scene: bpy.types.Scene) -> list[bpy.types.SpaceView3D]:
 
 
 def show_ball(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -> None:
-    """Look at a ball from where a view looks; a camera's view stays its own."""
+    """Frame a sphere from a view's direction; camera views stay unchanged."""
     region, radius = space.region_3d, max(radius, 1e-3 / _ROOM)
     if region.view_perspective != "CAMERA":
         region.view_location = Vector(middle)
@@ -102,6 +102,6 @@ def depth_of(places: np.ndarray, weights: np.ndarray, eye: np.ndarray, ahead: np
 
 
 def _see(space: bpy.types.SpaceView3D, distance: float) -> None:
-    """Have a view reach at least so far."""
+    """Raise the far clipping distance of a view."""
     space.clip_end = max(space.clip_end, 10 * distance)
     space.clip_start = min(space.clip_start, 1e-2 * distance)

@@ -13,25 +13,25 @@ class PictureIcons:
     def __init__(self) -> None:
         self._icons: bpy.utils.previews.ImagePreviewCollection | None = None
         self._shown: dict[str, object] = {}
-        """What each shows."""
+        """Content key by icon."""
 
     def open(self) -> None:
-        """Make room for icons."""
+        """Create the preview collection."""
         self._icons = bpy.utils.previews.new()
 
     def close(self) -> None:
-        """Give it back."""
+        """Remove the preview collection."""
         if self._icons is not None:
             bpy.utils.previews.remove(self._icons)
         self._icons = None
         self._shown.clear()
 
     def show(self, name: str, what: object, picture: Callable[[], np.ndarray]) -> int:
-        """The number of an icon, drawn anew where it shows something else; 0 without room.
+        """Icon id, drawn again if its content changed; 0 without a collection.
 
         Args:
-            name: Of the icon.
-            what: Differs where the picture does.
+            name: Icon name.
+            what: Content key, different for different pictures.
             picture: Draws it: [H, W, 4] float32 RGBA, premultiplied, bottom row first.
         """
         if self._icons is None:

@@ -16,7 +16,7 @@ def show_image(
 
 
 def show_soon(context: bpy.types.Context, image: bpy.types.Image) -> bool:
-    """Show an image as `show_image` in a new window if need be; whether it is, or soon will be.
+    """As `show_image`, in a new window if needed; True if the image is or will be shown.
 
     For operators that go on event by event: Blender would not take note of the end of one that has
     opened a window, so that is done right after it.
@@ -40,7 +40,7 @@ def show_soon(context: bpy.types.Context, image: bpy.types.Image) -> bool:
 def editor_of(
     context: bpy.types.Context, image: bpy.types.Image, *, new_window: bool = False
 ) -> bpy.types.Area | None:
-    """The area of the image editor that `show_image` shows an image in; the whole image is seen."""
+    """The image editor area of `show_image`, zoomed to the whole image."""
     windows = context.window_manager.windows
     areas = (area for window in windows for area in window.screen.areas)
     area = next((a for a in areas if a.type == "IMAGE_EDITOR"), None)
@@ -50,7 +50,7 @@ def editor_of(
         area.type = "IMAGE_EDITOR"
     if area is None:
         return None
-    if area.spaces.active.image != image:  # else it stays as the user has zoomed into it
+    if area.spaces.active.image != image:  # else the user's zoom is kept
         area.spaces.active.image = image
         fit(area)
     return area
@@ -77,6 +77,6 @@ def fit(area: bpy.types.Area) -> bool:
 
 
 def _sidebar(area: bpy.types.Area) -> int:
-    """Width of an editor's sidebar where it lies over the image, pixels."""
+    """Width of an editor's sidebar if it overlaps the image, pixels."""
     over = bpy.context.preferences.system.use_region_overlap and area.spaces.active.show_region_ui
     return max((r.width for r in area.regions if r.type == "UI" and over), default=0)

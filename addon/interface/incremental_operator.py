@@ -14,12 +14,12 @@ from .modal_status import INTERVAL, ModalStatus
 
 
 class IncrementalOperator(BaseOperator):
-    """They say what is done in pieces; Esc cancels. Scripts, and the redo panel, wait for it."""
+    """Work in steps, cancelled by Esc. Scripts and the redo panel run it in one call."""
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Do it; returns what to tell the user.
+        """The work in steps; returns the text of the report.
 
-        Between two pieces anything may happen in Blender: objects are looked up anew.
+        Blender's data may change between two steps, so objects are looked up again.
 
         Raises:
             GsError, ValueError, OSError: it cannot be done; the message is for the user.
@@ -27,7 +27,7 @@ class IncrementalOperator(BaseOperator):
         raise NotImplementedError
 
     def act(self, context: bpy.types.Context) -> str:
-        """Do it at once."""
+        """Run all steps in one call."""
         try:
             return run_blocking(in_words(self.pieces(context)))
         finally:
@@ -38,7 +38,7 @@ class IncrementalOperator(BaseOperator):
         return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """For a user in a window bit by bit, for a script or once more at once."""
+        """Start the steps in a window; for a script or a repeated operator run all at once."""
         # Blender crashes where an operator that is repeated goes on event by event.
         again = self.options.is_repeat or self.options.is_repeat_last
         called = self.options.is_invoke and not again
@@ -57,7 +57,7 @@ class IncrementalOperator(BaseOperator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Go on with it; whatever else is pressed is for others."""
+        """Run a step at a timer event; pass other events through."""
         own = self._under_way
         if event.type == "ESC" and event.value == "PRESS":
             own.give_up()
@@ -80,7 +80,7 @@ class IncrementalOperator(BaseOperator):
         return self._finished(own.going)
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this where another file is opened, or it ends: leave nothing."""
+        """Clean up; called by Blender before a file load or its end."""
         if (own := getattr(self, "_under_way", None)) is not None:  # else it was the file browser
             own.give_up()
 
@@ -92,7 +92,7 @@ class IncrementalOperator(BaseOperator):
 
 @dataclass(frozen=True, eq=False)
 class _UnderWay:
-    """What an operator does in a window, until it has ended."""
+    """State of a running operator in a window."""
 
     going: TaskRunner
     waiting: ModalStatus
@@ -103,7 +103,7 @@ class _UnderWay:
         _UNDER_WAY.add(self)
 
     def step(self) -> bool:
-        """As many pieces as the pace allows; whether all is done."""
+        """Run steps within the pace; True if all is done."""
         self.pace.begin()
         while not (done := self.going.step()) and self.pace.more():
             pass
@@ -111,12 +111,12 @@ class _UnderWay:
         return done
 
     def end(self) -> None:
-        """Nothing tells of it any more."""
+        """Remove the timer and the status text."""
         _UNDER_WAY.discard(self)
         self.waiting.end()
 
     def give_up(self) -> None:
-        """The same, before it is done."""
+        """Cancel before the end."""
         try:
             self.going.cancel()
         finally:
@@ -127,7 +127,7 @@ _UNDER_WAY: set[_UnderWay] = set()
 
 
 def in_words(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
-    """The same work, with a sentence where memory is lacking."""
+    """The same steps, with a readable error if memory runs out."""
     try:
         return (yield from pieces)
     except MemoryError as error:

@@ -21,20 +21,20 @@ def clear(steps: Iterator[None]) -> None:
 
 
 def clearing() -> Iterator[str]:
-    """Do what is still to be done, as pieces: for what needs the names that are given free."""
+    """Remaining removals as steps, for work that needs the freed names."""
     while _step():
         yield "Removing what is no longer needed"
 
 
 @persistent
 def finish(*_: object) -> None:
-    """Do all of it: before the file is saved or closed, and for scripts."""
+    """Run all remaining removals: before a file is saved or closed, and for scripts."""
     for _ in clearing():
         pass
 
 
 def _step() -> bool:
-    """Do a piece; whether there was one."""
+    """Run a step; True if there was one."""
     if not _pending:
         return False
     steps = _pending[0]

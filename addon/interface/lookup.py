@@ -12,10 +12,10 @@ AnswerT = TypeVar("AnswerT")
 
 
 class Lookup(Generic[KeyT, AnswerT]):
-    """Answers of one function; panels ask for them while they draw, and must not wait."""
+    """Cached results of one function, for panels that must not block while they draw."""
 
     def __init__(self, function: Callable[[KeyT], AnswerT], *, max_age: float) -> None:
-        """Keep what `function` finds.
+        """Cache results of `function`.
 
         Args:
             function: Called in a thread; what it raises is its answer's problem, in the words of
@@ -28,7 +28,7 @@ class Lookup(Generic[KeyT, AnswerT]):
         self._tasks: dict[KeyT, BackgroundTask] = {}
 
     def get(self, key: KeyT) -> tuple[AnswerT | None, str]:
-        """What is known by now: (answer, ""), (None, problem) or, still unknown, (None, "")."""
+        """Cached result: (answer, ""), (None, problem) or, while pending, (None, "")."""
         self.collect()
         known = self._answers.get(key)
         stale = known is None or time.monotonic() - known[2] > self._max_age
@@ -37,7 +37,7 @@ class Lookup(Generic[KeyT, AnswerT]):
         return (None, "") if known is None else known[:2]
 
     def wait(self, key: KeyT, timeout: float = 60.0) -> tuple[AnswerT | None, str]:
-        """As `get`, after the end of the search; for scripts."""
+        """As `get`, after the function has returned; for scripts."""
         self.forget(key)
         self.get(key)
         if task := self._tasks.get(key):
@@ -45,17 +45,17 @@ class Lookup(Generic[KeyT, AnswerT]):
         return self.get(key)
 
     def forget(self, key: KeyT) -> None:
-        """Look anew when it is asked for next."""
+        """Drop a result, so that the next request computes it again."""
         self.collect()
         self._answers.pop(key, None)
 
     def expire(self) -> None:
-        """Look anew for everything that is asked for next; what is known is shown meanwhile."""
+        """Mark all results as stale; they are still returned until computed again."""
         self.collect()
         self._answers = {key: (*known[:2], float("-inf")) for key, known in self._answers.items()}
 
     def collect(self) -> bool:
-        """Take in what threads have found; whether that was anything new."""
+        """Collect results of threads; True if any is new."""
         changed = False
         for key, task in list(self._tasks.items()):
             if task.running:
@@ -69,5 +69,5 @@ class Lookup(Generic[KeyT, AnswerT]):
 
     @property
     def busy(self) -> bool:
-        """Whether something is being looked up."""
+        """True while a thread runs."""
         return bool(self._tasks)

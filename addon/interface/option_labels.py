@@ -7,7 +7,7 @@ from ..core import GsError
 LABELS: dict[str, str] = {}
 """Option to its name in a panel; `declared` notes them."""
 CHOICES: dict[tuple[str, str], str] = {}
-"""Option and value to what a panel calls that choice."""
+"""Option and value to the panel's name of that choice."""
 _FLAG = re.compile(r"(?<![\w/-])--([a-z][a-z0-9-]*)(?: (on|off|auto|none|ignore|composite)\b)?")
 
 

@@ -10,11 +10,11 @@ _TRIES, _PAUSE = 10, 0.1
 shelf before it is drawn, and 4.3 crashes where a new window's sidebar is opened before that."""
 
 Step = Callable[[bpy.types.Area], bool]
-"""Does something to an editor; whether it is done."""
+"""Step on an editor; returns True when done."""
 
 
 def in_turn(area: bpy.types.Area, *steps: Step) -> None:
-    """Do these to an editor soon, one after the other, each as soon as it can be done."""
+    """Run steps on an editor one after the other, each repeated until it is done."""
     wanted, waiting, left = area.as_pointer(), list(steps), _TRIES
 
     def attempt() -> float | None:

@@ -21,13 +21,13 @@ class Temporary:
     time: undo, redo and other files take it."""
 
     def __init__(self, block: Block) -> None:
-        """Take it over."""
+        """Take ownership of a datablock."""
         self._mark = uuid.uuid4().hex
         self._kind, self._name = type(block), block.name
         block[_MARK] = self._mark
 
     def found(self) -> Block | None:
-        """It, if it is there."""
+        """The datablock, if it exists."""
         block = _all(self._kind).get(self._name)
         return block if block is not None and block.get(_MARK) == self._mark else None
 
@@ -36,7 +36,7 @@ class Temporary:
         block[_MARK] = self._mark
 
     def take(self) -> Block | None:
-        """It, if it is there, which from now on is the caller's."""
+        """The datablock, if it exists; ownership passes to the caller."""
         block = self.found()
         if block is not None:
             release(block)
@@ -45,7 +45,7 @@ class Temporary:
         return block
 
     def dropping(self) -> Iterator[None]:
-        """The same as `drop`, of a collection's objects some a piece."""
+        """As `drop`, with some of a collection's objects per step."""
         until = time.perf_counter() + BUDGET
         while some := _objects(self.found())[:_BATCH]:
             _remove(some)
@@ -55,7 +55,7 @@ class Temporary:
         self.drop()
 
     def drop(self) -> None:
-        """Remove it; nothing happens once it is another's."""
+        """Remove the datablock, unless ownership has passed on."""
         block = self.found()
         if block is not None:
             _remove([block, *_inside(block)])

@@ -3,12 +3,12 @@
 import blf
 
 SIZE = 11.0
-"""Pixels at the usual scale of Blender's interface."""
+"""Font size in pixels at interface scale 1."""
 _FONT = 0
 
 
 def width_of(text: str, scale: float) -> float:
-    """How wide it is at a scale of Blender's interface."""
+    """Width of a text at an interface scale, pixels."""
     blf.size(_FONT, SIZE * scale)
     return blf.dimensions(_FONT, text)[0]
 
@@ -16,7 +16,7 @@ def width_of(text: str, scale: float) -> float:
 def write(
     text: str, x: float, y: float, scale: float, color: tuple[float, float, float, float]
 ) -> None:
-    """Write it at a place."""
+    """Draw a text at a position."""
     blf.size(_FONT, SIZE * scale)
     blf.color(_FONT, *color)
     blf.enable(_FONT, blf.SHADOW)

@@ -4,7 +4,7 @@ import bpy
 
 
 def redraw_views() -> None:
-    """Draw all 3D views anew."""
+    """Redraw all 3D views."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

@@ -9,7 +9,7 @@ from . import threads
 
 
 class Cancelled(Exception):  # noqa: N818 - nothing went wrong
-    """Raised inside a task that was asked to end."""
+    """Raised inside a cancelled task."""
 
 
 class BackgroundTask:
@@ -21,12 +21,12 @@ class BackgroundTask:
     def __init__(self, function: Callable[["BackgroundTask"], Any]) -> None:
         """Start it."""
         self.lines: deque[str] = deque(maxlen=200)
-        """What it told, the latest last."""
+        """Progress lines, the latest last."""
         self.result: Any = None
         self.problem = ""
-        """Why it failed, a sentence."""
+        """Error message, one sentence."""
         self.error: Exception | None = None
-        """What it raised."""
+        """The exception that it raised."""
         self.cancelled = False
         self._function = function
         self._cancel = threading.Event()
@@ -34,7 +34,7 @@ class BackgroundTask:
 
     @property
     def running(self) -> bool:
-        """Whether it is still under way."""
+        """True while the task runs."""
         return self._thread.is_alive()
 
     @property
@@ -43,24 +43,24 @@ class BackgroundTask:
         return self.lines[-1] if self.lines else ""
 
     def tell(self, line: str) -> None:
-        """Called by the function: something to show."""
+        """Report progress; called by the function."""
         self.lines.append(line)
 
     def check(self) -> None:
-        """Called by the function where it may end.
+        """Cancellation point, called by the function.
 
         Raises:
-            Cancelled: the owner asked for it.
+            Cancelled: the owner cancelled the task.
         """
         if self._cancel.is_set():
             raise Cancelled
 
     def cancel(self) -> None:
-        """Ask it to end soon."""
+        """Request cancellation."""
         self._cancel.set()
 
     def wait(self, timeout: float) -> bool:
-        """Wait for the end; whether it has come."""
+        """Wait for the end; True if the task has ended."""
         self._thread.join(timeout)
         return not self.running
 
@@ -69,5 +69,5 @@ class BackgroundTask:
             self.result = self._function(self)
         except Cancelled as error:
             self.cancelled, self.problem, self.error = True, "Cancelled.", error
-        except Exception as error:  # whatever it is, the panel has to show it
+        except Exception as error:  # the panel shows any error
             self.problem, self.error = str(error) or type(error).__name__, error

@@ -19,16 +19,16 @@ from typing import BinaryIO
 _LONGEST_LINE = 1 << 20
 """Bytes; longer lines are no events and are dropped."""
 _MOST_WAITING = 100_000
-"""Lines kept for an owner that does not look; further ones are dropped."""
+"""Lines kept until the owner reads them; further ones are dropped."""
 _STDERR_KEPT = 60
 _NICENESS = 5
-"""Below Blender, so that drawing comes before training where cores are few."""
+"""Priority below Blender's, so that drawing precedes training on few cores."""
 _ORPHANED_PIPE = 2.0
-"""Seconds after the end for which a pipe held open by somebody else is waited for."""
+"""Seconds to wait after the end for a pipe that another process keeps open."""
 
 
 def environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
-    """The environment for another Python than the one that runs here.
+    """Environment variables for a Python other than Blender's.
 
     Without the variables that lead Blender's Python to its own files; nothing is imported from the
     current folder; output is UTF-8 and not held back.
@@ -48,11 +48,11 @@ class Process:
         """Start it.
 
         Args:
-            arguments: Program and arguments, never a line for a shell.
-            variables: More variables of its environment.
+            arguments: Program and arguments, never a shell command line.
+            variables: Additional environment variables.
 
         Raises:
-            OSError: there is no such program, or it cannot be run.
+            OSError: the program is missing or cannot be run.
         """
         self.arguments = tuple(str(argument) for argument in arguments)
         self._process = subprocess.Popen(
@@ -78,7 +78,7 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process id."""
         return self._process.pid
 
     @property
@@ -95,7 +95,7 @@ class Process:
         return list(self._errors)
 
     def lines(self, budget: float) -> Iterator[str]:
-        """Lines of the output that wait to be read, for at most `budget` seconds."""
+        """Unread lines of the output, for at most `budget` seconds."""
         until = time.perf_counter() + budget
         while True:
             try:
@@ -120,7 +120,7 @@ class Process:
         return (self._output_ended and self._errors_ended) or orphaned
 
     def send(self, line: str) -> None:
-        """Hand a line to the program; never waits, and does nothing if it is gone."""
+        """Send a line to the program; never blocks, and does nothing after its end."""
         self._orders.put(line.encode() + b"\n")
 
     def end_input(self) -> None:
@@ -128,10 +128,10 @@ class Process:
         self._orders.put(None)
 
     def kill(self, *, wait: float = 0.0) -> None:
-        """End it and its children at once.
+        """Kill the program and its children.
 
         Args:
-            wait: Seconds to wait until it is gone.
+            wait: Seconds to wait for its end.
         """
         if self._process.poll() is not None:
             return
@@ -144,7 +144,7 @@ class Process:
             self.wait(wait)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until the process is gone, at most `timeout` seconds; whether it is."""
+        """Wait at most `timeout` seconds for the end of the process; True if it has ended."""
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -189,7 +189,7 @@ def _apart() -> dict[str, object]:
 
 
 def _read_lines(stream: BinaryIO) -> Iterator[str]:
-    """Lines without their end; what is no UTF-8 becomes a replacement sign."""
+    """Lines without line ends; invalid UTF-8 becomes the replacement character."""
     too_long = False
     with contextlib.suppress(OSError, ValueError), stream:
         while chunk := stream.readline(_LONGEST_LINE):

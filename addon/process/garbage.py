@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 _NEVER = 2**31 - 1
 _before: list[int] = []
-"""The threshold of the whole search, once for each work that puts it off."""
+"""Threshold of the full collection, once per task that postpones it."""
 
 
 @contextmanager
@@ -26,5 +26,5 @@ def put_off() -> Iterator[None]:
     finally:
         before = _before.pop()
         young, middle, old = gc.get_threshold()
-        if not _before and old == _NEVER:  # else somebody has chosen another meanwhile
+        if not _before and old == _NEVER:  # else other code has set another threshold
             gc.set_threshold(young, middle, before)

@@ -9,18 +9,18 @@ from .background_task import BackgroundTask
 
 ResultT = TypeVar("ResultT")
 BUDGET = 0.008
-"""Seconds of a piece in which anything is begun; the last thing may take as long again."""
+"""Seconds of a step in which new work starts; the last item may take as long again."""
 Check = Callable[[], None]
-"""Raises where the work is no longer wanted."""
+"""Raises if the work was cancelled."""
 
 
 @dataclass(frozen=True)
 class ThreadCall:
-    """What a generator yields to have a function called in a thread."""
+    """Request of a generator to call a function in a thread."""
 
     function: Callable[[Check], Any]
     sentence: str
-    """What is under way meanwhile."""
+    """Progress sentence meanwhile."""
 
 
 Pieces = Generator[str | ThreadCall, Any, ResultT]
@@ -32,32 +32,32 @@ is not. What has to be undone where the work is given up stands in `finally`.
 
 
 def run_in_thread(function: Callable[[Check], ResultT], sentence: str) -> Pieces[ResultT]:
-    """Call a function in a thread; what it returns or raises is returned or raised here.
+    """Call a function in a thread; its result or exception is returned or raised here.
 
     Args:
-        function: Must not touch bpy. Is given what raises where its result is no longer wanted.
-        sentence: What is under way meanwhile.
+        function: Must not touch bpy. Its argument raises after cancellation.
+        sentence: Progress sentence meanwhile.
     """
     return (yield ThreadCall(function, sentence))
 
 
 class TaskRunner:
-    """Work whose pieces are done one at a time, whenever its owner has time."""
+    """Runs a generator of work step by step, when its owner calls `step`."""
 
     def __init__(self, pieces: Pieces[Any]) -> None:
-        """Nothing is done yet."""
+        """Initialise without running a step."""
         self.sentence = ""
         """How far it is."""
         self.result: Any = None
-        """What came of it, once it is done."""
+        """Result of the finished work."""
         self._pieces = pieces
         self._task: BackgroundTask | None = None
 
     def step(self) -> bool:
-        """Do the next piece, unless a thread is waited for; whether all is done.
+        """Run the next step, unless a thread is still running; True if all is done.
 
         Raises:
-            Whatever the work does; it is over then.
+            Any exception of the work, which ends it.
         """
         if self._task is not None and self._task.running:
             return False
@@ -80,14 +80,14 @@ class TaskRunner:
         return False
 
     def cancel(self) -> None:
-        """Give it up."""
+        """Cancel the work."""
         if self._task is not None:
             self._task.cancel()
         self._pieces.close()
 
 
 def run_blocking(pieces: Pieces[ResultT]) -> ResultT:
-    """Do all of some work here and now, without a thread."""
+    """Run all steps synchronously, without a thread."""
     go_on: Callable[[], str | ThreadCall] = partial(next, pieces)
     try:
         while True:
@@ -99,7 +99,7 @@ def run_blocking(pieces: Pieces[ResultT]) -> ResultT:
 
 
 def _answered(pieces: Pieces[Any], asked: ThreadCall) -> Callable[[], str | ThreadCall]:
-    """How the work goes on with what comes of a function that is called here."""
+    """Continuation of the work with the result of a function called on this thread."""
     try:
         return partial(pieces.send, asked.function(lambda: None))
     except Exception as error:
@@ -107,21 +107,21 @@ def _answered(pieces: Pieces[Any], asked: ThreadCall) -> Callable[[], str | Thre
 
 
 class Steps(Protocol):
-    """Work that is written as an object instead."""
+    """Incremental work as an object instead of a generator."""
 
     @property
     def sentence(self) -> str:
         """How far it is."""
 
     def step(self) -> Any:
-        """Do a small piece; what came of it once all is done, until then None."""
+        """Run a short step; the result once all is done, until then None."""
 
     def cancel(self) -> None:
-        """Leave nothing."""
+        """Remove all partial results."""
 
 
 def stepped(steps: Steps) -> Pieces[Any]:
-    """The same as `Pieces`; where it fails or is given up it leaves nothing."""
+    """`Steps` as `Pieces`; cancelled on an error or at the generator's close."""
     done = False
     try:
         while (result := steps.step()) is None:

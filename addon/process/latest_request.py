@@ -11,14 +11,14 @@ AnswerT = TypeVar("AnswerT")
 
 
 class Latest(Generic[WishT, AnswerT]):
-    """Its owner asks as often as it likes; wishes that were not begun are forgotten."""
+    """Worker for the newest request; requests that have not started are dropped."""
 
     def __init__(self, work: Callable[[WishT], AnswerT], name: str) -> None:
-        """The thread begins with the first wish.
+        """The thread starts at the first request.
 
         Args:
             work: Called in the thread. A ValueError or MemoryError of it becomes `problem`.
-            name: Of the thread.
+            name: Thread name.
         """
         self._work, self._name = work, name
         self._changed = threading.Condition()
@@ -26,16 +26,16 @@ class Latest(Generic[WishT, AnswerT]):
         self._thread: threading.Thread | None = None
         self._closed = False
         self.answer: tuple[WishT, AnswerT] | None = None
-        """The last wish that was answered, and its answer."""
+        """The last answered request and its answer."""
         self.problem = ""
-        """Why the last wish has no answer."""
+        """Error message of the last request."""
         self.fresh = False
-        """Whether an answer or a problem came since the owner last set this to False."""
+        """True if an answer or an error arrived since the owner last set this to False."""
         self.busy = False
-        """Whether an answer is still to come."""
+        """True while an answer is pending."""
 
     def ask(self, wish: WishT) -> None:
-        """Answer this next."""
+        """Request an answer, in place of a pending request."""
         with self._changed:
             if self._closed:
                 return
@@ -45,7 +45,7 @@ class Latest(Generic[WishT, AnswerT]):
             self._changed.notify()
 
     def close(self) -> None:
-        """End the thread after what it does."""
+        """End the thread after its current request."""
         with self._changed:
             self._closed, self._wish = True, None
             self._changed.notify()

@@ -3,13 +3,13 @@
 import time
 
 FAST = 0.05
-"""Seconds by which a call may be late where redraws are fast."""
+"""Lateness of a call that counts as fast redraws, seconds."""
 SHARE = 0.25
-"""Of the lateness beyond that, what work may take besides one piece."""
+"""Share of further lateness for work beyond one step."""
 LONGEST = 0.1
-"""Seconds that this comes to at most."""
+"""Upper limit of that work, seconds."""
 _IDLE = 5e-4
-"""Seconds that a piece takes at most that had nothing to do."""
+"""Longest duration of a step without work, seconds."""
 
 
 class Pace:
@@ -20,29 +20,29 @@ class Pace:
     """
 
     def __init__(self) -> None:
-        """The first call is not late."""
+        """Initialise; the first call is never late."""
         self._due = float("inf")
         self._until = self._began = 0.0
         self.spare = 0.0
-        """Seconds that this call may take besides one piece; 0 where redraws are fast."""
+        """Seconds of this call beyond one step; 0 if redraws are fast."""
 
     def begin(self) -> None:
-        """A call comes."""
+        """Note the start of a call."""
         self._began = time.monotonic()
         self.spare = min(SHARE * max(self._began - self._due - FAST, 0.0), LONGEST)
         self._until = self._began + self.spare
 
     def more(self, *, did: bool = False) -> bool:
-        """Whether this call shall do another piece; asked after each.
+        """True if this call has time for another step; call after each step.
 
         Args:
-            did: Whether the last one is known to have done something, however short it was.
+            did: True if the last step did any work, however short.
         """
         began, self._began = self._began, time.monotonic()
         return self._began < self._until and (did or self._began - began > _IDLE)
 
     def end(self, interval: float | None) -> None:
-        """The call ends, and the next one should come after so many seconds; None: whenever."""
+        """Note the end of a call and the delay of the next one, seconds; None: any."""
         if interval is None:
             self._due, self.spare = float("inf"), 0.0
         else:

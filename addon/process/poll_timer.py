@@ -15,13 +15,13 @@ from bpy.app.handlers import persistent
 from .pace import Pace
 
 INTERVAL = 0.1
-"""Seconds between two beats."""
+"""Interval of the timer, seconds."""
 FAST = 0.01
-"""The same while splats are handed to Blender bit by bit."""
+"""Interval while splats are written to Blender in steps, seconds."""
 REDRAW = 0.4
 """Seconds between two redraws: the viewport behind a sidebar is drawn with it."""
 AFTER_ERROR = 5.0
-"""Seconds to the next beat after an error of our own."""
+"""Delay after an error of our own, seconds."""
 
 _log = logging.getLogger(__name__)
 
@@ -32,28 +32,28 @@ def _no() -> bool:
 
 @dataclass(frozen=True)
 class Poller:
-    """What is done at a beat."""
+    """Work of the timer."""
 
     collect: Callable[[], bool]
-    """Does a small piece of what there is to do; says whether panels have to be drawn anew."""
+    """Runs a short step; returns True if panels need a redraw."""
     waits: Callable[[], bool] = _no
-    """Whether anything is under way."""
+    """True while work is pending."""
     hurries: Callable[[], bool] = _no
-    """Whether the next beat should come soon."""
+    """True if the next step should follow soon."""
 
 
 FOLLOWERS: list[Poller] = []
-"""In the order in which they were registered; a later one sees what an earlier one took in."""
+"""In order of registration; later ones see the results of earlier ones."""
 
 
 @dataclass
 class _Screen:
-    """What panels show."""
+    """Redraw state of panels."""
 
     changed: bool = False
-    """Whether the last tick has changed it."""
+    """True if the last tick changed the panels' contents."""
     stale: bool = False
-    """Whether it is not what there is to show."""
+    """True if the panels are out of date."""
     drawn: float = 0.0
     """Time of the last redraw, monotonic seconds."""
 
@@ -63,7 +63,7 @@ _pace = Pace()
 
 
 def poll() -> bool:
-    """Do a small piece of whatever there is to do; whether anything is under way."""
+    """Run a short step of all pending work; True while work is pending."""
     _screen.changed = False
     for follower in FOLLOWERS:
         _screen.changed |= follower.collect()
@@ -75,13 +75,13 @@ def poll() -> bool:
 
 
 def ensure() -> None:
-    """Have `poll` called from now on, until there is nothing to wait for."""
+    """Start the timer that calls `poll` until no work is pending."""
     if not bpy.app.background and not bpy.app.timers.is_registered(_beat):
         bpy.app.timers.register(_beat, first_interval=INTERVAL, persistent=True)
 
 
 def redraw() -> None:
-    """Draw the sidebars of 3D views, and preferences, anew."""
+    """Redraw the sidebars of 3D views and the preferences."""
     _screen.stale, _screen.drawn = False, time.monotonic()
     manager = bpy.context.window_manager
     areas = [area for window in manager.windows for area in window.screen.areas]
@@ -100,7 +100,7 @@ def _beat() -> float | None:
 
 
 def _go_on() -> float | None:
-    """As many ticks as the pace allows; seconds to the next."""
+    """Run ticks within the pace; seconds to the next call."""
     try:
         while True:
             waits, hurries = poll(), any(follower.hurries() for follower in FOLLOWERS)
@@ -116,7 +116,7 @@ def _go_on() -> float | None:
 
 @persistent
 def _file_loaded(*_: object) -> None:
-    """What is under way belongs to the session: the file that is open now may be its own."""
+    """Keep pending work across file loads: it belongs to the session."""
     ensure()
 
 
@@ -124,6 +124,6 @@ HANDLERS = {"load_post": _file_loaded}
 
 
 def on_unregister() -> None:
-    """Beat no more."""
+    """Stop the timer."""
     if bpy.app.timers.is_registered(_beat):
         bpy.app.timers.unregister(_beat)

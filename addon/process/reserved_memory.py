@@ -15,20 +15,20 @@ from . import threads
 
 
 def written(size: int) -> np.ndarray:
-    """So many float32 of 0, whose memory is there."""
+    """Float32 zeros with allocated memory pages."""
     array = np.empty(size, np.float32)
     array.fill(0)
     return array
 
 
 class Memory:
-    """Arrays that a thread makes one after the other, and writes to before anyone else does."""
+    """Arrays that a thread allocates one after the other, with a first write to each page."""
 
     def __init__(self, sizes: Sequence[int]) -> None:
         """Begin.
 
         Args:
-            sizes: How many float32 each array has.
+            sizes: Number of float32 in each array.
         """
         made: deque[np.ndarray | int] = deque()  # a size where there was no memory for it
         dropped = threading.Event()
@@ -39,7 +39,7 @@ class Memory:
                     return
                 try:
                     made.append(written(size))
-                except MemoryError:  # which the owner shall hear of, and not wait for ever
+                except MemoryError:  # passed on to the owner, who would wait for ever
                     made.append(size)
 
         self._made = made
@@ -48,14 +48,14 @@ class Memory:
 
     @property
     def ready(self) -> bool:
-        """Whether the next array is there."""
+        """True if the next array is allocated."""
         return bool(self._made)
 
     def take(self) -> np.ndarray:
         """The next array, of zeros; only where it is `ready`.
 
         Raises:
-            MemoryError: there was none in the thread, and there is none now.
+            MemoryError: the allocation failed in the thread and fails now.
         """
         made = self._made.popleft()
         return np.zeros(made, np.float32) if isinstance(made, int) else made

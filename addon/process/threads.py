@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Callable
 
 _PATIENCE = 10.0
-"""Seconds that the end of the process waits for all threads together."""
+"""Total wait for all threads at the end of the process, seconds."""
 
 _started: "weakref.WeakKeyDictionary[threading.Thread, Callable[[], object]]" = (
     weakref.WeakKeyDictionary()
@@ -25,8 +25,8 @@ def start(
 
     Args:
         target: The function.
-        name: Of the thread.
-        cancel: Called when the process ends, to make the function end soon.
+        name: Thread name.
+        cancel: Called at the end of the process, to end the function soon.
     """
     thread = threading.Thread(target=target, name=name, daemon=True)
     _started[thread] = cancel
@@ -36,7 +36,7 @@ def start(
 
 @atexit.register
 def finish() -> None:
-    """Ask all of them to end, and wait for a while."""
+    """Cancel all threads, and join them with a timeout."""
     under_way = [(thread, cancel) for thread, cancel in _started.items() if thread.is_alive()]
     for _, cancel in under_way:
         cancel()
