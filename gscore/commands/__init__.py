@@ -1,12 +1,12 @@
 """Command line: `gscore VERB ...`.
 
 A verb is a module here with `add_arguments(parser)` and `run(args) -> int` (the exit code). Only
-the module of the verb that was asked for is imported, so that a missing optional package of one
-verb does not break the others.
+the module of the given verb is imported, so that a missing optional package of one verb does not
+break the others.
 
 Exit codes: 0 done; 1 an error inside gscore; 2 bad input, or a full disk; 3 stopped by a line or
-the end of stdin before there was anything to keep; 128 + N ended by signal N (SIGHUP 129, SIGINT
-130, SIGTERM 143), 141 because the reader of the output was gone.
+the end of stdin before there were results to keep; 128 + N ended by signal N (SIGHUP 129, SIGINT
+130, SIGTERM 143), 141 because the reader of the output closed it.
 """
 
 import errno
@@ -28,21 +28,21 @@ from .terminal.streams import steady_streams
 
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",
-    "sfm": "find the cameras of photos, which makes a capture of them",
+    "sfm": "find the cameras of photos and write them as a capture",
     "train": "train splats from photos, with or without cameras, or from a video",
-    "sequence": "train the frames of a multi-view video one after another",
+    "sequence": "train the frames of a multi-view video in order",
     "options": "list the options of a training",
     "eval": "measure trained splats against the photos",
     "compare": "compare two runs on one capture, view by view",
     "depth": "predict depth maps and align them with the capture",
-    "lod": "make levels of detail of splats that are too many for the memory",
+    "lod": "build levels of detail for splats larger than the memory",
     "render": "render splats to pictures or a video",
     "view": "write a page that shows splats in a browser",
-    "convert": "write splats as another file: cropped, cleaned, thinned out, moved",
+    "convert": "convert splats to another format; crop, clean, prune or move them",
     "split": "cut a large capture into blocks, each a capture of its own",
-    "merge": "put splats trained block by block together",
-    "info": "say what a capture, photos, a video, a PLY or a run holds",
-    "doctor": "say what this machine can do and what is missing",
+    "merge": "merge splats trained block by block",
+    "info": "summarise a capture, photos, a video, a splat file or a run",
+    "doctor": "check this machine and its packages",
     "bench": "measure speed",
     "stress": "measure numerical errors",
 }
@@ -77,7 +77,7 @@ _DISK_ERRORS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit code and never raises for what a user can cause."""
+    """Run one verb; returns the exit code and never raises for errors that a user can cause."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     with interrupts() as interrupt, steady_streams("gscore", interrupt.output_lost):
         code = _main(arguments, interrupt)
@@ -129,7 +129,7 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
         args = parser.parse_args(dashed(arguments))
         with interrupt.working():
             return module.run(args)
-    except SystemExit as stop:  # argparse has already said what is wrong
+    except SystemExit as stop:  # argparse has already printed the error
         return stop.code if isinstance(stop.code, int) else 2
     except BaseException as error:
         # Libraries turn a KeyboardInterrupt into errors of their own.
@@ -140,23 +140,22 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
 
 
 def _check_working_folder() -> None:
-    """Raise where the folder that relative paths begin in was removed: libraries that are loaded
-    later end the process then.
+    """Check that the working folder exists: libraries loaded later end the process otherwise.
 
     Raises:
-        ConfigError: it is not there any more, or must not be looked at.
+        ConfigError: the folder was removed, or access is denied.
     """
     try:
         Path.cwd()
     except OSError as error:
         raise ConfigError(
-            "The working folder is not there any more, or must not be looked at; change into "
-            "another one with cd."
+            "The working folder was removed, or access to it is denied; change into another one "
+            "with cd."
         ) from error
 
 
 def _failure(prog: str, error: BaseException) -> int:
-    """The exit code for an error, which is told."""
+    """Print an error and return its exit code."""
     match error:
         case GsError():
             return _complain(prog, str(error))

@@ -129,7 +129,7 @@ def _check_room(args: argparse.Namespace, blocks: Sequence[int], *, resume: bool
 
 
 def _one(args: argparse.Namespace, index: int, *, resume: bool) -> argparse.Namespace:
-    """What `gscore train` is asked for one block, in a folder of the block's name."""
+    """Arguments of `gscore train` for one block, in a folder of the block's name."""
     source, output = source_of(args), args.output / block_name(index)
     assert source is not None
     goes_on = resume and bool(checkpoints_in(output))

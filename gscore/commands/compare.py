@@ -33,9 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "first",
         metavar="RUN_A",
         type=Path,
-        help="folder of a run, or of what gscore eval -o measured",
+        help="folder of a run, or the output of gscore eval",
     )
-    parser.add_argument("second", metavar="RUN_B", type=Path, help="another of the same capture")
+    parser.add_argument(
+        "second", metavar="RUN_B", type=Path, help="another one on the same capture"
+    )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("compare.html"), help="the page (compare.html)"
     )
@@ -43,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-s",
         "--source",
         type=Path,
-        help="where the capture is now; default: where the runs found it",
+        help="current folder of the capture; default: as recorded by the runs",
     )
     add_threads_option(parser)
     parser.add_argument(
@@ -54,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Pair the views, render both, write the page, say the differences."""
+    """Pair the views, render both runs, write the page, print the differences."""
     _check_output(args.output, overwrite=args.overwrite)
     with Status(sys.stderr, quiet=args.quiet) as status:
         comparison = _compare(args, status)
@@ -127,7 +129,7 @@ def _data_config(models: list[ModelArgument], source: Path | None) -> DataConfig
 
 
 def _labels(folders: tuple[Path, Path]) -> tuple[str, str]:
-    """The shortest ends of both paths that tell them apart."""
+    """The shortest ends of both paths that differ."""
     parts = [folder.resolve().parts for folder in folders]
     if parts[0] == parts[1]:
         raise ConfigError(f"{brief(folders[0])} is given twice; a run does not differ from itself.")

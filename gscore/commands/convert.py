@@ -35,13 +35,13 @@ from .terminal.status import Status, wrapped
 _EXACT = "ply"
 """The format that holds splats to the bit."""
 _VISIBLE = 30.0
-"""Decibels between pictures below which anyone sees that splats are missing."""
+"""PSNR between pictures, dB, below which missing splats are clearly visible."""
 _MARK = "gscore convert"
 """A comment of files that have room for it: they may be replaced."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, change, write, say what became of it."""
+    """Read, edit and write the model, and print a summary."""
     request = _request(args)
     _check_output(args)
     with Status(sys.stderr, quiet=args.quiet) as status:
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _request(args: argparse.Namespace) -> EditRequest:
-    """The steps that were asked for, apart from what depends on cameras."""
+    """The requested edits, except those that depend on cameras."""
     names = {field.name for field in fields(EditRequest)} - {"frustum", "matrix", "seen_share"}
     given = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.matrix is not None:
@@ -68,7 +68,7 @@ def _request(args: argparse.Namespace) -> EditRequest:
 
 
 def _check_output(args: argparse.Namespace) -> None:
-    """Raise where something would be replaced, or written in a way that nobody can read."""
+    """Raise if a file would be replaced, or written in a form that no reader supports."""
     beside = format_to_write(args.output).beside(args.output)
     if args.picture is not None and args.picture.suffix.lower() != ".png":
         raise ConfigError(f"{brief(args.picture)}: the picture is a PNG; give a name with .png.")
@@ -149,7 +149,7 @@ def _check_not_read(args: argparse.Namespace, models: list[ModelArgument]) -> No
 
 
 def _views(args: argparse.Namespace, model: ModelArgument) -> EditViews | None:
-    """The cameras of the capture or run; None where there are none and none were named."""
+    """The cameras of the capture or run; None if there are none and none were given."""
     if args.source is None and not _has_cameras(model):
         return None
     return EditViews(

@@ -33,36 +33,36 @@ _ABSENT = "not installed"
 
 @dataclass(frozen=True)
 class _Part:
-    """A package some verb needs."""
+    """A package that a verb needs."""
 
     module: str
     distribution: str
     use: str
     needed: bool
-    """Without it there is no training."""
+    """Whether training needs it."""
     offered: bool = True
-    """Whether it belongs to what one installs when it is missing: few need what has an extra of its
-    own, and bpy fits one Python only."""
+    """Whether the install command includes it when it is missing: few users need the packages with
+    an extra of their own, and bpy fits one Python version only."""
 
 
 _PARTS = (
-    _Part("numpy", "numpy", "everything", True),
+    _Part("numpy", "numpy", "required by all verbs", True),
     _Part("plyfile", "plyfile", "reading models", True),
     _Part("torch", "torch", "training", True),
-    _Part("scipy", "scipy", "first sizes of splats, SSIM", True),
+    _Part("scipy", "scipy", "initial sizes of splats, SSIM", True),
     _Part("PIL", "pillow", "reading photos", True),
     _Part("safetensors", "safetensors", "checkpoints", True),
     _Part("pycolmap", "pycolmap", "finding cameras of photos", False),
-    _Part("onnxruntime", "onnxruntime", "LPIPS and predicting depth", False),
+    _Part("onnxruntime", "onnxruntime", "LPIPS, depth networks", False),
     _Part("OpenEXR", "OpenEXR", "depth maps in OpenEXR files", False),
     _Part("av", "av", "MP4 files", False),
     _Part("zstandard", "zstandard", "SPZ files of version 4", False),
-    _Part("huggingface_hub", "huggingface_hub", "fetching depth networks by name", False),
-    _Part("pillow_heif", "pillow-heif", "HEIC photos, the extra heic", False, offered=False),
-    _Part("rawpy", "rawpy", "raw photos of a model, the extra raw", False, offered=False),
-    _Part("pxr", "usd-core", "USD files, the extra usd", False, offered=False),
-    _Part("lpips", "lpips", "LPIPS as papers have it, the extra lpips-torch", False, offered=False),
-    _Part("bpy", "bpy", "Blender as a Python module, the extra blender", False, offered=False),
+    _Part("huggingface_hub", "huggingface_hub", "downloads of depth networks", False),
+    _Part("pillow_heif", "pillow-heif", "HEIC photos; extra heic", False, offered=False),
+    _Part("rawpy", "rawpy", "raw photos; extra raw", False, offered=False),
+    _Part("pxr", "usd-core", "USD files; extra usd", False, offered=False),
+    _Part("lpips", "lpips", "LPIPS as in papers; extra lpips-torch", False, offered=False),
+    _Part("bpy", "bpy", "Blender as a Python module; extra blender", False, offered=False),
 )
 
 
@@ -72,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look, try, say; 0 if this machine can train, 2 if something needed is missing."""
-    with show_while(sys.stderr, "Looking at the packages"):
+    """Check and print; exit code 0 if this machine can train, 2 if a required part is missing."""
+    with show_while(sys.stderr, "Checking the packages"):
         facts = _facts()
     if args.json:
         print_json(facts)
@@ -112,7 +112,7 @@ def _facts() -> dict[str, Any]:
 
 
 def _package_facts(part: _Part) -> dict[str, Any]:
-    """Version of a package, found by importing it: installed is not the same as working."""
+    """Version of a package by importing it: an installed package may still fail to load."""
     try:
         module = importlib.import_module(part.module)
     except ModuleNotFoundError:
@@ -129,7 +129,7 @@ def _package_facts(part: _Part) -> dict[str, Any]:
 
 
 def _native_facts() -> dict[str, Any]:
-    """The rasterizer: where it is, what it can use here, and whether it draws one splat right."""
+    """The native library: path, instruction sets, threads, and the self-test of one splat."""
     from ..raster import backend
 
     facts: dict[str, Any] = {"library": str(backend.library_path()), "problem": ""}
@@ -147,7 +147,7 @@ def _native_facts() -> dict[str, Any]:
 
 
 def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
-    """Draw one splat with each instruction set and compare it with the closed form.
+    """Render one splat with each instruction set and compare it with the closed form.
 
     Returns:
         Per instruction set the largest absolute error of colour and alpha, and milliseconds.
@@ -170,7 +170,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     square = offsets[:, None] ** 2 + offsets[None, :] ** 2
     alpha = opacity * np.exp(-square / (2 * ((focal * sigma / z) ** 2 + 0.3)))
     alpha[alpha < 1 / 255] = 0.0
-    # At the cut one rounding decides between 1/255 and nothing; that is no error.
+    # At the cutoff rounding decides between 1/255 and zero; that is not an error.
     certain = np.abs(alpha * 255 - 1) > 1e-3
     wanted = alpha[..., None] * color + (1 - alpha[..., None]) * background
     before, results = backend.isa(), {}
@@ -196,7 +196,7 @@ def _text(facts: dict[str, Any]) -> str:
     if facts["memory_available_bytes"] is not None:
         memory += f", {size_words(facts['memory_available_bytes'])} free"
     if facts["memory_is_short"]:
-        memory += "; little: train with -r 2 and fewer --max-splats"
+        memory += "; low: train with -r 2 and fewer --max-splats"
     rows = [
         ("gscore", facts["gscore"]),
         ("Python", f"{facts['python']} ({facts['executable']})"),
@@ -207,7 +207,7 @@ def _text(facts: dict[str, Any]) -> str:
     ]
     if "isa" in native:
         others = ", ".join(i for i in native["isas"] if i != native["isa"])
-        also = f" (also here: {others})" if others else ""
+        also = f" (available: {others})" if others else ""
         rows.append(("uses", f"{native['isa']}{also}, {count_words(native['threads'], 'thread')}"))
     for isa, found in native.get("self_test", {}).items():
         verdict = "ok" if found["error"] <= _TOLERANCE else "WRONG"

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     add_model_argument(parser)
     parser.add_argument(
-        "-s", "--source", type=Path, help="the capture; default: the one the run was trained on"
+        "-s", "--source", type=Path, help="capture; default: the one of the training"
     )
     parser.add_argument(
         "-o",
@@ -60,13 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lpips",
         type=Path,
         metavar="NETWORK",
-        help="network of LPIPS, a measure of likeness as people see it: an ONNX file, or alex, vgg "
-        "or squeeze of the package lpips; without it, not measured",
+        help="LPIPS network (perceptual distance): an ONNX file, or alex, vgg or squeeze of the "
+        "package lpips; without it, not measured",
     )
     parser.add_argument(
         "--lpips-download",
         action="store_true",
-        help="fetch the weights of a network named by --lpips where they are not in torch's cache",
+        help="download the weights of a network named by --lpips if torch's cache lacks them",
     )
     parser.add_argument(
         "--overwrite",
@@ -77,11 +77,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--error-map",
         type=Path,
         metavar="FILE",
-        help="also write the splats in the colours of their errors, to be looked at in any viewer: "
-        "black where the pixels that they are in are like the photos, pale yellow where not",
+        help="also write the splats coloured by their error, for any viewer: black for low "
+        "errors against the photos, pale yellow for high ones",
     )
     add_threads_option(parser)
-    parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    parser.add_argument(
+        "--json", action="store_true", help="the results as JSON at the end of stdout"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     parser.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
@@ -90,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, write metrics.json and report.html, say the means."""
+    """Measure, write metrics.json and report.html, print the means."""
     result, code = run_job(
         args, lambda show, control: _measure(args, show, control), stopped=lambda: _STOPPED
     )
@@ -204,7 +206,7 @@ def _say(show: Show, what: str) -> None:
 
 
 def _write_map(path: Path, model: ModelArgument, errors: SplatErrors) -> dict[str, Any]:
-    """Write the splats in the colours of their errors; what `EvalDone` tells of them."""
+    """Write the splats coloured by their errors; returns the fields of `EvalDone` on them."""
     found = errors.mean()
     bright = brightest(found)
     colored = error_map(model.splats, found, bright=bright)
@@ -275,7 +277,7 @@ def _stopped(model: ModelArgument, course: Course) -> list[str]:
 def _doubts(
     model: ModelArgument, dataset: Dataset, course: Course, *, asked: str, split: str
 ) -> list[str]:
-    """Sentences on what the figures do not say."""
+    """Sentences on the limits of the figures."""
     found = []
     if model.data is None and dataset.test and asked != "all":
         found.append(

@@ -15,39 +15,38 @@ from .terminal.status import wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("video", type=Path, help="the video, of any kind that FFmpeg reads")
+    parser.add_argument("video", type=Path, help="video in any format of FFmpeg")
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         required=True,
         metavar="FOLDER",
-        help="folder for the frames, a new or an empty one",
+        help="new or empty folder for the frames",
     )
     parser.add_argument(
         "--frames",
         type=int,
         default=0,
         metavar="N",
-        help="how many at most; without it one for each 5 %% of the picture that the camera "
-        "moves, 30 to 300",
+        help="maximum number of frames; default: one per motion of 5 %% of the picture, 30 to 300",
     )
     parser.add_argument(
         "--format",
         choices=FRAME_FORMATS,
         default="jpg",
-        help="jpg, of quality 97 with full colour resolution, or png (jpg)",
+        help="jpg, quality 97 without chroma subsampling, or png (jpg)",
     )
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace frames of another video, or of other options, that gscore wrote there",
+        help="replace frames that gscore wrote from another video or with other options",
     )
     add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look, choose, write, say what came out."""
+    """Choose and write the frames, and print a summary."""
     if args.video.is_dir():
         raise DatasetError(
             f"{args.video} is a folder; gscore frames takes a video. If it holds photos, give it "

@@ -49,17 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "path",
         type=Path,
-        help="a capture's folder, photos, a video, a run's folder or splats",
+        help="folder of a capture, photos or a run; a video; or a splat file",
     )
     parser.add_argument(
-        "-i", "--images", default="images", help="folder of the photos in a capture"
+        "-i", "--images", default="images", help="folder of the photos inside the capture"
     )
     add_mask_options(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look and say."""
+    """Print the summary of a path."""
     path = args.path
     if not path.exists():
         raise DatasetError(f"There is no file or folder {path}.")

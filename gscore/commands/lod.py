@@ -31,24 +31,24 @@ from .terminal.status import Status, wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("model", type=Path, help="folder of a run, or a file of splats")
+    parser.add_argument("model", type=Path, help="folder of a run, or a splat file")
     parser.add_argument(
         "-o",
         "--output",
         type=Path,
         required=True,
         metavar="OUT.lod",
-        help="the file to write; gscore render takes it",
+        help="output file, for gscore render",
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace a file that gscore did not write"
     )
-    parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build, measure, say what each level has."""
+    """Build and measure the levels, and print a summary of each."""
     if args.output.suffix.lower() != LOD_ENDING:
         raise ConfigError(
             f"{brief(args.output)}: levels of detail are a file whose name ends in {LOD_ENDING}; "
@@ -130,7 +130,7 @@ def lod_text(facts: dict[str, Any]) -> list[str]:
 
 
 def _facts_of(model: Path) -> LodFacts:
-    """What the file and its run say besides the splats."""
+    """Metadata of the file and its run."""
     run = find_run(model)
     train = load_config(run / "config.json")[1] if run else None
     comments = header_comments(model) if is_file(model) else ()

@@ -28,27 +28,31 @@ _FREE = ("seed", "threads", "cache_mb", "checkpoint_seconds", "preview_seconds",
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "runs", nargs="+", type=Path, metavar="RUN", help="the runs, or a folder of them"
+        "runs",
+        nargs="+",
+        type=Path,
+        metavar="RUN",
+        help="folders of the runs, or one folder that contains them",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, help="file of splats, such as merged.ply"
+        "-o", "--output", type=Path, required=True, help="splat file to write, such as merged.ply"
     )
     parser.add_argument(
         "--blocks",
         type=Path,
         metavar="BLOCKS",
-        help="where the blocks are, for runs that do not remember theirs; default: where the runs "
-        "found them",
+        help="folder of the blocks, for runs that do not record it; default: as recorded by the "
+        "runs",
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="replace a file that gscore did not write"
     )
-    parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look at all runs before reading any splats; keep each block's own, write, say how many."""
+    """Check all runs, merge the splats of each block's own cell, write, print counts."""
     _check_outside_runs(args.output)
     check_replaced(
         [args.output, *format_to_write(args.output).beside(args.output)], overwrite=args.overwrite
@@ -105,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _runs(given: list[Path]) -> list[Path]:
-    """The runs; a folder that is none stands for those in it."""
+    """The runs; a folder that is not a run is replaced by the runs inside it."""
     found: list[Path] = []
     for path in given:
         if (path / "config.json").is_file():

@@ -25,13 +25,13 @@ from .terminal.status import wrapped
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "word", nargs="?", help="those with this in their name or group, else in their text"
+        "word", nargs="?", help="word to search for in names and groups, else in the texts"
     )
-    parser.add_argument("--json", action="store_true", help="as JSON, with all that is known")
+    parser.add_argument("--json", action="store_true", help="all properties as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the options that were asked for."""
+    """Print the matching options."""
     every = list(all_options())
     found = every if args.word is None else matching(args.word, every)
     if args.json:
@@ -43,10 +43,10 @@ def run(args: argparse.Namespace) -> int:
             print(wrapped(f"  {described(one)}", sys.stdout))
         print()
     if args.word is not None and (others := mentioning(args.word, every, found)):
-        told = f"{quoted(args.word)} stands in the texts of these too: {', '.join(others)}."
-        print(wrapped(told, sys.stdout))
+        more = f"The texts of these options mention {quoted(args.word)} too: {', '.join(others)}."
+        print(wrapped(more, sys.stdout))
     print(
-        wrapped("Give one as --set NAME=VALUE or under its flag, as in --set seed=3.", sys.stdout)
+        wrapped("Set an option with --set NAME=VALUE or its flag, as in --set seed=3.", sys.stdout)
     )
     return 0
 
@@ -62,11 +62,11 @@ def all_options() -> Iterator[Option]:
 
 
 def matching(word: str, options: list[Option]) -> list[Option]:
-    """The options that a word asks for: those of this name, of this group, and with words in their
-    names that begin with it; where there are none, those with it in their texts.
+    """The options that match a word: by name, group, or the beginning of a word in the name; if
+    there are none, by text.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: no option matches.
     """
     wanted = _plain(word.lstrip("-"))
     tests = (
@@ -86,8 +86,8 @@ def matching(word: str, options: list[Option]) -> list[Option]:
 
 
 def mentioning(word: str, options: list[Option], found: list[Option]) -> list[str]:
-    """Names of further options with a word in their texts; none where it is a group's, which are
-    common words."""
+    """Names of further options with a word in their texts; empty if the word names a group, since
+    those are common words."""
     wanted = _plain(word.lstrip("-"))
     if any(wanted == _plain(one.group) for one in options):
         return []
@@ -103,7 +103,7 @@ def _plain(text: str) -> str:
 
 
 def described(one: Option) -> str:
-    """All on an option, on one line."""
+    """An option with default, range and text, on one line."""
     value = preset_values(one) or one.default_words
     facts = [f"= {value}" if value else "", f"({one.values})" if one.values else "", one.unit]
     head = " ".join(fact for fact in (one.name, *facts) if fact)
@@ -111,13 +111,13 @@ def described(one: Option) -> str:
 
 
 def idle_when(one: Option) -> str:
-    """A sentence on when an option does nothing; empty where there is no such case."""
+    """The sentence on conditions under which an option is unused; empty if there are none."""
     reason = reason_of(one)
     return f" Can be without effect ({reason})." if reason else ""
 
 
 def facts(one: Option) -> dict[str, Any]:
-    """All on an option as JSON values."""
+    """All properties of an option as JSON values."""
     limits = one.range
     return {
         "name": one.name,

@@ -14,16 +14,16 @@ from ..quoting import brief, quoted
 from .terminal.status import wrapped
 
 _REQUIRED = "the following arguments are required: "
-"""How argparse begins; what follows are all names of each, between slashes."""
+"""Beginning of argparse's message; the names of each argument follow, separated by slashes."""
 _NEGATIVE = re.compile(r"-\.?\d")
-"""How a negative number begins."""
+"""Beginning of a negative number."""
 _MEANT = {
     **dict.fromkeys(("fast", "fastest", "quick", "test", "tiny"), "preview"),
     **dict.fromkeys(("low", "rough"), "draft"),
     **dict.fromkeys(("default", "medium", "mid", "standard"), "normal"),
     **dict.fromkeys(("best", "full", "quality", "slow", "ultra"), "high"),
 }
-"""Choices, by what other programs call the same."""
+"""Choices by the names that other programs use."""
 
 
 def sentence(text: str) -> str:
@@ -32,7 +32,7 @@ def sentence(text: str) -> str:
 
 
 def add_threads_option(parser: argparse.ArgumentParser) -> None:
-    """`--threads` of the verbs that take it apart from a training's options."""
+    """Declare `--threads`, for verbs without training options."""
     help_text = "CPU threads; 0: all cores (0)"
     parser.add_argument("--threads", type=_threads, default=0, metavar="N", help=help_text)
 
@@ -46,10 +46,10 @@ def _threads(text: str) -> int:
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in a sentence, without the page of usage before it."""
+    """Parser whose errors are one sentence, without the usage page."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """As argparse does, but -1e-3 is a number for every Python, not the name of an option."""
+        """As in argparse, but -1e-3 is a number in every Python version, not an option."""
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE
 
@@ -57,13 +57,13 @@ class Parser(argparse.ArgumentParser):
         """End with the sentence and exit code 2."""
         if message.startswith(_REQUIRED):
             names = message.removeprefix(_REQUIRED).split(", ")
-            message = f"still to be given: {', '.join(name.split('/')[0] for name in names)}"
+            message = f"missing: {', '.join(name.split('/')[0] for name in names)}"
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
         text = f"{self.prog}: error: {sentence} See {self.prog} --help."
         self.exit(2, wrapped(text, sys.stderr) + "\n")
 
     def format_help(self) -> str:
-        """The help, with a first line of what must be given alone: all options follow anyway."""
+        """The help; its usage line names only the required arguments, as all options follow."""
         whole, self.usage = self.usage, self._short_usage()
         try:
             return super().format_help()
@@ -83,7 +83,7 @@ class Parser(argparse.ArgumentParser):
         return " ".join(["%(prog)s", *places, *required, "[options]"])
 
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """As argparse does, but with the nearest option for one that there is not."""
+        """As in argparse, but the error for an unknown option suggests the nearest one."""
         words = sys.argv[1:] if args is None else list(args)
         self._check_names(words)
         found, unknown = self.parse_known_args(words, namespace)
@@ -92,7 +92,7 @@ class Parser(argparse.ArgumentParser):
         return found
 
     def _check_names(self, words: Sequence[str]) -> None:
-        """Complain about long options that there are not, before about anything else."""
+        """Report unknown long options before any other error."""
         known = set(_options(self, hidden=True))
         before_dashes = words[: list(words).index("--")] if "--" in words else words
         named = [word.partition("=")[0] for word in before_dashes if word.startswith("--")]
@@ -109,7 +109,7 @@ class Parser(argparse.ArgumentParser):
         self.error(f"{'; '.join(hints)}?" if hints else missing)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a value that is none of the choices, with the one that was probably meant."""
+        """Refuse a value outside the choices and suggest the likely one."""
         if action.choices is None or value in action.choices:
             return
         choices = [str(choice) for choice in action.choices]
@@ -121,8 +121,8 @@ class Parser(argparse.ArgumentParser):
         )
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        """As argparse does, but an error of its own where a value is no value: `--x=--` ends in a
-        traceback there, and an empty path means the current folder."""
+        """As in argparse, but an error for missing values: there, `--x=--` ends in a traceback,
+        and an empty path means the current folder."""
         empty = action.type is Path and any(text == "" for text in arg_strings)
         if empty or (action.option_strings and arg_strings == ["--"]):
             given = "nothing" if empty else "'--'"
@@ -130,7 +130,7 @@ class Parser(argparse.ArgumentParser):
         return super()._get_values(action, arg_strings)
 
     def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
-        """As argparse does, but its message repeats no more of a long value than is read."""
+        """As in argparse, but the message shortens long values."""
         try:
             return super()._get_value(action, arg_string)
         except argparse.ArgumentError as error:
@@ -139,7 +139,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """The name that was probably meant by `word`; empty: none is near."""
+    """The known name nearest to `word`; empty if none is near."""
     word = word.lower()
     longer = [name for name in known if len(word) > 2 and name.startswith(word)]
     if len(longer) == 1:
@@ -149,8 +149,8 @@ def nearest(word: str, known: Sequence[str]) -> str:
 
 
 def _options(parser: argparse.ArgumentParser, *, hidden: bool = False) -> Iterator[str]:
-    """The long names, without dashes, of the options that are offered: those that help shows and
-    those of a training, also of parsers below; all others too where `hidden` asks for them."""
+    """Long names, without dashes, of the options in the help and of all training options,
+    including subparsers; with `hidden`, of all options."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for below in action.choices.values():

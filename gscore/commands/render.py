@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         type=Path,
         required=True,
-        help="folder for pictures, or one .png, or an .mp4",
+        help="folder for pictures, a .png, or an .mp4",
     )
     group = parser.add_argument_group("cameras")
     group.add_argument(
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--source",
         dest="cameras",
         type=Path,
-        help="a capture's folder or a cameras.json; default: the run's",
+        help="capture folder or cameras.json; default: the run's",
     )
     which = group.add_mutually_exclusive_group()
     which.add_argument(
@@ -74,21 +74,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         metavar="NAME",
-        help="these views, by name or number",
+        help="views to render, by name or number",
     )
-    which.add_argument("--all", action="store_true", help="every view (the default for stills)")
-    which.add_argument("--test", action="store_true", help="the views the run held out")
+    which.add_argument("--all", action="store_true", help="all views (the default for stills)")
+    which.add_argument("--test", action="store_true", help="the held-out views of the run")
     which.add_argument(
         "--path",
         metavar="{orbit,spline,FILE}",
-        help="a moving camera: around the middle, through all cameras in order, or as a file says: "
-        "a cameras.json, nerfstudio's camera_path.json, a transforms.json (a video without --view, "
-        "--all and --test: orbit, else spline)",
+        help="camera path: an orbit, a spline through all cameras in order, or a file: a "
+        "cameras.json, nerfstudio's camera_path.json, a transforms.json (spline with "
+        "--view, --all or --test, else orbit)",
     )
     group.add_argument(
         "--frames",
         type=int,
-        help="pictures along the path (8 seconds of them; spline: more with many cameras)",
+        help="number of pictures along the path (8 seconds; spline: more with many cameras)",
     )
     group.add_argument(
         "--fps", type=float, help=f"pictures a second (as the path's file says, else {FPS:g})"
@@ -98,52 +98,59 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resolution",
         type=float,
         default=-1,
-        help="2, 4, 8: divide the photos' size by it; larger: width in pixels; -1: as the "
-        "cameras are, those of a run as it was trained (-1)",
+        help="2, 4, 8: divisor of the photos' size; larger: width in pixels; -1: size of the "
+        "cameras, for a run that of its training (-1)",
     )
     group = parser.add_argument_group("picture")
     group.add_argument(
-        "--background", type=_color, metavar="COLOR", help="black, white or r,g,b from 0 to 1"
+        "--background",
+        type=_color,
+        metavar="COLOR",
+        help="background colour: black, white or r,g,b from 0 to 1",
     )
-    group.add_argument("--transparent", action="store_true", help="PNG with alpha, no background")
     group.add_argument(
-        "--depth", choices=("png", "npy"), help="depth maps too: 16-bit grey, or exact float32"
+        "--transparent", action="store_true", help="PNG with alpha, without background"
+    )
+    group.add_argument(
+        "--depth",
+        choices=("png", "npy"),
+        help="also write depth maps: 16-bit grey, or exact float32",
     )
     group.add_argument(
         "--sh-degree",
         type=int,
         metavar="N",
-        help="degree of view-dependent colour to draw; 0: none (the model's)",
+        help="degree of view-dependent colour; 0: none (the model's)",
     )
     group.add_argument(
         "--near",
         type=float,
         metavar="X",
-        help="splats nearer to the camera are not drawn; world units",
+        help="near plane, world units; nearer splats are not rendered",
     )
     group.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
-        help="fainter splats below the size of a pixel; default: as the model was trained",
+        help="opacity compensation of splats smaller than a pixel; default: as in the training",
     )
-    group = parser.add_argument_group("levels of detail, of a file that gscore lod wrote")
+    group = parser.add_argument_group("levels of detail, for files by gscore lod")
     group.add_argument(
         "--lod-px",
         type=float,
         metavar="PX",
-        help=f"how far off coarser levels may be on the picture; 0: finest everywhere ({LOD_PX:g})",
+        help=f"tolerance of coarser levels in pixels; 0: finest everywhere ({LOD_PX:g})",
     )
     group.add_argument(
         "--lod-splats",
         type=int,
         metavar="N",
-        help="splats of a picture at most; coarser where there would be more (no limit)",
+        help="maximum number of splats per picture, met by coarser levels (no limit)",
     )
     add_threads_option(parser)
     parser.add_argument(
         "--overwrite", action="store_true", help="replace files that gscore did not write"
     )
-    parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -167,7 +174,7 @@ def _is_file(output: Path) -> bool:
 
 
 def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict[str, Any]:
-    """Facts on what was written."""
+    """Facts on the written files."""
     status.show(["Reading the splats"])
     model = _open(args)
     if not model.count:
@@ -251,7 +258,7 @@ def _captures(args: argparse.Namespace, model: ModelArgument | LodArgument) -> l
 
 
 def _older(output: Path, result: dict[str, Any]) -> str:
-    """What else lies in the folder of the stills, so that nobody takes it for what was written."""
+    """Other files in the folder of the stills, to distinguish them from the written ones."""
     written = [*result["files"], *result.get("depth_files", [])]
     parts = {Path(path).relative_to(output).parts[0] for path in written if output.is_dir()}
     return others_in(output, parts)

@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "sequence",
         "SOURCE is a folder of PKU-DyMVHumans, a folder of numbered captures, or a path with "
-        "{frame:06d} where the number stands; --images and --masks may hold that too. Each frame "
-        "gets a folder OUT/frame_NNNNNN with the results of a training.",
+        "{frame:06d} for the frame number, also in --images and --masks. Each frame is trained "
+        "into a folder OUT/frame_NNNNNN.",
     )
     declare(group, SequenceOptions)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train all frames and say how it went; returns the exit code."""
+    """Train all frames and print a summary; returns the exit code."""
     return train_in_turn(args, _run) if under_torchrun() else _run(args, None)
 
 
@@ -78,7 +78,7 @@ def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class _Asked:
-    """What is asked for, looked at as far as can be before any photo is."""
+    """The requested work, checked as far as possible before any photo is read."""
 
     config: TrainConfig
     data: DataConfig

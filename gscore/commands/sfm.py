@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         type=Path,
         nargs="+",
-        help="folder of the photos, sub-folders too; or a video, of which sharp frames are taken "
-        "into images of CAPTURE first; of several, each gets a folder there",
+        help="folder of photos, with sub-folders; or videos, whose sharp frames are written to "
+        "images in CAPTURE first, one folder per video if there are several",
     )
     parser.add_argument(
         "-o",
@@ -33,23 +33,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="CAPTURE",
-        help="the capture to make: a new folder, which gets links to the photos, or the one in "
-        "whose images the photos are, which gets the cameras alone",
+        help="output capture: a new folder, with links to the photos, or the folder whose images"
+        " are the photos, which receives only the cameras",
     )
     parser.add_argument(
         "--matching",
         choices=MATCHERS,
         default="auto",
-        help="which photos are compared: exhaustive, all with all; sequential, neighbours in the "
-        "order of their names and some far ones; auto: exhaustive up to 120 photos, else "
-        "sequential and those that look alike or are near each other by GPS (auto)",
+        help="pairs of photos to match: exhaustive, all pairs; sequential, neighbours by name "
+        "and some distant ones; auto: exhaustive up to 120 photos, else sequential, "
+        "retrieval and GPS neighbours (auto)",
     )
     parser.add_argument(
         "--mapper",
         choices=MAPPERS,
         default="auto",
-        help="global places all photos at once, incremental one after the other; auto: global, "
-        "then incremental where many photos are left out (auto)",
+        help="global: all poses at once; incremental: one photo after the other; auto: global, "
+        "then incremental if many photos remain without a pose (auto)",
     )
     parser.add_argument(
         "--camera-model",
@@ -62,34 +62,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="PX",
-        help="of the lens in pixels of the photos, where it is known; adjusted where the photos "
-        "tell it better (from EXIF)",
+        help="known focal length in pixels of the photos; refined where the matches determine it"
+        " (from EXIF)",
     )
     parser.add_argument(
         "--frames",
         type=int,
         default=0,
         metavar="N",
-        help="of a video: how many at most (as many as the motion asks for, 30 to 300)",
+        help="maximum number of frames of a video (by motion, 30 to 300)",
     )
-    masks = parser.add_argument_group("masks", "No feature is taken from what they hide.")
+    masks = parser.add_argument_group("masks", "Masked pixels give no features.")
     masks.add_argument(
-        "--masks", type=Path, metavar="DIR", help="folder of masks (masks, where it is there)"
+        "--masks", type=Path, metavar="DIR", help="folder of masks (masks, if it exists)"
     )
-    masks.add_argument("--no-masks", action="store_true", help="look at whole photos")
+    masks.add_argument("--no-masks", action="store_true", help="use whole photos, without masks")
     masks.add_argument(
-        "--invert-masks", action="store_true", help="masks are white where pixels do not count"
+        "--invert-masks", action="store_true", help="masks are white where pixels are ignored"
     )
     add_threads_option(parser)
-    parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    parser.add_argument(
+        "--json", action="store_true", help="the results as JSON at the end of stdout"
+    )
     parser.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
     )
-    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search, write the capture, say how good it is."""
+    """Find the cameras, write the capture, print its quality."""
     request = SearchRequest(
         photos=args.source[0],
         output=args.output,

@@ -19,35 +19,41 @@ from .terminal.status import Counted, Status, wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("source", type=Path, help="folder of the capture, photos with cameras")
+    parser.add_argument("source", type=Path, help="capture: a folder of photos with cameras")
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="BLOCKS", help="a new folder for them"
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="BLOCKS",
+        help="new folder for the blocks",
     )
-    parser.add_argument("--blocks", type=int, required=True, metavar="N", help="how many")
+    parser.add_argument("--blocks", type=int, required=True, metavar="N", help="number of blocks")
     parser.add_argument(
         "--margin",
         type=float,
         default=MARGIN,
         metavar="SHARE",
-        help=f"how far photos are chosen beyond a block's own cell, of its extent ({MARGIN:g})",
+        help=f"margin around the cell of a block for its photos, as a share of its extent "
+        f"({MARGIN:g})",
     )
     parser.add_argument(
         "--share",
         type=float,
         default=SHARE,
         metavar="SHARE",
-        help=f"a block has a photo of which so much lies there ({SHARE:g}); more is less work and "
-        "more to guess",
+        help=f"minimum share of a photo inside the block ({SHARE:g}); higher: fewer photos, less "
+        "work, lower quality",
     )
     group = parser.add_argument_group("capture")
     declare(group, DataConfig, names=("images", "masks"))
     add_split_options(group)
-    parser.add_argument("--json", action="store_true", help="what came out as JSON on stdout")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Choose, link, say what each block has and how it is trained."""
+    """Split the capture, link photos, print each block and its training command."""
     data = with_data_options(DataConfig(source=args.source, eval=True), args)
     check_output_path(args.output, data)
     check_folder(args.output)

@@ -11,16 +11,20 @@ from .terminal.output import print_json
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "--json", action="store_true", help="a JSON list on stdout, one object a test"
+        "--json", action="store_true", help="JSON list on stdout, one object per test"
     )
     parser.add_argument(
-        "--only", metavar="NAME", action="append", default=[], help="tests with this in their name"
+        "--only",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="run only tests whose names contain this",
     )
+    parser.add_argument("--isa", help="instruction set; `all` runs each one available (the best)")
     parser.add_argument(
-        "--isa", help="instruction set; `all` runs each that this machine has (default: the best)"
-    )
-    parser.add_argument(
-        "--full", action="store_true", help="the long versions too: five minutes to half an hour"
+        "--full",
+        action="store_true",
+        help="also run the long versions: five minutes to half an hour",
     )
 
 

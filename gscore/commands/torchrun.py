@@ -19,7 +19,7 @@ _OWN = {
     *("source", "source_option", "output", "threads", "resume", "overwrite", "start_checkpoint"),
     *("quiet", "events", "json", "config", "masks"),
 }
-"""Options of which each rank may have its own, or which rank 0 alone reads."""
+"""Options that may differ by rank, or that only rank 0 reads."""
 
 
 def train_distributed(
@@ -94,7 +94,7 @@ def agent() -> str:
 
 
 def _go_on(args: argparse.Namespace) -> None:
-    """Let a run go on that this torchrun has begun: from its last checkpoint, or anew."""
+    """Continue a run that this torchrun started, from its last checkpoint or from the start."""
     try:
         ours = (args.output / AGENT).read_text(encoding="utf-8") == agent()
     except (OSError, ValueError):

@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         nargs="?",
         type=Path,
-        help="the capture: a folder with photos and COLMAP's model of their cameras, or with "
-        "photos alone, or a video, of which the cameras are found first",
+        help="capture: a folder of photos with a COLMAP model; or photos alone or a video, whose"
+        " cameras are found first",
     )
     parser.add_argument(
         "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS
@@ -64,55 +64,60 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         choices=tuple(PRESETS),
-        help="how much effort to spend (normal): sets --iterations, --max-splats, --sh-degree and "
-        "the width of the photos",
+        help="quality level (normal): sets --iterations, --max-splats, --sh-degree and the width"
+        " of the photos",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE.json", help="options of another run, its config.json"
+        "--config",
+        type=Path,
+        metavar="FILE.json",
+        help="config.json of another run, whose options are used",
     )
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument(
-        "--resume", action="store_true", help="go on from the last checkpoint in the output folder"
+        "--resume",
+        action="store_true",
+        help="continue from the last checkpoint in the output folder",
     )
     existing.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace another run in the output folder; other files there stay",
+        help="replace another run in the output folder; other files stay",
     )
     existing.add_argument(
-        "--start-checkpoint", type=Path, metavar="FILE", help="go on from this checkpoint"
+        "--start-checkpoint", type=Path, metavar="FILE", help="continue from this checkpoint"
     )
     parser.add_argument(
         "--block",
         type=int,
         metavar="N",
-        help="of a folder of blocks by gscore split, train only this one, into a folder of its "
-        "name; without it all, in turn",
+        help="train only this block of a folder made by gscore split, into a folder of its name;"
+        " default: all blocks in turn",
     )
     parser.add_argument(
         "--no-sfm",
         action="store_true",
-        help="refuse photos without cameras instead of finding these first",
+        help="fail on photos without cameras instead of finding the cameras first",
     )
     add_data_options(parser)
     declare(parser.add_argument_group("depth maps"), DataConfig, names=("depths", "depth_align"))
     group = parser.add_argument_group(
         "run",
-        "Those that matter most. `gscore options` lists all, with ranges; the others are given as "
-        "--set NAME=VALUE, under their long flags, or under their 3DGS names.",
+        "The most important options. `gscore options` lists all with their ranges; set the others "
+        "with --set NAME=VALUE, their long flags, or their 3DGS names.",
     )
     declare(group, DataConfig, names=("eval",))
     declare(group, TrainConfig)
     add_live_options(group)
     group.add_argument(
-        "--set", action=Set, metavar="NAME=VALUE", help="give an option by name; repeatable"
+        "--set", action=Set, metavar="NAME=VALUE", help="set an option by name; repeatable"
     )
     add_output_options(parser)
     add_3dgs_names(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train and say how it went; returns the exit code."""
+    """Train and print a summary; returns the exit code."""
     if wants_blocks(args):
         return train_blocks(args, _run)
     return train_distributed(args, _run) if under_torchrun() else _run(args, None)
@@ -227,7 +232,7 @@ def _train(
 def _check_given(
     args: argparse.Namespace, config: TrainConfig, data: DataConfig, names: list[str] | None
 ) -> None:
-    """Raise where what was given cannot be used, before the cameras of photos are found."""
+    """Check the arguments before the cameras of photos are found."""
     from ..trainer.files.option_files import check_option_files
 
     check_live_options(args)

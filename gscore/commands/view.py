@@ -36,28 +36,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cameras",
         dest="source",
         type=Path,
-        help="a capture's folder, or a cameras.json, which has no photos; default: the run's",
+        help="capture folder, or a cameras.json, which has no photos; default: the run's",
     )
     parser.add_argument(
         "--photos",
         type=int,
         default=40,
         metavar="N",
-        help="photos to put in, at even distances; 0: none (40)",
+        help="number of photos on the page, evenly spaced; 0: none (40)",
     )
     parser.add_argument(
-        "--title", help="name of the page; default: that of the capture or of the file"
+        "--title", help="title of the page; default: the name of the capture or file"
     )
     add_threads_option(parser)
     parser.add_argument(
         "--overwrite", action="store_true", help="replace a file that gscore did not write"
     )
-    parser.add_argument("--json", action="store_true", help="what was written as JSON on stdout")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page and say how large it is."""
+    """Write the page and print its size."""
     with Status(sys.stderr, quiet=args.quiet) as status:
         status.show(["Reading the splats"])
         model = open_model(model_path(args))
@@ -89,7 +89,7 @@ def _output(args: argparse.Namespace, model: ModelArgument) -> Path:
 def _write(
     args: argparse.Namespace, model: ModelArgument, output: Path, status: Status
 ) -> dict[str, Any]:
-    """Facts on what was written."""
+    """Facts on the written files."""
     given = [DataConfig(source=args.source)] if args.source and args.source.is_dir() else []
     for data in (None, *given, *([model.data] if model.data else [])):
         check_separate(output.parent, data)

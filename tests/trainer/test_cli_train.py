@@ -266,7 +266,7 @@ def test_resuming_with_other_options_says_which(
         (["-o", "{out}"], "No capture was given"),
         (["{capture}/nothing", "-o", "{out}"], "nothing"),
         (["{capture}", "-s", "elsewhere", "-o", "{out}"], "Two captures were given"),
-        (["{capture}"], "still to be given: -o"),
+        (["{capture}"], "missing: -o"),
         (["{capture}", "-o", "{out}", "--resume"], "holds no run to resume"),
         (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "not allowed with argument"),
         (["{capture}", "-o", "{out}", "--start-checkpoint", "{out}/x"], "no such checkpoint"),

@@ -354,7 +354,7 @@ def test_a_working_folder_that_was_removed(
         Path.cwd()
     assert commands.main([verb, str(tmp_path)]) == 2
     err = capsys.readouterr().err
-    assert err.startswith(f"gscore {verb}: error: The working folder is not there any more")
+    assert err.startswith(f"gscore {verb}: error: The working folder was removed")
 
 
 def test_little_is_imported_before_signals_are_handled():

@@ -13,26 +13,26 @@ from ...sh import MAX_DEGREE
 from ..parser import add_threads_option
 
 SPZ_VERSION = 3
-"""Of .spz files, unless another one is asked for."""
+"""Default version of .spz files."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb, in the order of the steps."""
     parser.description = (
-        f"{parser.description or ''} Steps are done in the order in which they stand here, "
-        "whatever the order of the options."
+        f"{parser.description or ''} Steps run in the order of this list, whatever the order of "
+        "the options."
     ).strip()
-    parser.add_argument("input", metavar="IN", type=Path, help="splats, or the folder of a run")
+    parser.add_argument("input", metavar="IN", type=Path, help="splat file, or the folder of a run")
     parser.add_argument(
         "output",
         metavar="OUT",
         type=Path,
-        help=f"the file to write; its ending says the format: {', '.join(_written_endings())}",
+        help=f"output file; its ending selects the format: {', '.join(_written_endings())}",
     )
     _add_join_and_crop(parser)
     _add_clean(parser)
     _add_fewer_and_place(parser)
-    group = parser.add_argument_group("cameras, to see what splats add and what was lost")
+    group = parser.add_argument_group("cameras, for contributions and losses")
     group.add_argument(
         "-s",
         "--source",
@@ -44,26 +44,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_count,
         default=60,
         metavar="N",
-        help="most views that the loss is measured in (60)",
+        help="maximum number of views that measure the loss (60)",
     )
     group.add_argument(
-        "--picture", type=Path, metavar="FILE.png", help="a view before, and beside it after"
+        "--picture",
+        type=Path,
+        metavar="FILE.png",
+        help="picture of one view, before and after side by side",
     )
     group.add_argument(
-        "--picture-view", metavar="NAME", help="which, by name or number; default: the middle one"
+        "--picture-view",
+        metavar="NAME",
+        help="view of the picture, by name or number; default: the middle one",
     )
     parser.add_argument(
         "--spz-version",
         type=int,
         choices=(3, 4),
         default=SPZ_VERSION,
-        help="3, which all read; 4, with zstd",
+        help="version of SPZ: 3, for all readers, or 4, with zstd (3)",
     )
     add_threads_option(parser)
     parser.add_argument(
         "--overwrite", action="store_true", help="replace files that gscore did not write"
     )
-    parser.add_argument("--json", action="store_true", help="what was done as JSON on stdout")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
@@ -72,23 +77,28 @@ def _written_endings() -> list[str]:
 
 
 def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("1. join")
+    group = parser.add_argument_group("1. merge")
     group.add_argument(
-        "--merge", nargs="+", type=Path, default=[], metavar="FILE", help="more splats of the world"
+        "--merge",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="further splat files in the same world",
     )
     group.add_argument(
         "--level",
         type=int,
         metavar="N",
-        help="of levels of detail, the one to write (0, the finest)",
+        help="level to write of a file of levels of detail; 0: the finest (0)",
     )
-    group = parser.add_argument_group("2. crop: keep what lies in all of these")
+    group = parser.add_argument_group("2. crop: keep splats inside all of these")
     group.add_argument(
         "--box",
         nargs=6,
         type=_finite,
         metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="a box between two corners",
+        help="box between two corners",
     )
     group.add_argument(
         "--sphere", nargs=4, type=_finite, metavar=("X", "Y", "Z", "R"), help="centre and radius"
@@ -97,9 +107,9 @@ def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
         "--frustum",
         nargs="+",
         metavar="VIEW",
-        help="what any of these views shows, by name or number",
+        help="splats visible in any of these views, by name or number",
     )
-    group.add_argument("--outside", action="store_true", help="keep what does not")
+    group.add_argument("--outside", action="store_true", help="keep the splats outside instead")
 
 
 def _add_clean(parser: argparse.ArgumentParser) -> None:
@@ -107,37 +117,38 @@ def _add_clean(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--clean",
         action="store_true",
-        help=f"the usual: opacity {USUAL.min_opacity:g}, contribution {USUAL.min_contribution:g} "
-        f"where there are cameras, isolation {USUAL.max_isolation:g}, clusters of "
-        f"{USUAL.min_cluster} (fewer in small models), but nothing that adds "
-        f"{USUAL.seen_share:.2%}% of a picture to a view; options below change them",
+        help=f"default cleanup: opacity {USUAL.min_opacity:g}, contribution "
+        f"{USUAL.min_contribution:g} if there are cameras, isolation {USUAL.max_isolation:g}, "
+        f"clusters of {USUAL.min_cluster} (fewer in small models); splats that contribute "
+        f"{USUAL.seen_share:.2%}% of a picture stay; options below change these",
     )
     group.add_argument(
-        "--min-opacity", type=_share, metavar="X", help="drop what is less opaque, 0 to 1"
+        "--min-opacity", type=_share, metavar="X", help="drop splats with a lower opacity, 0 to 1"
     )
     group.add_argument(
         "--max-size",
         type=_positive,
         metavar="X",
-        help="drop what is larger: the largest standard deviation, world units",
+        help="drop splats with a larger standard deviation, world units",
     )
     group.add_argument(
         "--min-contribution",
         type=_positive,
         metavar="PX",
-        help="drop what adds less to every view: its weights, summed over pixels",
+        help="drop splats that contribute less to every view: blending weights summed over pixels",
     )
     group.add_argument(
         "--max-isolation",
         type=_positive,
         metavar="X",
-        help="drop what lies so many times as far from its neighbours as these from theirs",
+        help="drop splats whose distance to their neighbours exceeds the neighbours' own "
+        "distances by this factor",
     )
     group.add_argument(
         "--min-cluster",
         type=_count,
         metavar="N",
-        help="drop clusters of fewer splats, apart from the rest",
+        help="drop separate clusters of fewer splats",
     )
     group.add_argument(
         "--gap",
@@ -154,30 +165,40 @@ def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
         "--sh-degree",
         type=int,
         choices=range(MAX_DEGREE + 1),
-        help="degree of view-dependent colour at most",
+        help="maximum degree of view-dependent colour",
     )
     which = group.add_mutually_exclusive_group()
-    which.add_argument("--count", type=_count, metavar="N", help="keep the N that matter most")
+    which.add_argument("--count", type=_count, metavar="N", help="keep the N most important splats")
     which.add_argument(
-        "--size", type=_positive, metavar="MB", help="as many as a file of this size holds"
+        "--size",
+        type=_positive,
+        metavar="MB",
+        help="keep the splats that fit into a file of this size",
     )
-    group = parser.add_argument_group("5. place, after everything that needs cameras")
-    group.add_argument("--scale", type=_positive, metavar="X", help="about the origin")
+    group = parser.add_argument_group("5. transform, after the steps that use cameras")
+    group.add_argument(
+        "--scale", type=_positive, metavar="X", help="factor of a scale about the origin"
+    )
     group.add_argument(
         "--rotate",
         nargs=3,
         type=_finite,
         metavar=("X", "Y", "Z"),
-        help="degrees about the x, then y, then z axis",
+        help="rotation in degrees about the x, then y, then z axis",
     )
     group.add_argument(
-        "--move", nargs=3, type=_finite, metavar=("X", "Y", "Z"), help="world units, at last"
+        "--move",
+        nargs=3,
+        type=_finite,
+        metavar=("X", "Y", "Z"),
+        help="translation in world units, applied last",
     )
     group.add_argument(
         "--matrix",
         type=Path,
         metavar="FILE",
-        help="instead of these: a text of 16 numbers, row by row, that take old to new",
+        help="text file of 16 numbers, row by row, the old-to-new transform, instead of the "
+        "three above",
     )
 
 

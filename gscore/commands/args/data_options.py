@@ -16,16 +16,16 @@ HOLD_OUT = Option(
     name="hold_out",
     default=None,
     kind=str,
-    text="Photos to hold out of the training and measure on: 8: every eighth by name, which is "
-    "what --eval alone does unless the capture says which; first:10 and last:10: the first and "
-    "last ten; or a text file with their names, one a line.",
+    text="Held-out photos for the metrics: 8: every eighth by name, the default of --eval unless "
+    "the capture lists its own; first:10 or last:10: the first or last ten; or a text file of "
+    "names, one a line.",
     group="capture",
     metavar="WHICH",
     basic=True,
 )
-"""One word for four fields of `DataConfig`."""
+"""One option for four fields of `DataConfig`."""
 _MAX_WIDTH = DataConfig.max_width
-"""What 3DGS takes photos as they are up to, px."""
+"""Width up to which 3DGS uses photos at full size, px."""
 
 
 def add_data_options(parser: argparse.ArgumentParser) -> None:
@@ -37,12 +37,12 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_mask_options(group: argparse._ActionsContainer) -> None:
-    """Declare the options that say where masks are and what they mean."""
+    """Declare the options of masks: their folder and meaning."""
     declare(group, DataConfig, names=_MASKS)
 
 
 def add_split_options(group: argparse._ActionsContainer) -> None:
-    """Declare the option that chooses test views, and the four older ones that it stands for."""
+    """Declare the option that selects held-out views, and the four older ones it replaces."""
     action = group.add_argument(
         HOLD_OUT.flag, type=_hold_out, metavar=HOLD_OUT.metavar, help=help_words(HOLD_OUT)
     )
@@ -53,7 +53,7 @@ def add_split_options(group: argparse._ActionsContainer) -> None:
 
 
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:
-    """The config with what was given on the command line; naming a split means to use it."""
+    """The config with the options of the command line; a split option turns on `eval`."""
     given = passed_options(DataConfig, args)
     if given.get("resolution") == -1:  # as is; presets and runs may have a width of their own
         given["max_width"] = _MAX_WIDTH

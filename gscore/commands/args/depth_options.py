@@ -12,94 +12,94 @@ from .data_options import add_mask_options, add_split_options
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "source", type=Path, nargs="?", help="the capture: photos with a COLMAP model"
-    )
+    parser.add_argument("source", type=Path, nargs="?", help="capture: photos with a COLMAP model")
     parser.add_argument(
         "--model",
         metavar="NETWORK",
-        help="network to predict with: an ONNX file, or a name of --list-models; without one the "
-        "maps that are there are aligned",
+        help="depth network: an ONNX file, or a name of --list-models; without it, existing maps"
+        " are aligned",
     )
     parser.add_argument(
         "--download",
         action="store_true",
-        help="fetch a network given by name where it is not on this machine yet",
+        help="download the named network if it is not on this machine",
     )
     parser.add_argument(
         "--list-models",
         action="store_true",
-        help="list the networks that have a name, with size, licence and whether they are here",
+        help="list the named networks with size, licence and local availability",
     )
     parser.add_argument(
         "--method",
         choices=("network", "stereo"),
-        help="how maps are made: by a network (--model), or by stereo from the photos themselves, "
-        "which needs none and states depths where other photos confirm them",
+        help="source of the maps: a network (--model), or stereo between the photos, with depths"
+        " where other photos confirm them",
     )
     parser.add_argument(
         "-d",
         "--depths",
         default=DEPTH_FOLDER,
         metavar="DIR",
-        help="folder of the depth maps in SOURCE (depths)",
+        help="folder of the depth maps inside SOURCE (depths)",
     )
     parser.add_argument(
         "--align",
         choices=("robust", "official"),
         default="robust",
-        help="how maps are fitted to the points that COLMAP found: robust against wrong ones, or "
-        "official, as the 3DGS tools do (medians and mean absolute deviations)",
+        help="fit of the maps to the SfM points: robust against outliers, or official, as in the"
+        " 3DGS tools (medians and mean absolute deviations)",
     )
     parser.add_argument(
         "--kind",
         type=DepthKind,
         choices=tuple(DepthKind),
         default=DepthKind.AUTO,
-        help="whether larger numbers in maps are nearer (inverse) or farther (depth); auto: found "
-        "by comparing with the points",
+        help="larger numbers in maps are nearer (inverse) or farther (depth); auto: detected "
+        "from the points",
     )
     parser.add_argument(
         "--normalization",
         type=Normalization,
         choices=tuple(Normalization),
         default=Normalization.AUTO,
-        help="how the network wants the numbers of its photos; auto: by its file",
+        help="input normalisation of the network; auto: from its file",
     )
     parser.add_argument(
         "--input-size",
         type=int,
         default=0,
         metavar="N",
-        help="shorter side in pixels of what the network is shown, where it takes any size",
+        help="shorter side of the network's input in pixels, if the network accepts any size",
     )
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="predict views again that have a map, and replace a depth_params.json or contact "
-        "sheet that another program wrote",
+        help="predict existing maps again, and replace a depth_params.json or contact sheet of "
+        "another program",
     )
     parser.add_argument(
         "--check",
         action="store_true",
-        help="say which maps a training would use and why not others; write nothing",
+        help="list the maps that a training would use, and why it would not use the others; "
+        "write nothing",
     )
-    parser.add_argument("-i", "--images", default="images", help="folder of the photos in SOURCE")
-    masks = parser.add_argument_group(
-        "masks", "With composite, what they hide is left out of maps."
+    parser.add_argument(
+        "-i", "--images", default="images", help="folder of the photos inside SOURCE"
     )
+    masks = parser.add_argument_group("masks", "With composite, masked pixels have no depth.")
     add_mask_options(masks)
     parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     held_out = parser.add_argument_group(
         "test views",
-        "Those that a training is to hold out: their maps are fitted to their own points alone and "
-        "have no part in placing the others. Stereo does not look at them and makes no map of "
-        "them.",
+        "Photos held out of a training: their maps are fitted to their own points only and do not "
+        "influence other maps. Stereo neither reads them nor makes maps for them.",
     )
     add_split_options(held_out)
     add_threads_option(parser)
-    parser.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    parser.add_argument(
+        "--json", action="store_true", help="the results as JSON at the end of stdout"
+    )
     parser.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
     )
-    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")

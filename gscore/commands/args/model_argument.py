@@ -27,12 +27,12 @@ from ...splats import Splats
 
 @dataclass(frozen=True, kw_only=True)
 class ModelArgument:
-    """Splats and what is known of their training."""
+    """Splats and the options of their training."""
 
     run: Path | None
-    """Folder of the run that made it, if it lies in one."""
+    """Folder of the run that contains the model, if any."""
     file: SplatFile
-    """What was read."""
+    """The file that was read."""
     data: DataConfig | None
     """Options of the run; None: not known."""
     train: TrainConfig | None
@@ -68,7 +68,7 @@ class ModelArgument:
 
     @property
     def antialias(self) -> bool:
-        """Whether it was trained with opacity compensation: its file or its run says so."""
+        """Whether it was trained with opacity compensation, from its file or its run."""
         return self.file.antialiased or trained_antialiased(self.train)
 
     @property
@@ -99,7 +99,7 @@ class ModelArgument:
         return render(self.splats, K, viewmat, width, height, **how)
 
     def picture(self, cameras: Cameras, index: int, *, threads: int) -> np.ndarray:
-        """[H, W, 3] float32, what a camera sees of it, as measurements draw it."""
+        """[H, W, 3] float32, the render at a camera, as in measurements."""
         how = {"background": self.background, "near": self.near, "antialias": self.antialias}
         return render_camera(self.splats, cameras, index, threads=threads, **how).rgb
 
@@ -136,7 +136,7 @@ def trained_near(
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
     """The model as the first argument, or as the 3DGS tools take it."""
-    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a file of splats")
+    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a splat file")
     parser.add_argument(
         "-m", "--model-path", dest="model_option", type=Path, help=argparse.SUPPRESS
     )

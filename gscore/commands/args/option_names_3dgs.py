@@ -53,7 +53,7 @@ REFUSED = {
 
 
 class Row(NamedTuple):
-    """A name of 3DGS and what it is here."""
+    """A 3DGS option name and its equivalent here."""
 
     name: str
     here: str

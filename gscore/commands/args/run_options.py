@@ -41,7 +41,7 @@ def declare(
 
 
 def argument_facts(one: Option) -> dict[str, Any]:
-    """What argparse wants to know of an option beside its names and its help."""
+    """Keyword arguments for argparse: type, choices and action of an option."""
     if one.kind is bool:
         return {"action": argparse.BooleanOptionalAction}
     facts: dict[str, Any] = {"nargs": "+"} if one.several else {}

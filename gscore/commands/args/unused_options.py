@@ -25,7 +25,7 @@ def _large_photos(_: argparse.Namespace, data: DataConfig, config: TrainConfig) 
 
 
 def _beyond(name: str) -> _Idle:
-    """Whether all steps of an option come after the last."""
+    """Predicate: all steps of an option come after the last step of the run."""
 
     def idle(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
         steps = getattr(config, name)
@@ -72,7 +72,7 @@ _WHEN: dict[str, _Rule] = {
         lambda a, d, c: d.mask_mode in ("none", "composite"),
     ),
 }
-"""By `Option.when`: why an option can be idle, and whether it is."""
+"""By `Option.when`: the reason why an option can be idle, and the predicate."""
 _SPLIT: _Rule = ("--no-eval holds no views out", lambda a, d, c: not d.eval)
 
 
@@ -109,16 +109,16 @@ RULES: dict[str, _Rule] = {
 
 
 def reason_of(one: Option) -> str:
-    """Why an option can be without effect; empty where it never is."""
+    """The condition under which an option is unused; empty if there is none."""
     return RULES[one.name][0] if one.name in RULES else ""
 
 
 def unused_options(args: argparse.Namespace, data: DataConfig, config: TrainConfig) -> str:
-    """A sentence on the options that were given without effect, with the reasons; or nothing.
+    """One sentence on given options without effect, with the reasons; empty if there are none.
 
     Args:
-        args: As they were given, before `configs` fills some in.
-        data, config: What came of them.
+        args: As parsed, before `configs` fills some in.
+        data, config: The resulting configs.
     """
     reasons: dict[str, list[str]] = {}
     for name, (reason, idle) in RULES.items():

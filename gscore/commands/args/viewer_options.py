@@ -20,10 +20,10 @@ def add_live_options(group: argparse._ActionsContainer) -> None:
 
 
 def check_live_options(args: argparse.Namespace) -> None:
-    """Raise where nobody could watch; the port is not opened yet.
+    """Check port and address of the viewer server without opening the port.
 
     Raises:
-        ConfigError: the port or the address is none.
+        ConfigError: the port or the address is invalid.
     """
     options = LiveOptions(**passed_options(LiveOptions, args))
     if options.port and not args.disable_viewer:
@@ -34,8 +34,8 @@ def check_live_options(args: argparse.Namespace) -> None:
 def viewer_clients_of(
     args: argparse.Namespace, source: Path, show: Show, *, after_the_end: bool = False
 ) -> Iterator[ViewerClients | None]:
-    """Those who watch the training within the block; None without `--port`, or where
-    `--disable-viewer` was given too.
+    """Context of the viewer clients of a training; None without `--port` or with
+    `--disable-viewer`.
 
     Args:
         args: Of the verb.

@@ -52,7 +52,7 @@ def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
 
 
 def _value(text: str, now: Any) -> Any:
-    """What `text` says, for an option that has the value `now`."""
+    """The value of `text` for an option with the value `now`."""
     if isinstance(now, bool) and text in ("on", "off"):
         return text == "on"
     try:

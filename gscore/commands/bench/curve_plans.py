@@ -18,7 +18,7 @@ from .training_options import named_sources, training_configs
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """What is trained and shown of one capture."""
+    """The trainings and curves of one capture."""
 
     name: str
     variants: list[Variant]

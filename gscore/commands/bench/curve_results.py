@@ -15,7 +15,7 @@ from .curve_plans import CapturePlan
 
 
 class ResultsFile:
-    """What was measured so far; docs/metrics.md describes the file."""
+    """The results so far; docs/metrics.md describes the file."""
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._path = args.output / "results.json"

@@ -18,10 +18,16 @@ from .scaling import size
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--splats", type=int, default=1_000_000, help="of SH degree 3")
-    parser.add_argument("--views", type=int, default=100, help="number of photos (default 100)")
     parser.add_argument(
-        "--size", type=size, default=(1216, 832), metavar="WxH", help="of each (default 1216x832)"
+        "--splats", type=int, default=1_000_000, help="number of splats, SH degree 3"
+    )
+    parser.add_argument("--views", type=int, default=100, help="number of photos (100)")
+    parser.add_argument(
+        "--size",
+        type=size,
+        default=(1216, 832),
+        metavar="WxH",
+        help="size of the photos (1216x832)",
     )
     parser.add_argument("--steps", type=int, default=40, help=f"at least {MIN_STEPS} (default 40)")
     add_threads_option(parser)

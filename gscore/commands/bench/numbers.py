@@ -9,7 +9,7 @@ from ...quoting import brief, quoted
 from ...text_format import number
 
 _MOST = 10**8
-"""Ten times what a large scene has; so many splats take 24 GB."""
+"""Ten times the splats of a large scene; they take 24 GB."""
 
 
 def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:

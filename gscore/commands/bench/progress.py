@@ -5,7 +5,7 @@ from ..terminal.status import Status
 
 
 class Ticker:
-    """Says on a status line how far a training is."""
+    """Progress of a training on a status line."""
 
     def __init__(self, capture: str, status: Status) -> None:
         self._capture, self._status = capture, status

@@ -28,23 +28,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sources", nargs="+", type=Path, metavar="CAPTURE", help="captures")
     parser.add_argument(
         "-o", "--output", required=True, type=Path,
-        help="folder for results.json; a run that was stopped goes on where it ended",
+        help="folder for results.json; an interrupted run continues from there",
     )  # fmt: skip
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="begin anew, whatever results.json is there and whoever wrote it",
+        help="start anew and replace any results.json",
     )
     parser.add_argument("--preset", choices=tuple(PRESETS), default="draft")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
         "--offsets", nargs="+", type=int, default=[0, 3, 5], metavar="N",
-        help="every 8th view from the N-th, counted from 0, is held out; one training each",
+        help="offsets of the held-out views: every 8th from the N-th, counted from 0; one "
+        "training each",
     )  # fmt: skip
     parser.add_argument(
         "--compare", nargs="*", default=(), metavar="NAME=CHANGES",
-        help="also train with these changes joined by commas: a strategy (mcmc), a skip switched "
-        "off, an option of gscore.TrainConfig (free-space=0), another preset (preset=normal)",
+        help="also train with these changes, joined by commas: a strategy (mcmc), a disabled "
+        "skip, an option of gscore.TrainConfig (free-space=0), another preset "
+        "(preset=normal)",
     )  # fmt: skip
     parser.add_argument(
         "--lpips", type=Path, metavar="NETWORK", help="as for gscore eval; without it, not measured"
@@ -53,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train what is not in results.json yet; print the tables and verdicts."""
+    """Run the trainings missing in results.json; print the tables and verdicts."""
     args.seeds = list(dict.fromkeys(args.seeds))
     args.offsets = list(dict.fromkeys(args.offsets))
     check_numbers(args, 0, "seeds", "offsets")

@@ -25,7 +25,7 @@ class Cell:
     datas: list[DataConfig]
     """Of each variant; they differ in the size of the photos alone."""
     variants: list[Variant]
-    """The first is what the others are compared with; all are judged on the same photos."""
+    """The first is the baseline of the others; all are measured on the same photos."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,13 +27,13 @@ from ...raster import backend
 from .quality_plans import Cell
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
-"""Capture, variant and what it reached; each variant but the first against that one."""
+"""Capture, variant and its metrics; each variant but the first against the first."""
 _APART = ("source", "test_offset", "max_width")
-"""Options of a capture that are told elsewhere or differ by training."""
+"""Options of a capture that are recorded elsewhere or differ by training."""
 
 
 class QualityResults:
-    """What was measured so far; docs/quality.md describes the file."""
+    """The results so far; docs/quality.md describes the file."""
 
     def __init__(self, args: argparse.Namespace, cells: Collection[Cell], net: str | None) -> None:
         """Take over what the file of an earlier call holds, unless `args.overwrite`.
@@ -59,12 +59,12 @@ class QualityResults:
         self._write()
 
     def finish(self) -> None:
-        """Everything that was asked for is there."""
+        """Whether all requested results exist."""
         self._finished = True
         self._write()
 
     def report(self) -> Report:
-        """The tables of what this call asked for, as far as it is there."""
+        """The tables of the requested results, as far as they exist."""
         there = [self._trainings[key] for key in self._asked if key in self._trainings]
         variants = list(dict.fromkeys(key[1] for key in self._asked))
         captures: dict[str, dict[str, list[Training]]] = {}

@@ -23,16 +23,24 @@ from .numbers import check_numbers
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("--ply", type=Path, help="trained splats; default: a synthetic cloud")
-    parser.add_argument("--cameras", type=Path, help="the capture the splats were trained on")
-    parser.add_argument("--views", type=int, default=6, help="views, spread evenly (default 6)")
-    parser.add_argument("--repeats", type=int, default=5, help="passes per view, fastest counts")
+    parser.add_argument("--ply", type=Path, help="splat file; default: a synthetic cloud")
+    parser.add_argument("--cameras", type=Path, help="capture of the training")
+    parser.add_argument("--views", type=int, default=6, help="number of views, evenly spaced (6)")
+    parser.add_argument(
+        "--repeats", type=int, default=5, help="passes per view; the fastest counts"
+    )
     parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
-    parser.add_argument("--width", type=int, default=640, help="px, of the synthetic view")
-    parser.add_argument("--height", type=int, default=360, help="px, of the synthetic view")
-    parser.add_argument("-r", "--resolution", type=float, default=-1, help="as in `gscore train`")
+    parser.add_argument("--width", type=int, default=640, help="width of the synthetic view, px")
+    parser.add_argument("--height", type=int, default=360, help="height of the synthetic view, px")
+    parser.add_argument(
+        "-r",
+        "--resolution",
+        type=float,
+        default=-1,
+        help="size of the photos, as in `gscore train`",
+    )
     add_threads_option(parser)
-    parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
+    parser.add_argument("--isa", help="instruction set; `all` measures each one available")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,16 +17,25 @@ from .numbers import check_numbers
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--splats", nargs="*", type=int, default=SPLATS, help="sizes of the cloud")
+    parser.add_argument("--splats", nargs="*", type=int, default=SPLATS, help="numbers of splats")
     parser.add_argument(
-        "--sizes", nargs="*", type=size, default=SIZES, metavar="WxH", help="of the picture, px"
+        "--sizes",
+        nargs="*",
+        type=size,
+        default=SIZES,
+        metavar="WxH",
+        help="sizes of the picture, px",
     )
-    parser.add_argument("--threads", nargs="*", type=int, help="1 to all cores")
+    parser.add_argument(
+        "--threads", nargs="*", type=int, help="numbers of threads; default: 1 to all cores"
+    )
     parser.add_argument(
         "--views", nargs="*", type=int, default=VIEW_COUNTS, help="numbers of photos"
     )
-    parser.add_argument("--cloud", type=int, default=100_000, help="splats where others vary")
-    parser.add_argument("--steps", type=int, default=20, help="steps a point (default 20)")
+    parser.add_argument(
+        "--cloud", type=int, default=100_000, help="number of splats while other quantities vary"
+    )
+    parser.add_argument("--steps", type=int, default=20, help="steps per point (20)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -24,13 +24,16 @@ from .numbers import check_numbers
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "source", nargs="?", type=Path, help="capture, with --ply (default: a synthetic one)"
+        "source",
+        nargs="?",
+        type=Path,
+        help="capture of the splats in --ply; default: a synthetic one",
     )
-    parser.add_argument("--ply", type=Path, help="splats trained on SOURCE, which it needs")
-    parser.add_argument("--steps", type=int, default=60, help="steps measured (default 60)")
+    parser.add_argument("--ply", type=Path, help="splat file trained on SOURCE; requires SOURCE")
+    parser.add_argument("--steps", type=int, default=60, help="number of measured steps (60)")
     parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
-    parser.add_argument("--width", type=int, default=640, help="px, of the synthetic views")
-    parser.add_argument("--height", type=int, default=360, help="px, of the synthetic views")
+    parser.add_argument("--width", type=int, default=640, help="width of the synthetic views, px")
+    parser.add_argument("--height", type=int, default=360, help="height of the synthetic views, px")
     parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
     skips = [skip.value for skip in Skip]
     parser.add_argument("--without", nargs="+", choices=skips, default=(), metavar="SKIP")
@@ -39,10 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cache-mb",
         type=int,
         metavar="MB",
-        help="photos of SOURCE that stay decoded, the others being decoded again when their turn "
-        "comes (default: all stay)",
+        help="number of photos of SOURCE kept decoded; the others are decoded at each use (all)",
     )
-    parser.add_argument("--isa", help="instruction set; `all` measures each that runs here")
+    parser.add_argument("--isa", help="instruction set; `all` measures each one available")
     add_data_options(parser)
 
 

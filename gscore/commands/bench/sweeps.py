@@ -25,12 +25,18 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     group = parser.add_argument_group(
         "sizes",
-        "Also train all combinations of these, measured on the largest photos of them all, and "
-        "tell which no other beats; what is not given is as the preset has it.",
+        "Also train all combinations of these, measured on the largest photos among them, and "
+        "mark the Pareto front; values not given are the preset's.",
     )
-    group.add_argument("--sweep-splats", nargs="+", type=int, metavar="N", help="caps")
-    group.add_argument("--sweep-widths", nargs="+", type=int, metavar="PX", help="of the photos")
-    group.add_argument("--sweep-iterations", nargs="+", type=int, metavar="N", help="steps")
+    group.add_argument(
+        "--sweep-splats", nargs="+", type=int, metavar="N", help="caps of the number of splats"
+    )
+    group.add_argument(
+        "--sweep-widths", nargs="+", type=int, metavar="PX", help="widths of the photos"
+    )
+    group.add_argument(
+        "--sweep-iterations", nargs="+", type=int, metavar="N", help="numbers of steps"
+    )
 
 
 def check_sweeps(args: argparse.Namespace) -> None:
@@ -59,7 +65,7 @@ class SizesPlan:
 def plan_sizes(
     args: argparse.Namespace, presets: Sequence[tuple[str, DataConfig, TrainConfig]]
 ) -> SizesPlan | None:
-    """The sizes asked for of these presets; None where none were. No photo is decoded yet."""
+    """The requested sizes of these presets; None without any. No photo is decoded yet."""
     numbers = _given(args)
     if not any(numbers.values()):
         return None
@@ -123,7 +129,7 @@ def _fronts(outcomes: Sequence[SizeOutcome]) -> tuple[list[SizeOutcome], list[Si
 
 
 def _given(args: argparse.Namespace) -> dict[str, list[int]]:
-    """The numbers asked for; none of a quantity that stays as the preset has it."""
+    """The requested numbers; empty for a quantity that keeps the preset's value."""
     return {name: list(dict.fromkeys(getattr(args, f"sweep_{name}") or [])) for name in _QUANTITIES}
 
 

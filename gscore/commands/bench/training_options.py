@@ -13,14 +13,18 @@ from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
 
 _EVERY = 8
-"""Every eighth view is held out where nothing else is said."""
+"""Every eighth view is held out by default."""
 
 
 def add_training_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options that change a preset, and those of the capture."""
-    parser.add_argument("--iterations", type=int, help="training steps, instead of the preset's")
-    parser.add_argument("--max-splats", type=int, help="cap, instead of the preset's")
-    parser.add_argument("--strategy", choices=tuple(Strategy), help="how splats are added")
+    parser.add_argument(
+        "--iterations", type=int, help="number of training steps; default: the preset's"
+    )
+    parser.add_argument(
+        "--max-splats", type=int, help="cap of the number of splats; default: the preset's"
+    )
+    parser.add_argument("--strategy", choices=tuple(Strategy), help="densification strategy")
     add_threads_option(parser)
     add_data_options(parser)
 
@@ -45,7 +49,7 @@ def named_sources(sources: Sequence[Path]) -> dict[str, Path]:
 def training_configs(
     args: argparse.Namespace, source: Path, preset: str
 ) -> tuple[DataConfig, TrainConfig]:
-    """Preset `preset` for `source` with what was given; some views are always held out."""
+    """Preset `preset` for `source` with the given options; some views are always held out."""
     data, train = PRESETS[preset](source)
     data = with_data_options(data, args)
     if not data.eval:

@@ -32,7 +32,7 @@ from ..terminal.output import check_folder, check_replaced
 from .networks import network_of, network_words
 
 _MAKE = f"make them with --method stereo, which needs none, or with --model FILE.onnx. {WHERE}."
-"""Ends a sentence that says that maps and a network are missing."""
+"""End of the message on missing maps and a missing network."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,7 +236,7 @@ def _finish(
 
 
 def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
-    """What the automatic rule of a training on all views says of these maps."""
+    """Decision of the automatic rule of a training on all views for these maps."""
     usable = sum(part is not None and not part.trouble for part in samples)
     facts = coverage(dataset.scene, range(len(dataset)))
     return decide(Switch.AUTO, facts, usable=usable)[1]
@@ -251,7 +251,7 @@ def _align(
     *,
     official: bool,
 ) -> tuple[Alignment, dict[str, Fit]]:
-    """The alignment, and the fits to write: official tools judge reliability when they read."""
+    """The alignment, and the fits to write: the official tools check reliability when they read."""
     found, warnings = settled_kind(kind, samples, dataset)
     warnings = (*unusable(samples), *warnings)
     if not official:
@@ -294,7 +294,7 @@ class StopMessage:
 
 
 class _Progress:
-    """Tells after each view how far a phase is, and ends it where that was asked for."""
+    """Reports the progress of a phase after each view, and ends it on request."""
 
     def __init__(self, show: Show, control: Control, told: StopMessage, phase: str) -> None:
         self._show, self._control, self._told, self._phase = show, control, told, phase

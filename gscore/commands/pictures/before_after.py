@@ -16,7 +16,7 @@ from ..terminal.status import Counted, Status
 from .stills import to_rgb
 
 _SIZE = (960, 720)
-"""Of a picture where there are no cameras, px."""
+"""Size of a picture without cameras, px."""
 _FOCAL = 1.1
 """Of its camera, as a share of the width."""
 _GUTTER = 8
@@ -42,7 +42,7 @@ class PictureLoss:
 def picture_loss(
     before: Splats, after: Splats, views: EditViews, most: int, status: Status
 ) -> PictureLoss:
-    """How far pictures lie apart, clamped to [0, 1], over black, in `most` views evenly chosen."""
+    """Difference of pictures, clamped to [0, 1], over black, in `most` evenly chosen views."""
     cameras = views.cameras
     count = min(most, len(cameras))
     chosen = np.linspace(0, len(cameras) - 1, count).round().astype(int).tolist()

@@ -12,13 +12,13 @@ from ...upright import find_up
 _GAP = math.radians(100)
 """An arc this wide without cameras means that the capture did not go all the way round."""
 _FACING = math.radians(45)
-"""Cameras that turn more than this from the middle do not look at it."""
+"""Cameras that turn more than this from the middle do not face it."""
 _SWING = 0.9
 """Share of the arc with cameras that such an orbit uses; its ends were seen from one side only."""
 _NEARBY = math.radians(35)
 """Cameras about this far around the orbit decide its distance and height there."""
 _CLOSE = 0.25
-"""Share of the cameras that stand closer to the middle than the orbit ever comes."""
+"""Share of the cameras closer to the middle than the orbit ever comes."""
 
 
 def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ from .camera_path import focus_point, look_at
 _PHOTO_SIDE = 560
 """Longer side of a photo in the page, px."""
 _ALONE = (1280, 800, 1000.0)
-"""Width, height and focal length of the first view where there are no cameras, px."""
+"""Width, height and focal length of the first view without cameras, px."""
 
 _X, _Y, _Z = np.eye(3)
 _UP_AND_FORWARD = {"-Y": (-_Y, _Z), "Y": (_Y, -_Z), "Z": (_Z, _Y), "-Z": (-_Z, -_Y), "X": (_X, _Z)}
@@ -33,7 +33,7 @@ _UP_AND_FORWARD = {"-Y": (-_Y, _Z), "Y": (_Y, -_Z), "Z": (_Z, _Y), "-Z": (-_Z, -
 
 @dataclass(frozen=True, kw_only=True)
 class PageViews:
-    """Where the page can be looked at from."""
+    """Cameras and limits of the view on the page."""
 
     cameras: list[PageCamera]
     first: PageCamera
@@ -121,7 +121,7 @@ def _photos(
     background: tuple[float, float, float],
     status: Status,
 ) -> dict[int, str]:
-    """The photos of some views as small JPEGs, after so many quarter turns [C] of each view."""
+    """The photos of some views as small JPEGs, rotated by quarter turns [C] of each view."""
     dataset.keep_few()
     told = Counted(status, len(chosen), "photo")
     found: dict[int, str] = {}
@@ -138,7 +138,7 @@ def _photos(
 
 
 def _at_even_distances(most: int, count: int, first: int) -> list[int]:
-    """At most so many of `count` views, the one that the page begins with among them."""
+    """At most the given number of `count` views, including the first view of the page."""
     most = min(most, count)
     return sorted((first + i * count // most) % count for i in range(most))
 

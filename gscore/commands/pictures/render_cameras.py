@@ -23,7 +23,7 @@ from .camera_path import orbit_path, spline_path
 PATHS = ("orbit", "spline")
 """Paths that are made; any other is a file."""
 FPS = 30.0
-"""Pictures a second, where nobody says."""
+"""Default frame rate, pictures a second."""
 _ORBIT_SECONDS = 8.0
 """Of an orbit, at its usual length."""
 _SPLINE_SECONDS = 0.25
@@ -42,7 +42,7 @@ class Shots:
     fps: float | None = None
     """Pictures a second, where the file of a path states them."""
     why: str = ""
-    """A sentence for the user where the path was not asked for."""
+    """A sentence for the user if the path was chosen by default."""
 
 
 def find_shots(
@@ -99,7 +99,7 @@ def _of_file(args: argparse.Namespace, model: ModelArgument | LodArgument, *, ev
 
 
 def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
-    """The path for a video that nobody chose one for."""
+    """The default path of a video."""
     try:
         shots = _along(cameras, "orbit", args)
         what = "an orbit around what the cameras look at"
@@ -182,7 +182,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
 
 
 def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
-    """The size of a picture, px: as the photo's, but a width that was asked for may exceed it."""
+    """The size of a picture, px: that of the photo, but a given width may exceed it."""
     width, height = photo
     if resolution > LARGEST_FACTOR:
         return round(resolution), max(1, round(height * resolution / width))

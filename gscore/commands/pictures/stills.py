@@ -38,7 +38,7 @@ def still_names(names: Sequence[str], *, depths: bool = False) -> list[str]:
 
 
 def _files(name: str, *, depths: bool) -> set[str]:
-    """What lies under the name of a view, as systems see it that tell no capitals apart."""
+    """The file at the name of a view, on case-insensitive file systems."""
     return {name.lower(), f"{name}_depth".lower()} if depths else {name.lower()}
 
 

@@ -55,7 +55,7 @@ class JsonLines:
     """Each event as a line of JSON."""
 
     def __init__(self, stream: TextIO, *, on_closed: Callable[[], None]) -> None:
-        """Write to `stream`; `on_closed` is called once if nobody reads it any more."""
+        """Write to `stream`; `on_closed` is called once when its reader closes it."""
         self._stream = stream
         self._on_closed = on_closed
         self._open = True
@@ -215,7 +215,7 @@ def _texts(event: Event) -> Iterator[str]:
 
 
 def going_on_text(event: Started) -> str:
-    """Where a training goes on, and what is left of it, for people."""
+    """The resumed step of a training and the remaining steps, for people."""
     left = ""
     if math.isfinite(event.left_s):
         left = f", about {time_words(max(round(event.left_s), 1))} of training left"

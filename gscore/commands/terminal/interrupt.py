@@ -18,7 +18,7 @@ from ...ending_signals import ending_signals
 from .torchrun_launch import one_of_many
 
 _SIGPIPE = 13
-"""Of POSIX; the code is the same where there is no such signal."""
+"""POSIX number; the exit code is the same on systems without the signal."""
 PIPE_CLOSED = 128 + _SIGPIPE
 """Exit code where the reader of the output is gone."""
 HUNG_UP = 129
@@ -43,7 +43,7 @@ class Interrupt:
         self._quiet = False
         self._begun = self._over = False
         self.raised = False
-        """Whether KeyboardInterrupt was raised: whatever error came of that is no error."""
+        """Whether KeyboardInterrupt was raised: an error caused by it is not reported."""
 
     @property
     def exit_code(self) -> int:
@@ -53,7 +53,7 @@ class Interrupt:
 
     @property
     def output_is_lost(self) -> bool:
-        """Whether nobody takes the output any more."""
+        """Whether the reader of the output closed it."""
         return self._output_code != 0
 
     def __enter__(self) -> Self:
@@ -82,7 +82,7 @@ class Interrupt:
 
     @contextmanager
     def asking(self, stop: Callable[[str], None], *, quiet: bool) -> Iterator[None]:
-        """A block that ends by itself after `stop(reason)`; `quiet`: nothing is said about it."""
+        """A block that ends by itself after `stop(reason)`; `quiet`: no message."""
         self._stop, self._quiet, self._over = stop, quiet, False
         if self.exit_code:
             stop("interrupted" if self._received else "output closed")
@@ -138,7 +138,7 @@ class Interrupt:
 
 @contextmanager
 def interrupts() -> Iterator[Interrupt]:
-    """The one of this process; made for the duration of the block where there is none."""
+    """The instance of this process; created for the duration of the block if there is none."""
     global _current
     if _current is not None:
         yield _current

@@ -13,11 +13,11 @@ from ...io.ply.splats import header_comments
 from ...json_text import parse_json
 
 _HEAD = 1 << 16
-"""Bytes in which all marks of pictures and pages stand."""
+"""Bytes at the beginning that contain all marks of pictures and pages."""
 _MOST_JSON = 1 << 28
 _MOST_META = 1 << 22
 _MOST_FILM = 1 << 26
-"""Bytes of an MP4 in which its index stands, which is written first."""
+"""Bytes at the beginning of an MP4 that contain its index, which is written first."""
 _COMMENTS = ("gscore convert", "merged by gscore", "made by gscore")
 """What comments of a PLY begin with, in small letters."""
 _PAGE = re.compile(

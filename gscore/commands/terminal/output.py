@@ -47,7 +47,7 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
 
 
 def _never(paths: list[Path]) -> str:
-    """Words where files of a format have no room for a name, so that even ours say nothing."""
+    """Words for formats whose files have no room for a mark, even if gscore wrote them."""
     if any(path.suffix.lower() in _NAMELESS for path in paths):
         return " (SPZ, .splat, USD and .bin files never do)"
     return ""
@@ -76,7 +76,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _is_read_only(folder: Path) -> bool:
-    """Whether nobody may write on the file system of a folder; False where that is not told."""
+    """Whether the file system of a folder is read-only; False if unknown."""
     return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
 
 
@@ -92,6 +92,6 @@ def others_in(folder: Path, known: Collection[str]) -> str:
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """Some names for a message, and how many there are more; empty where there are none."""
+    """Some names for a message, and the count of the others; empty if there are none."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(brief(name) for name in names[:most]) + more

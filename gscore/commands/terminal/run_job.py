@@ -18,13 +18,15 @@ STOPPED_WITH_NOTHING = 3
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Declare what is shown, and how."""
+    """Declare the output options."""
     group = parser.add_argument_group("output")
-    group.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    group.add_argument("--quiet", action="store_true", help="print errors only")
     group.add_argument(
         "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
     )
-    group.add_argument("--json", action="store_true", help="the results as JSON, last on stdout")
+    group.add_argument(
+        "--json", action="store_true", help="the results as JSON at the end of stdout"
+    )
 
 
 def run_job(

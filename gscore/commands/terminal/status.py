@@ -23,7 +23,7 @@ _WIDEST = 100
 _ECHO = 2
 """Columns of the ^C that a terminal writes behind the moving line where somebody presses it."""
 _USUAL = 80
-"""Columns of a terminal that does not tell."""
+"""Columns of a terminal of unknown width."""
 _BAR = (10, 30)
 """Columns of the progress bar, at least and at most."""
 
@@ -97,7 +97,7 @@ class Status:
 
 
 class Counted:
-    """Tells a `Status` how many of equal pieces of work are done, and how long the rest takes."""
+    """Progress of equal pieces of work on a `Status`, with the estimated remaining time."""
 
     def __init__(self, status: Status, total: int, what: str) -> None:
         """`what`: one piece of work, such as "view"."""
@@ -106,7 +106,7 @@ class Counted:
         status.show([f"{what} 1 of {total}"], share=0.0)
 
     def __call__(self, done: int, *parts: str) -> None:
-        """Show that so many are done, and other `parts` behind that."""
+        """Show the number of finished pieces, followed by `parts`."""
         left = (time.monotonic() - self._began) / done * (self._total - done)
         head = [f"{clock(left)} left", f"{self._what} {done} of {self._total}"]
         last = done == self._total
@@ -117,7 +117,7 @@ class Rows:
     """Prints the rows of a table on stdout as they come, and that the next one is worked on."""
 
     def __init__(self, status: Status, what: str, *, quiet: bool = False) -> None:
-        """`what`: what is being done; `quiet`: print no rows."""
+        """`what`: name of the work; `quiet`: print no rows."""
         self._status, self._what, self._quiet = status, what, quiet
         self._count = 0
         self._next()
