@@ -41,7 +41,7 @@ VERBS = {
     "convert": "convert splats to another format; crop, clean, prune or move them",
     "split": "cut a large capture into blocks, each a capture of its own",
     "merge": "merge splats trained block by block",
-    "info": "summarise a capture, photos, a video, a splat file or a run",
+    "info": "summarise a capture, photos, a video, a PLY or a run",
     "doctor": "check this machine and its packages",
     "bench": "measure speed",
     "stress": "measure numerical errors",

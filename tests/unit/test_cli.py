@@ -227,7 +227,7 @@ def test_names_keep_their_capitals(capsys: pytest.CaptureFixture[str]) -> None:
         assert commands.main(line.split()) == 0
     out = capsys.readouterr().out
     assert "COLMAP" in out and "Train splats from photos, with or without cameras" in out
-    assert "Say what a capture, photos, a video, a PLY or a run holds." in out
+    assert "Summarise a capture, photos, a video, a PLY or a run." in out
 
 
 def test_every_option_of_a_training_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
