@@ -24,7 +24,7 @@ _followed: dict[str, DepthReport] = {}
 
 
 def show(root: bpy.types.Object, report: DepthReport) -> int:
-    """Color the cameras of a capture by a report; how many of them it knows.
+    """Color the cameras of a capture by a report; return the number of cameras in the report.
 
     Views that were not compared yet keep their color.
     """
@@ -40,7 +40,7 @@ def show(root: bpy.types.Object, report: DepthReport) -> int:
 
 
 def matches(root: bpy.types.Object, report: DepthReport) -> bool:
-    """Whether the cameras of a capture show what a report says."""
+    """Whether the colors of a capture's cameras match a report."""
     return all(mark_of(ob) == (_verdict(ob, report) or "") for ob in own_cameras(root))
 
 
@@ -50,7 +50,7 @@ def shown(root: bpy.types.Object) -> bool:
 
 
 def follow() -> bool:
-    """Color cameras anew where another report is known by now; whether there were any."""
+    """Update the colors of cameras whose report has changed; return whether there were any."""
     if bpy.app.is_job_running("RENDER"):
         return False
     changed = False
@@ -68,7 +68,7 @@ def follow() -> bool:
 
 
 def _verdict(ob: bpy.types.Object, report: DepthReport) -> str | None:
-    """What a report says of a camera's view, if that has a color."""
+    """The state of a camera's view in a report, if that state has a color."""
     row = report.by_view.get(str(ob.get("gs_image", "")))
     return row.verdict if row is not None and row.verdict in PALETTE else None
 
@@ -88,7 +88,7 @@ class ColorCameras(BaseOperator, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Color, or take the colors away."""
+        """Color the cameras, or restore their colors."""
         scene = context.scene
         root = panel_root(scene)
         if root is None:
@@ -112,11 +112,11 @@ _FOLLOWER = poll_timer.Poller(follow)
 
 
 def on_register() -> None:
-    """Follow reports."""
+    """Start to follow reports."""
     poll_timer.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
-    """Follow them no more; colors stay in the file and can be removed when the add-on is back."""
+    """Stop following reports; colors stay in the file until the add-on removes them."""
     poll_timer.FOLLOWERS.remove(_FOLLOWER)
     _followed.clear()

@@ -14,27 +14,27 @@ class DepthJob(VerbJob):
     less = "choose a smaller network, then predict again"
     progress: DepthProgress | None = None
     report: DepthReport | None = None
-    """The table, once it has finished."""
+    """The depth report, set when the job has finished."""
     done: DepthDone | None = None
 
     @property
     def share(self) -> float:
-        """Part of the phase that is under way, 0 to 1."""
+        """Progress of the current phase, 0 to 1."""
         told = self.progress
         return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
 
     def take(self, event: Event) -> None:
-        """Take note of an event."""
+        """Process an event."""
         if isinstance(event, DepthProgress):
             self.progress = event
         elif isinstance(event, DepthDone):
             self.done = event
 
     def finish(self) -> str:
-        """How many maps there are, and are accepted.
+        """A sentence with the number of maps, and of accepted maps.
 
         Raises:
-            ValueError: the table makes no sense.
+            ValueError: the report is invalid.
         """
         if self.done is None:
             return ""

@@ -20,20 +20,20 @@ def may_go_online() -> bool:
 
 
 def known(name: str) -> KnownNetwork | None:
-    """The network of a name; None: it is none of them."""
+    """The network of a name; None: unknown name."""
     return next((network for network in depth_networks() if network.name == name), None)
 
 
 def chosen() -> KnownNetwork | None:
-    """That of the preferences; None: a file."""
+    """The named network of the preferences; None: a file is chosen."""
     return known(preferences.get().depth_network)
 
 
 def is_here(network: KnownNetwork) -> bool | None:
-    """Whether it needs no download; None: that is being looked up.
+    """Whether it is installed; None: not known yet.
 
     Raises:
-        ValueError: it cannot be told; the message says why.
+        ValueError: the query failed; the message gives the reason.
     """
     python = str(setup.trainer_python(preferences.get()))
     answer, problem = lookups.networks.get(python)
@@ -44,7 +44,7 @@ def is_here(network: KnownNetwork) -> bool | None:
 
 
 def check_download(network: KnownNetwork, download: bool) -> None:
-    """Raise ValueError where a download is asked for and not allowed, or needed and not asked."""
+    """Raise ValueError if a download is not allowed, or is needed and not requested."""
     if download and not may_go_online():
         raise ValueError(OFFLINE)
     if not download and is_here(network) is False:
@@ -52,12 +52,12 @@ def check_download(network: KnownNetwork, download: bool) -> None:
 
 
 def terms(network: KnownNetwork) -> str:
-    """Size and licence, which a user should know before."""
+    """Size and licence, to show before a download."""
     return f"{network.bytes / 1e6:.0f} MB, licence {network.licence}"
 
 
 def question(network: KnownNetwork) -> list[str]:
-    """What a download does, in sentences."""
+    """Sentences on a download for the confirmation dialog."""
     return [
         f"{network.name} is downloaded: {terms(network)}.",
         f"From {network.page}, weights of {network.source}.",

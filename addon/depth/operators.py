@@ -16,7 +16,7 @@ from .job import DepthJob
 
 
 class _DepthWork(BaseOperator):
-    """What the operators that start something share."""
+    """Base of the operators that start a depth job."""
 
     bl_options: ClassVar = {"REGISTER"}
 
@@ -63,7 +63,7 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for a network where none is chosen, else before maps are replaced."""
+        """Open the file browser if no network is chosen, else confirm the replacement of maps."""
         prefs = preferences.get()
         if not (self.filepath or networks.chosen() or prefs.depth_model.strip()):
             context.window_manager.fileselect_add(self)
@@ -71,7 +71,7 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
         return super().invoke(context, event)
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name what is downloaded, and the maps that are replaced."""
+        """Name the download, and the maps that are replaced."""
         lines = predict_depth.replaced(context.scene) if self.overwrite else []
         network = networks.chosen()
         if self.download and network is not None:
@@ -81,13 +81,13 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
         return lines
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The question; in the file browser, which comes without one, the choice."""
+        """Draw the confirmation, or the options of the file browser."""
         super().draw(context)
         if not getattr(self, "lines", ()):
             self.layout.prop(self, "overwrite")
 
     def start(self, scene: bpy.types.Scene) -> DepthJob:
-        """Start, and remember the network."""
+        """Start the job, and store the network in the preferences."""
         chosen = self.filepath
         job = predict_depth.predict(
             scene, chosen, overwrite=self.overwrite, download=self.download, wait=self.wait
@@ -116,7 +116,7 @@ class CancelDepth(Cancelling, bpy.types.Operator):
     none = "No depth maps are worked on."
 
     def job_of(self, scene: bpy.types.Scene) -> DepthJob | None:
-        """The work on the scene's maps."""
+        """The depth job of the scene."""
         return predict_depth.job_of(scene)
 
 
@@ -127,7 +127,7 @@ class ShowDepthSheet(BaseOperator, bpy.types.Operator):
     bl_label = "Contact Sheet"
 
     def act(self, context: bpy.types.Context) -> str:
-        """Load it anew and show it."""
+        """Reload the picture and show it."""
         image = bpy.data.images.load(str(predict_depth.sheet(context.scene)), check_existing=True)
         image.reload()
         if show_image(context, image, new_window=True):

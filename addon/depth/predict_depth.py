@@ -31,11 +31,11 @@ def predict(
 
     Args:
         scene: Its `gscore` settings name the capture, its photos and masks.
-        model: ONNX file, or name of a network; empty: that of the preferences.
-        overwrite: Predict all views anew; else those that have no map by this network.
-        download: Fetch a network with a name where it is not on this computer.
-        wait: Return when it has ended.
-        python: The Python that predicts; None: as the preferences say.
+        model: ONNX file or name of the network; empty: that of the preferences.
+        overwrite: Predict all views again; else only views without a map of this network.
+        download: Download a named network if it is not on this computer.
+        wait: Return when the job has ended.
+        python: The Python that predicts; None: that of the preferences.
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
@@ -63,7 +63,7 @@ def predict(
 
 
 def replaced(scene: bpy.types.Scene) -> list[str]:
-    """What a prediction of all views replaces for good, in sentences.
+    """Sentences on the maps that a prediction of all views overwrites.
 
     Raises:
         ValueError: there is no capture.
@@ -79,7 +79,7 @@ def check(
 ) -> DepthJob:
     """Compare the maps of the scene's capture with its points, as a training would.
 
-    Writes nothing. Arguments and errors as in `predict`.
+    No files are written. Arguments and errors as in `predict`.
     """
     source = capture_folder(scene)
     arguments = options.depth_run(scene.gscore, source=source, threads=preferences.get().threads)
@@ -88,13 +88,13 @@ def check(
 
 
 def job_of(scene: bpy.types.Scene) -> DepthJob | None:
-    """The last work on the depth maps of a scene's capture, under way or ended."""
+    """The last depth job of a scene's capture, running or ended."""
     found = facts.capture(scene)[0]
     return None if found is None else JOBS.of_source(found.source)
 
 
 def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
-    """What is known of a scene's depth maps by now, by MAPS and RUN; never waits."""
+    """The depth reports of a scene that are loaded, by MAPS and RUN; never blocks."""
     known = {}
     found = facts.capture(scene)[0]
     if found is not None and found.kind:
@@ -108,13 +108,13 @@ def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
 
 
 def report(scene: bpy.types.Scene) -> DepthReport | None:
-    """The report that the scene's settings choose of those that are there."""
+    """The report that is chosen in the scene's settings, if it is loaded."""
     known = reports(scene)
     return known.get(scene.gscore.depth_shown) or next(iter(known.values()), None)
 
 
 def run_report(scene: bpy.types.Scene) -> tuple[DepthReport | None, str]:
-    """The report of the training in the scene's output folder, and a problem.
+    """The report of the run in the scene's output folder, and an error message.
 
     (None, "") for none or still unknown.
     """
@@ -128,7 +128,7 @@ def run_report(scene: bpy.types.Scene) -> tuple[DepthReport | None, str]:
 
 
 def sheet(scene: bpy.types.Scene) -> Path:
-    """The contact sheet beside the depth maps of a scene's capture.
+    """Path of the contact sheet in the folder of a scene's depth maps.
 
     Raises:
         ValueError: there is none.

@@ -13,7 +13,7 @@ _DARKEST = 0.15
 
 
 def show(root: bpy.types.Object, figures: Figures) -> int:
-    """Color the cameras of a capture by the figures of their photos; how many have some."""
+    """Color the cameras of a capture by the figures of their photos; return their number."""
     ranked, known = figures.ranked, figures.views
     low, high = (ranked[0][1], ranked[-1][1]) if ranked else (0.0, 0.0)
     shown = 0

@@ -28,35 +28,35 @@ class ErrorsJob(VerbJob):
         self.progress: EvalProgress | None = None
         self.done: EvalDone | None = None
         self.wanted = False
-        """Whether the result has to be brought into the scene."""
+        """Whether the result is still to be imported."""
         self.loader = Loader()
         self.filling = None
-        """The map on its way into the open file."""
+        """The running import of the error map."""
         self.chores: list[Callable[[], Any]] = []
-        """What is to be made ready in it before, one at a beat."""
+        """Preparations of the import that remain, one per poll."""
         super().__init__(python, arguments, source=source, after=after)
 
     @property
     def share(self) -> float:
-        """Part that is done, 0 to 1."""
+        """Progress, 0 to 1."""
         told = self.progress
         return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
 
     @property
     def figures(self) -> Figures:
-        """Of all photos, once it has finished."""
+        """Figures of all photos, set when the job has finished."""
         views = {} if self.done is None else self.done.views
         return Figures(path=self.source / MEASURED / "metrics.json", views=views)
 
     def take(self, event: Event) -> None:
-        """Take note of an event."""
+        """Process an event."""
         if isinstance(event, EvalProgress):
             self.progress = event
         elif isinstance(event, EvalDone):
             self.done = event
 
     def finish(self) -> str:
-        """How good the photos are met; empty where it was stopped."""
+        """A sentence with the quality of the renders; empty if the job was cancelled."""
         if self.done is None:
             return ""
         self.wanted = True

@@ -28,12 +28,12 @@ FILE = "errors.ply"
 def measure(
     ob: bpy.types.Object, *, wait: bool = False, python: str | Path | None = None
 ) -> ErrorsJob:
-    """Measure the run of a splat object on all its photos, those it was trained on too.
+    """Measure the run of a splat object on all its photos, training photos included.
 
     Args:
         ob: A splat object that comes from a training.
-        wait: Return when it has ended and the map is in the scene.
-        python: The Python that measures; None: as the preferences say.
+        wait: Return when the job has ended and the error map is in the scene.
+        python: The Python that measures; None: that of the preferences.
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
@@ -60,7 +60,7 @@ def measure(
 
 
 def job_of(ob: bpy.types.Object) -> ErrorsJob | None:
-    """The last measuring of an object's run, under way or ended."""
+    """The last errors job of an object's run, running or ended."""
     try:
         return JOBS.of_source(run_of(ob))
     except ValueError:
@@ -78,7 +78,7 @@ def remove(ob: bpy.types.Object) -> None:
 
 
 def bring_in(job: ErrorsJob) -> bool:
-    """Do the next step on the way of a map into the scene; whether there was one."""
+    """Do the next step of importing an error map; return whether there was one."""
     if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
     if job.filling is None:
@@ -107,7 +107,7 @@ def bring_in(job: ErrorsJob) -> bool:
 
 
 def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
-    """Make the map's object, where the splats stand, and color the cameras."""
+    """Make the error map's object at the transform of the splats, and color the cameras."""
     found = (o for o in bpy.context.scene.objects if objects.is_splats(o) and not is_map(o))
     ob = next((o for o in found if stored_paths.read(o, stored_paths.RUN) == str(job.source)), None)
     if ob is None:
@@ -124,7 +124,7 @@ def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
 
 
 def _made(ob: bpy.types.Object) -> bpy.types.Object:
-    """An empty object for the map of `ob`, which stands where that does."""
+    """An empty object for the error map of `ob`, with its transform."""
     made = objects.create(
         NO_SPLATS, f"{ob.name} errors", collection=ob.users_collection[0], parent=ob.parent
     )

@@ -18,7 +18,7 @@ from .errors_job import ErrorsJob
 
 
 class _OfRun(BaseOperator):
-    """Works on the active splat object's run."""
+    """Base of the operators on the run of the active splat object."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -59,7 +59,7 @@ class StopErrors(Cancelling, bpy.types.Operator):
     none = "Nothing is being measured."
 
     def job_of(self, scene: bpy.types.Scene) -> ErrorsJob | None:
-        """The measuring of the active object's run."""
+        """The errors job of the active object's run."""
         ob = meant(bpy.context)
         return measure_errors.job_of(ob) if is_splats(ob) else None
 
@@ -79,7 +79,7 @@ class ColorByError(_OfRun, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Color, or take the colors away."""
+        """Color the cameras, or restore their colors."""
         ob = meant(context)
         root = root_of(ob)
         if root is None:
@@ -110,7 +110,7 @@ class ShowErrorMap(_OfRun, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Change places."""
+        """Show the error map or the splats."""
         measure_errors.show_map(meant(context), self.show)
         return ""
 

@@ -27,7 +27,7 @@ class RegionJob(VerbJob):
         object_uid: int,
         before: str,
     ) -> None:
-        """It starts with `begin`, once the files that it begins with are there.
+        """Prepare the job; `begin` starts it when its start files are written.
 
         Args:
             python: The Python that has gscore.
@@ -35,33 +35,33 @@ class RegionJob(VerbJob):
             source: The capture.
             output: Folder of the results.
             object_uid: Session number of the object whose splats are trained.
-            before: What tells whether these were edited since.
+            before: Fingerprint of these, to detect later edits.
         """
         self.output, self.object_uid, self.before = output, object_uid, before
         self.start = None
-        """The files that it begins with, until they are there."""
+        """The start files being written; None when complete."""
         self.started: Started | None = None
         self.progress: Progress | None = None
         self.done: Done | None = None
         self.wanted = False
-        """Whether the result has to be brought into the scene."""
+        """Whether the result is still to be imported."""
         self.loader = Loader()
         self.filling = None
-        """The result on its way into the open file."""
+        """The running import of the result."""
         super().__init__(python, arguments, source=source, later=True)
 
     @property
     def share(self) -> float:
-        """Part that is done, 0 to 1."""
+        """Progress, 0 to 1."""
         told = self.progress
         return min(told.step / told.iterations, 1.0) if told and told.iterations > 0 else 0.0
 
     def fail(self, sentence: str) -> None:
-        """It cannot start, for a reason."""
+        """End the job with an error, because it cannot start."""
         self.status, self.sentence = FAILED, sentence
 
     def take(self, event: Event) -> None:
-        """Take note of an event."""
+        """Process an event."""
         if isinstance(event, Started):
             self.started = event
         elif isinstance(event, Progress):
@@ -70,7 +70,7 @@ class RegionJob(VerbJob):
             self.done = event
 
     def finish(self) -> str:
-        """What was trained; empty where it was stopped."""
+        """A sentence on the result; empty if the job was stopped."""
         done = self.done
         if done is None or (done.reason not in FINISHED and self.status == STOPPING):
             return ""

@@ -45,7 +45,7 @@ class PaintMask(BaseOperator, bpy.types.Operator):
 
 
 class _OnMask(BaseOperator):
-    """What operators on a mask share: one that is named, or the one in the image editor."""
+    """Base of the operators on a mask, given by name or by the image editor."""
 
     image: StringProperty(
         name="Image",
@@ -54,10 +54,10 @@ class _OnMask(BaseOperator):
     )
 
     def mask(self, context: bpy.types.Context) -> bpy.types.Image:
-        """The mask that is meant.
+        """The mask to work on.
 
         Raises:
-            ValueError: it is none.
+            ValueError: the image is no mask.
         """
         found = bpy.data.images.get(self.image) if self.image else shown(context)
         if not masks.is_mask(found):
@@ -94,7 +94,7 @@ class DiscardMask(_OnMask, bpy.types.Operator):
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
-        """Forget it."""
+        """Discard the strokes."""
         image = self.mask(context)
         name = masks.photo_name(image)
         masks.discard(image)
@@ -154,7 +154,7 @@ class MaskPanel(bpy.types.Panel):
 
 
 def shown(context: bpy.types.Context) -> bpy.types.Image | None:
-    """The image of the editor that is drawn or used, else the first that an editor shows."""
+    """The image of the context's image editor, else of the first image editor."""
     space = getattr(context, "space_data", None)
     if space is not None and space.type == "IMAGE_EDITOR":
         return space.image
@@ -162,7 +162,7 @@ def shown(context: bpy.types.Context) -> bpy.types.Image | None:
 
 
 def use_brush(context: bpy.types.Context, *, hides: bool) -> bool:
-    """Have the brush of image painting erase or add alpha; whether there is one.
+    """Set the brush of image painting to erase or add alpha; return whether there is a brush.
 
     Builds of Blender without its assets have none.
     """

@@ -35,7 +35,7 @@ the image is as it was made or saved, and the mask's file."""
 
 
 def is_mask(image: bpy.types.Image | None) -> bool:
-    """Whether an image is a mask of ours."""
+    """Whether an image is a mask of this add-on."""
     return image is not None and _PHOTO in image
 
 
@@ -45,12 +45,12 @@ def photo_name(image: bpy.types.Image) -> str:
 
 
 def is_unsaved(image: bpy.types.Image) -> bool:
-    """Whether a mask was painted on since it was made or saved."""
+    """Whether a mask has unsaved strokes."""
     return image.is_dirty or image.get(_SAVED, "") != _mark(image)
 
 
 def unsaved_of(root: bpy.types.Object | None) -> list[bpy.types.Image]:
-    """Masks of a capture that were painted and not saved."""
+    """Masks of a capture with unsaved strokes."""
     if root is None:
         return []
     source = Path(stored_paths.read(root, stored_paths.SOURCE))
@@ -58,8 +58,8 @@ def unsaved_of(root: bpy.types.Object | None) -> list[bpy.types.Image]:
 
 
 def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
-    """The image of a camera's mask: the one that is painted already, else made of the mask's file,
-    else one that hides nothing.
+    """The image of a camera's mask: the one in the file, else one made from the mask file, else an
+    empty mask.
 
     Raises:
         ValueError: the photo or its mask cannot be read, or a mask of it would not be used.
@@ -91,7 +91,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
 
 
 def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
-    """Write a mask where training looks for it, completely or not at all; the file.
+    """Write the mask file of the training, atomically; return its path.
 
     Raises:
         ValueError: its camera is gone, or the file would be one of the photos.
@@ -115,13 +115,13 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
 
 
 def discard(image: bpy.types.Image) -> None:
-    """Forget what was painted; the mask's file, if there is one, stays as it is."""
+    """Discard unsaved strokes; the mask file, if there is one, is not changed."""
     bpy.data.images.remove(image)
     undo.push("Discard Mask")
 
 
 def _settle(image: bpy.types.Image, pixels: np.ndarray) -> None:
-    """Keep the pixels in the .blend file, and note that they are what was made or saved.
+    """Pack the pixels into the .blend file, and mark the image as saved.
 
     Args:
         image: Gets them.
@@ -168,7 +168,7 @@ def _camera_of(image: bpy.types.Image) -> bpy.types.Object:
 
 
 def _check_usable(scene: bpy.types.Scene, photo: Path) -> None:
-    """ValueError where a file of a mask would change what the other photos mean, or be turned."""
+    """Raise ValueError if a mask file would change the use of the other photos, or be rotated."""
     found, problem = facts.capture(scene)
     if found is None and not problem:  # else the panel has looked, a moment ago
         found, _ = facts.refresh(scene)
@@ -262,12 +262,12 @@ def _make_small(image: bpy.types.Image) -> None:
 
 
 def on_register() -> None:
-    """Have trainings name what is not saved, and .blend files keep it."""
+    """Add handlers: trainings list unsaved masks, and .blend files keep them."""
     start_training.UNSAVED.append(_told)
     bpy.app.handlers.save_pre.append(_save_begins)
 
 
 def on_unregister() -> None:
-    """Take that back."""
+    """Remove the handlers."""
     bpy.app.handlers.save_pre.remove(_save_begins)
     start_training.UNSAVED.remove(_told)

@@ -30,7 +30,7 @@ class TrainRegion(BaseOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A splat object is active, or what crops one."""
+        """A splat object or its crop object is active."""
         if is_splats(meant(context)):
             return True
         cls.poll_message_set("Select splats, or their crop box")
@@ -53,7 +53,7 @@ class StopRegion(Cancelling, bpy.types.Operator):
     none = "No region is being trained."
 
     def job_of(self, scene: bpy.types.Scene) -> RegionJob | None:
-        """The training of a region of the scene's capture."""
+        """The region training of the scene's capture."""
         return train_region.job_of(scene)
 
 

@@ -12,7 +12,7 @@ def region_of(ob: bpy.types.Object) -> np.ndarray:
     the world of the object's capture.
 
     Raises:
-        ValueError: there is no such box, or it is no box.
+        ValueError: there is no crop box, or it has no volume.
     """
     if not is_cropped(ob):
         raise ValueError(f"{ob.name} has no crop object; add a crop box around the region first.")

@@ -7,7 +7,7 @@ from ..training.declared import declared
 
 
 class SteerSettings(bpy.types.PropertyGroup):
-    """`Scene.gscore_steer`."""
+    """Region training settings of a scene, `Scene.gscore_steer`."""
 
     region_steps: declared(
         TrainConfig(),

@@ -16,13 +16,13 @@ from ..splats.splat_files import source_matrix_of_data
 
 
 class Start:
-    """The splats of an object and a box, on their way into two files: read bit by bit, then turned
+    """The splats of an object and a box, written to two files: read in chunks, then transformed
     into their capture's world and written in a thread."""
 
     def __init__(
         self, ob: bpy.types.Object, box: np.ndarray, *, splats_file: Path, region_file: Path
     ) -> None:
-        """Take the splats as they are.
+        """Begin the copy of the current splats.
 
         Args:
             ob: The splat object.
@@ -44,7 +44,7 @@ class Start:
         self._going.step()  # from now on it leaves no copy where it is dropped
 
     def step(self) -> bool:
-        """Do some more; whether both files are there.
+        """Do one step; return whether both files are complete.
 
         Raises:
             ValueError: the splats cannot be read.
@@ -53,7 +53,7 @@ class Start:
         return self._going.step()
 
     def drop(self) -> None:
-        """Leave it."""
+        """Cancel the copy."""
         self._going.cancel()
 
     def _made(self, taken: ChunkedRead) -> Pieces[None]:

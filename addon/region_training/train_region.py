@@ -26,7 +26,7 @@ from .start import Start
 
 
 class _Asked:
-    """The scene's options of a training, but for those of a region's."""
+    """The scene's training options, overridden by those of the region."""
 
     def __init__(self, settings: Any, ob: bpy.types.Object, steps: int) -> None:
         self._settings = settings
@@ -49,16 +49,16 @@ def train_region(
     wait: bool = False,
     python: str | Path | None = None,
 ) -> RegionJob:
-    """Train what lies in an object's crop box again, with all else standing still.
+    """Train the splats in an object's crop box again; all others are frozen.
 
-    The object as it is, the box and all results go into a folder of their own beside the scene's
-    output folder, so that earlier runs stay.
+    The current splats, the box and all results are written to a new folder next to the scene's
+    output folder, so that earlier runs are kept.
 
     Args:
-        scene: Its settings say how.
+        scene: Its settings are used.
         ob: A splat object with a crop object.
-        wait: Return when it has ended and its splats are there.
-        python: The Python that trains; None: as the preferences say.
+        wait: Return when the job has ended and its splats are imported.
+        python: The Python that trains; None: that of the preferences.
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
@@ -96,7 +96,7 @@ def train_region(
 
 
 def job_of(scene: bpy.types.Scene) -> RegionJob | None:
-    """The last training of a region of the scene's capture, under way or ended."""
+    """The last region training of the scene's capture, running or ended."""
     try:
         return JOBS.of_source(capture_folder(scene))
     except ValueError:
@@ -104,8 +104,8 @@ def job_of(scene: bpy.types.Scene) -> RegionJob | None:
 
 
 def proceed(job: RegionJob) -> bool:
-    """Do the next step on the way to a training's start, or on that of its result into the scene;
-    whether panels changed."""
+    """Do the next step of starting a training or importing its result; return whether panels
+    changed."""
     if job.start is None:
         return bring_in(job)
     try:
@@ -122,10 +122,10 @@ def proceed(job: RegionJob) -> bool:
 
 
 def bring_in(job: RegionJob) -> bool:
-    """Do the next step on the way of a result into the scene; whether there was one.
+    """Do the next step of importing a result; return whether there was one.
 
-    It takes the place of the splats that it began with, which undo brings back; where these were
-    edited or deleted meanwhile, it becomes an object of its own.
+    The result replaces the splats that the training started from, and undo restores them. If
+    they were edited or deleted meanwhile, the result becomes a new object.
     """
     if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
@@ -194,6 +194,6 @@ def _beside(ob: bpy.types.Object) -> bpy.types.Object:
 
 
 def _free(beside: Path) -> Path:
-    """The first folder for a region's results that is not there."""
+    """The first unused folder name for a region's results."""
     numbered = (beside.with_name(f"{beside.name}_region_{n}") for n in itertools.count(1))
     return next(path for path in numbered if not path.exists())

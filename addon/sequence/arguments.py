@@ -7,7 +7,7 @@ from ..training.options import Machine, Settings, new_run, resumed_run
 
 
 class OwnSettings(Protocol):
-    """What a sequence has besides the options of a training."""
+    """Options of a sequence in addition to those of a training."""
 
     frames: str
     next_iterations: int
@@ -45,7 +45,7 @@ def new_sequence(
 
 
 def resumed_sequence(own: OwnSettings, *, output: Path, machine: Machine) -> list[str]:
-    """Arguments that go on with a sequence; with other frames, where they are chosen.
+    """Arguments that resume a sequence, with other frames if they are chosen.
 
     Args:
         own: Of the scene's sequence.

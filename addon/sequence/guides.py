@@ -18,17 +18,17 @@ from ..triangles import Triangles
 def arguments(
     scene: bpy.types.Scene, frames: Callable[[], list[SequenceFrame]], output: Path
 ) -> tuple[list[str], Callable[[], None]]:
-    """Write the guides of a scene for a sequence into `output`.
+    """Write the guide meshes of a scene for a sequence into `output`.
 
-    Where a role's meshes are the same all the time it is one file; else one for each frame.
+    A role whose meshes never change has one file, else one file per frame.
 
     Returns:
-        Options that tell the trainer of them, and what removes those of the sequence that is
-        replaced: to be called once the training begins, as till then that one may be gone on with.
+        Options for the trainer, and a function that removes the files of the replaced sequence, to
+        be called when the training begins, as that sequence can be resumed until then.
 
     Args:
-        scene: Which meshes, and at which frame of the timeline the first frame is.
-        frames: Gives those that are trained, rising; not called where nothing guides.
+        scene: Its guide collections, and the timeline frame of the first frame.
+        frames: Returns the trained frames, ascending; not called without guides.
         output: Of the sequence.
 
     Raises:
@@ -88,7 +88,7 @@ def _gathered(
 
 
 class _Files:
-    """Those of a role: one as long as all frames have the same mesh."""
+    """Files of a role: one as long as all frames have the same mesh."""
 
     def __init__(self, folder: Path, role: str) -> None:
         self._folder, self._role = folder, role
@@ -100,7 +100,7 @@ class _Files:
         self._kept: set[Path] = set()
 
     def add(self, number: int, found: Triangles) -> None:
-        """The mesh of a frame."""
+        """Add the mesh of a frame."""
         digest = guides.digest(found)
         if self._first is None:
             self._first, self._digest = found, digest
@@ -113,7 +113,7 @@ class _Files:
             self._write(self._path(number), found)
 
     def close(self) -> Path:
-        """What the trainer is told."""
+        """Complete the files; return the option's value."""
         assert self._first is not None
         if self._moves:
             self._kept = {self._path(n) for n in self._numbers}
@@ -141,7 +141,7 @@ class _Files:
 
 @contextmanager
 def _other_frames(scene: bpy.types.Scene) -> Iterator[None]:
-    """Go through the timeline and come back; sequences of splats stay as they are meanwhile."""
+    """Step through the timeline and return; sequences of splats are not updated meanwhile."""
     frame, subframe = scene.frame_current, scene.frame_subframe
     with frame_sync.left_alone():
         try:

@@ -25,31 +25,31 @@ class SequenceJob(VerbJob):
         output: Path,
         begun: Callable[[], object] = lambda: None,
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             python: The Python that has gscore.
             arguments: Of `gscore`.
             source: The sequence.
             output: Folder of the results.
-            begun: Called once the trainer has looked at everything and begins, or had nothing left
-                to do; never where it refuses.
+            begun: Called when the trainer has passed its checks and begins, or has nothing left
+                to do; never if it refuses.
 
         Raises:
             OSError: `python` cannot be run.
         """
         self.output = output
         self.frame: FrameStarted | None = None
-        """The one that is trained."""
+        """The frame in training."""
         self.progress: Progress | None = None
-        """Of that frame."""
+        """Run state of that frame."""
         self._begun: Callable[[], object] | None = begun
         self.done: SequenceDone | None = None
         super().__init__(python, arguments, source=source)
 
     @property
     def share(self) -> float:
-        """Part that is done, 0 to 1, by frames and the steps of the one under way."""
+        """Progress, 0 to 1, by frames and the steps of the current frame."""
         if self.frame is None or self.frame.frames < 1:
             return 0.0
         told = self.progress
@@ -57,7 +57,7 @@ class SequenceJob(VerbJob):
         return min((self.frame.place - 1 + min(within, 1.0)) / self.frame.frames, 1.0)
 
     def take(self, event: Event) -> None:
-        """Take note of an event."""
+        """Process an event."""
         if isinstance(event, FrameStarted | SequenceDone) and self._begun is not None:
             self._begun()
             self._begun = None
@@ -69,7 +69,7 @@ class SequenceJob(VerbJob):
             self.done = event
 
     def finish(self) -> str:
-        """How many frames are complete; empty where it was stopped."""
+        """A sentence with the number of complete frames; empty if the job was stopped."""
         done = self.done
         if done is None or (done.reason != FINISHED and self.status == STOPPING):
             return ""

@@ -39,7 +39,7 @@ class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name what an earlier sequence loses, and what the training would not see."""
+        """List what is overwritten, and what the training would not use."""
         output = train_sequence.output_of(context.scene)
         lines = []
         if self.overwrite and train_sequence.is_started(output):

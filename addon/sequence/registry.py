@@ -18,10 +18,10 @@ trained: Lookup[Path, SequenceIndex | None] = Lookup(read_sequence, max_age=3.0)
 
 
 def collect() -> bool:
-    """Take in what was found; whether that was anything new."""
+    """Collect finished lookups; return whether there were any."""
     return sum(found.collect() for found in (frames, trained)) > 0
 
 
 def busy() -> bool:
-    """Whether something is being looked up."""
+    """Whether a lookup is running."""
     return frames.busy or trained.busy

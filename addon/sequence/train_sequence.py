@@ -37,11 +37,11 @@ def train_sequence(
     """Train the frames of the scene's capture, one after the other.
 
     Args:
-        scene: Its settings say what and how.
-        resume: Go on with the sequence in the output folder.
+        scene: Its settings are used.
+        resume: Resume the sequence in the output folder.
         overwrite: Replace it.
-        wait: Return when it has ended.
-        python: The Python that trains; None: as the preferences say.
+        wait: Return when the job has ended.
+        python: The Python that trains; None: that of the preferences.
 
     Raises:
         GsError, ValueError: something is missing or in the way; the message says what to do.
@@ -72,7 +72,7 @@ def train_sequence(
 
 
 def job_of(scene: bpy.types.Scene) -> SequenceJob | None:
-    """The last training of the scene's sequence, under way or ended."""
+    """The last training of the scene's sequence, running or ended."""
     try:
         return JOBS.of_source(source_of(scene))
     except ValueError:
@@ -83,7 +83,7 @@ def source_of(scene: bpy.types.Scene) -> Path:
     """The scene's capture, whose path may hold `{frame:06d}`.
 
     Raises:
-        ValueError: none is chosen, or it is not there.
+        ValueError: none is chosen, or it does not exist.
     """
     source = absolute(scene.gscore.capture_path, "Capture")
     if "{" not in str(source) and not source.is_dir():
@@ -95,36 +95,36 @@ def output_of(scene: bpy.types.Scene) -> Path:
     """The folder of the frames' results, beside that of a training.
 
     Raises:
-        ValueError: it cannot be told.
+        ValueError: it cannot be derived from the settings.
     """
     beside = output_folder(scene, preferences.get().output_folder)
     return beside.with_name(f"{beside.name}_sequence")
 
 
 def is_started(output: Path) -> bool:
-    """Whether there is something of a sequence in a folder, besides meshes for one."""
+    """Whether a folder has files of a sequence other than guide meshes."""
     return output.is_dir() and any(path.name != GUIDES for path in output.iterdir())
 
 
 def chosen_frames(scene: bpy.types.Scene) -> list[SequenceFrame]:
-    """The frames that are to be trained, looked for at once.
+    """The frames to train, read from the disk now.
 
     Raises:
-        GsError, ValueError: there are none, or they are chosen in other words than they can be.
+        GsError, ValueError: there are none, or the choice of frames is invalid.
     """
     found = find_frames(DataConfig(source=source_of(scene), images=scene.gscore.images))
     return choose_frames(found, scene.gscore_train_sequence.frames.strip() or ":")
 
 
 def not_seen(scene: bpy.types.Scene) -> list[str]:
-    """What of the scene a training of a sequence would not see, in sentences."""
+    """Sentences on parts of the scene that the training of a sequence would not use."""
     within = scene.gscore.train_within
     lines = [] if within is None else [ONLY_WITHIN.format(within.name)]
     return lines + left_out(scene)
 
 
 def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
-    """The frames of the scene's capture, as far as is known, or why there are none."""
+    """The cached frames of the scene's capture, or the reason why there are none."""
     try:
         source = source_of(scene)
     except ValueError as error:
@@ -135,7 +135,7 @@ def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
 
 
 def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
-    """What an output folder lists, as far as is known, or why it cannot be read."""
+    """The cached index of an output folder, or the reason why it cannot be read."""
     answer = registry.trained.get(output)
     poll_timer.ensure()
     return answer

@@ -25,18 +25,18 @@ from .registry import JOBS
 
 @dataclass(frozen=True, kw_only=True)
 class Places:
-    """What is searched, and what comes of it."""
+    """Input and output paths of an SfM job."""
 
     source: Path
     """The photos or the video."""
     capture: Path
-    """The capture that is made of them, beside them."""
+    """The capture made from them, in the same parent folder."""
     is_there: bool
-    """Whether it was made before."""
+    """Whether the capture exists already."""
 
 
 def places(scene: bpy.types.Scene) -> Places:
-    """Where cameras of the scene's photos or video are looked for, and will be.
+    """Input and output paths of SfM for the scene's photos or video.
 
     Args:
         scene: Its `gscore` settings name photos or a video.
@@ -57,12 +57,12 @@ def places(scene: bpy.types.Scene) -> Places:
 
 
 def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> SearchJob:
-    """Find the cameras of the scene's photos or video, and bring them in.
+    """Find the cameras of the scene's photos or video, and import them.
 
     Args:
-        scene: Its `gscore` settings say how.
-        where: Of it; no capture is there yet.
-        wait: Return when it has ended and the cameras are there.
+        scene: Its `gscore` settings are used.
+        where: Its paths; the capture must not exist yet.
+        wait: Return when the job has ended and the cameras are imported.
 
     Raises:
         ValueError: the Python of the preferences is missing; the message says what to do.
@@ -88,7 +88,7 @@ def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> Search
 
 def job_of(scene: bpy.types.Scene) -> SearchJob | None:
     """The last search for the cameras of the scene's photos or video, or of the capture made of
-    them, under way or ended."""
+    them, running or ended."""
     try:
         chosen = absolute(scene.gscore.capture_path, "Capture")
     except ValueError:
@@ -98,11 +98,11 @@ def job_of(scene: bpy.types.Scene) -> SearchJob | None:
 
 
 def bring_in(job: SearchJob) -> bool:
-    """Do the next step on the way of what a search has found into the scene, when nothing is in the
-    way; whether panels changed.
+    """Do the next step of importing a finished job's result into the scene, if nothing blocks it;
+    return whether panels changed.
 
     Nothing is touched while Blender renders or a mesh is edited. Where another capture is chosen
-    before all is there, or another file is opened, the cameras stay on the disk.
+    before the import is complete, or another file is opened, the cameras stay on the disk.
     """
     if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
@@ -130,8 +130,8 @@ def bring_in(job: SearchJob) -> bool:
 
 
 def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
-    """Choose the capture, and import its cameras, points and photos unless they are there; what
-    the user should know besides.
+    """Choose the capture, and import its cameras, points and photos unless they are there;
+    return warnings for the user.
 
     Raises:
         GsError, ValueError, OSError: they cannot be imported; the message is for the user.

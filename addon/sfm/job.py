@@ -11,7 +11,7 @@ from ..training.verb_job import VerbJob
 
 
 class SearchJob(VerbJob):
-    """One search for the cameras of photos or of a video."""
+    """One SfM job for the photos of a folder or for a video."""
 
     kept = "Cancelled; what was found is kept, and Find Cameras goes on from there."
     less = "close other programs, then press Find Cameras again"
@@ -26,13 +26,13 @@ class SearchJob(VerbJob):
         scene_uid: int,
         after: VerbJob | None = None,
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             python: The Python that has gscore.
             arguments: Of `gscore`.
             source: The photos or the video.
-            capture: The capture that is made.
+            capture: The capture to make.
             scene_uid: Session number of the scene that it was started from.
             after: As `VerbJob`.
 
@@ -42,19 +42,19 @@ class SearchJob(VerbJob):
         self.capture, self.scene_uid = capture, scene_uid
         self.progress: SfmProgress | FramesProgress | None = None
         self.frames: FramesDone | None = None
-        """What was taken of a video."""
+        """Frames extracted from a video."""
         self.estimated: SfmEstimated | None = None
         self.done: SfmDone | None = None
         self.wanted = False
-        """Whether the cameras have to be brought into the scene."""
+        """Whether the cameras are still to be imported."""
         self.coming: TaskRunner | None = None
-        """They, on their way into it."""
+        """The running import of the cameras."""
         self._began = time.monotonic()
         super().__init__(python, arguments, source=source, after=after)
 
     @property
     def share(self) -> float:
-        """Part that is done, 0 to 1: of the search where that is told, else of the phase."""
+        """Progress from 0 to 1: of the whole job if it is reported, else of the phase."""
         told = self.progress
         whole = getattr(told, "share", None)
         if whole is not None and math.isfinite(whole):
@@ -63,7 +63,7 @@ class SearchJob(VerbJob):
 
     @property
     def left(self) -> float | None:
-        """Seconds left, of the whole search where they are told, else of the phase."""
+        """Remaining seconds: of the whole job if they are reported, else of the phase."""
         for name in ("left_s", "eta_s"):
             seconds = getattr(self.progress, name, None)
             if seconds is not None and math.isfinite(seconds):
@@ -76,7 +76,7 @@ class SearchJob(VerbJob):
         return time.monotonic() - self._began
 
     def take(self, event: Event) -> None:
-        """Take note of an event."""
+        """Process an event."""
         if isinstance(event, SfmProgress | FramesProgress):
             self.progress = event
         elif isinstance(event, FramesDone):
@@ -87,12 +87,12 @@ class SearchJob(VerbJob):
             self.done = event
 
     def takes(self, other: VerbJob) -> bool:
-        """Cameras that were found are those that were to be found."""
+        """Whether the result of another job is the result of this one."""
         self.done = other.done if isinstance(other, SearchJob) else None
         return self.done is not None
 
     def finish(self) -> str:
-        """How many photos have a camera."""
+        """A sentence with the number of photos that have a camera."""
         done = self.done
         if done is None:
             return ""

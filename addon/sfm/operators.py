@@ -39,7 +39,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for a file, unless one was dropped."""
+        """Open the file browser, unless a file was dropped."""
         if self.filepath:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
@@ -71,7 +71,7 @@ class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
     )
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Start; or bring in what was found before."""
+        """Start the job, or import an earlier result."""
         scene = context.scene
         where = find_cameras.places(scene)
         if where.is_there:
@@ -93,7 +93,7 @@ class CancelSearch(Cancelling, bpy.types.Operator):
     none = "No cameras are being looked for."
 
     def job_of(self, scene: bpy.types.Scene) -> SearchJob | None:
-        """The search for the scene's photos."""
+        """The SfM job of the scene's photos."""
         return find_cameras.job_of(scene)
 
 

@@ -20,15 +20,15 @@ _NAMES = ("python3", "python", "python3.14", "python3.13", "python3.12", "python
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What a check found."""
+    """Result of a check."""
 
     python: str
     good: bool
     """Whether it can train."""
     sentence: str
-    """For people."""
+    """Message for the user."""
     facts: Mapping[str, Any]
-    """What `gscore doctor` told; empty if it did not run."""
+    """Facts from `gscore doctor`; empty if it did not run."""
 
 
 def python_in(folder: Path) -> Path:
@@ -51,13 +51,13 @@ def candidates(*, chosen: str = "", private: Path | None = None) -> list[Path]:
 
 
 def chosen_python(text: str) -> Path:
-    """The Python a user means: a program, or the folder of a virtual environment."""
+    """The Python of the user's choice: a program, or the folder of a virtual environment."""
     path = Path(text).expanduser()
     return python_in(path) if path.is_dir() else path
 
 
 def check(python: Path, task: BackgroundTask, *, timeout: float = CHECK_TIMEOUT) -> Verdict:
-    """Ask a Python whether it can train, by `gscore doctor`; for a thread.
+    """Check by `gscore doctor` whether a Python can train; for a thread.
 
     Raises:
         Cancelled: the task was cancelled.
@@ -89,7 +89,7 @@ def check(python: Path, task: BackgroundTask, *, timeout: float = CHECK_TIMEOUT)
 def find(task: BackgroundTask, *, chosen: str = "", private: Path | None = None) -> Verdict:
     """The first Python that can train, or the verdict on the most likely one; for a thread.
 
-    With `chosen` only that one is looked at.
+    With `chosen` only that one is checked.
     """
     if chosen:
         return check(chosen_python(chosen), task)

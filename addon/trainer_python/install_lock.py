@@ -17,14 +17,14 @@ _RENAME_TRIES = 5
 
 @contextmanager
 def turn(target: Path) -> Iterator[None]:
-    """Hold the place of an environment, with nothing beside it that an earlier one left.
+    """Lock the folder of an environment, and remove leftovers of earlier installations.
 
-    An earlier environment that was moved aside, with none in its place, is put back. The system
-    ends the hold with the process, so that whoever holds the place knows that nobody works on
-    what lies beside it.
+    An earlier environment that was moved aside, with none in its place, is restored. The
+    operating system releases the lock when the process ends, so no process works on leftovers
+    while the lock is taken.
 
     Raises:
-        GsError: another process holds it, or the folder cannot be written or put in order.
+        GsError: another process has the lock, or the folder cannot be written or cleaned up.
     """
     lock = FolderLock(target.parent, f"{target.name}.lock", "Make Environment")
     try:

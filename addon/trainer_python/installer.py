@@ -33,7 +33,7 @@ _NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
 class SetupError(Exception):
-    """The environment cannot be made; the message says why and what to do."""
+    """The environment cannot be made; the message gives the reason and the remedy."""
 
 
 def make(
@@ -53,7 +53,7 @@ def make(
     Args:
         target: Folder of the environment; replaced if it is there.
         wheel: gscore for this system.
-        task: Told the progress; may cancel.
+        task: Receives the progress; may cancel.
         online: Whether Blender allows add-ons to go online.
         base: The Python to build on; None: Blender's own, or one that is installed.
         cpu: Prefer torch without CUDA.
@@ -62,8 +62,8 @@ def make(
         The environment's Python.
 
     Raises:
-        SetupError: no network, no space, no venv, a package that does not install; or another
-            Blender makes it.
+        SetupError: no network, no space, no venv, a package that does not install, or another
+            Blender is installing.
         Cancelled: as the task was asked to.
     """
     if not online:
@@ -98,13 +98,13 @@ def _make(target: Path, wheel: Path, task: BackgroundTask, *, base: Path | None,
 
 @dataclass(frozen=True)
 class Step:
-    """One call of pip."""
+    """One pip call of the installation."""
 
     words: str
-    """What is shown meanwhile."""
+    """Message shown during the call."""
     arguments: list[str]
     variables: Mapping[str, str] = field(default_factory=dict)
-    """Of its environment, besides those of every process."""
+    """Environment variables in addition to the inherited ones."""
 
 
 def steps(python: Path, wheel: Path, *, cpu: bool) -> list[Step]:
@@ -134,7 +134,7 @@ def _install(python: Path, words: str, pinned: pins.Pins, more: list[str]) -> St
 
 
 def contents(wheel: Path, target: Path, *, cpu: bool) -> list[str]:
-    """What `make` would install, how large, and from where, in sentences.
+    """Sentences on what `make` installs: packages, size and source.
 
     Raises:
         SetupError: the packages are not made for this system.
@@ -179,7 +179,7 @@ def usable_base() -> Path:
     """A Python to build the environment on: the one that runs here, or an installed one.
 
     Raises:
-        SetupError: none of version 3.11 or later is at hand.
+        SetupError: no Python 3.11 or later is available.
     """
     if sys.version_info >= _OLDEST and "python" in Path(sys.executable).name.lower():
         return Path(sys.executable)
@@ -229,7 +229,7 @@ def _run(
     task: BackgroundTask,
     variables: Mapping[str, str] = _NO_VARIABLES,
 ) -> None:
-    """Run a program to its end, its lines told; SetupError with its reason if it fails."""
+    """Run a program and report its lines; SetupError with its reason if it fails."""
     try:
         process = Process([str(a) for a in arguments], variables=variables)
     except OSError as error:
@@ -250,7 +250,7 @@ def _run(
 
 
 def _readable(line: str) -> str:
-    """A line of pip as people want it; empty if there is nothing in it."""
+    """A readable form of a line from pip; empty if it has no information."""
     if match := re.fullmatch(r"Progress (\d+) of (\d+)", line.strip()):
         done, total = int(match[1]), int(match[2])
         return f"Downloading: {done / 1e6:.0f} of {total / 1e6:.0f} MB" if total > 5e6 else ""
@@ -283,9 +283,9 @@ def _reason(lines: list[str]) -> str:
 
 
 def _put_in_place(partial: Path, target: Path) -> None:
-    """Rename, with the earlier environment moved aside until the new one is there.
+    """Rename, with the earlier environment kept under another name until the new one is complete.
 
-    Only the scripts of a virtual environment know where it lies, and those are not used: its
+    Only the scripts of a virtual environment contain its path, and those are not used: its
     Python finds the rest by itself.
     """
     aside = install_lock.rename_away(target)

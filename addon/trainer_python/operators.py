@@ -25,7 +25,7 @@ class CheckTrainer(BaseOperator, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Ask."""
+        """Check."""
         prefs = preferences.get()
         if not self.wait:
             CURRENT.start_check(prefs)
@@ -80,11 +80,11 @@ class CancelSetup(BaseOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Something is under way."""
+        """A check or installation is running."""
         return CURRENT.busy()
 
     def act(self, context: bpy.types.Context) -> str:
-        """End it."""
+        """Cancel it."""
         CURRENT.cancel()
         return ""
 

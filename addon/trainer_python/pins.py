@@ -29,29 +29,29 @@ class Pins:
 
     @property
     def text(self) -> str:
-        """As it stands in the file."""
+        """Content of the file."""
         return self.file.read_text(encoding="utf-8")
 
     @property
     def hashed(self) -> bool:
-        """Whether each file that pip may take is known by its SHA-256."""
+        """Whether every file is pinned by its SHA-256."""
         return "--hash=sha256:" in self.text
 
     @property
     def packages(self) -> list[str]:
-        """Names and versions; one that depends on the version of Python stands there twice."""
+        """Names and versions; a package that depends on the Python version occurs twice."""
         return [f"{name} {version}" for name, version in _PIN.findall(self.text)]
 
     @property
     def megabytes(self) -> int:
-        """To download for this system, about; 0 if that is not known."""
+        """Approximate download size for this system, MB; 0: unknown."""
         match = _SIZES.search(self.text)
         sizes = dict(item.split(" ") for item in match[1].split(", ")) if match else {}
         return int(sizes.get(system(), 0))
 
 
 def system() -> str:
-    """This system as sizes are listed."""
+    """Name of this system in the lists of sizes."""
     machine = platform.machine().lower()
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     kind = {"win32": "windows", "darwin": "macos"}.get(sys.platform, "linux")
@@ -59,7 +59,7 @@ def system() -> str:
 
 
 def pip() -> Pins:
-    """pip itself, which Pythons bring in versions too old to tell their progress."""
+    """pip itself, as Pythons bundle versions too old to report progress."""
     return Pins(FOLDER / "pip.txt", REGISTRY)
 
 

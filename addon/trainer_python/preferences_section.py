@@ -9,7 +9,7 @@ from .setup import CURRENT
 
 
 def draw_trainer(layout: bpy.types.UILayout, prefs: Preferences) -> None:
-    """The Python that trains: choose, check, make, and what came of it."""
+    """Draw the trainer's Python: choice, check, installation, and their results."""
     box = layout.box()
     row = box.row(align=True)
     row.prop(prefs, "python_path", placeholder="The add-on's own environment, or one found") if (
@@ -34,10 +34,10 @@ def draw_trainer(layout: bpy.types.UILayout, prefs: Preferences) -> None:
 
 
 def on_register() -> None:
-    """Draw it."""
+    """Add the section."""
     SECTIONS.append(draw_trainer)
 
 
 def on_unregister() -> None:
-    """Draw it no more."""
+    """Remove the section."""
     SECTIONS.remove(draw_trainer)

@@ -15,7 +15,7 @@ from .environment import Verdict
 
 
 def private_folder() -> Path:
-    """Folder of the add-on's own environment, whether it is there or not."""
+    """Folder of the add-on's own environment, whether or not it exists."""
     return own_folder() / "trainer"
 
 
@@ -26,10 +26,10 @@ def bundled_wheel() -> Path | None:
 
 
 def trainer_python(prefs: Any) -> Path:
-    """The Python that trains: the chosen one, the add-on's own, or one that was found.
+    """The trainer's Python: the chosen one, the add-on's own, or one that was found.
 
     Raises:
-        ValueError: there is none, or the chosen one is not there.
+        ValueError: there is none, or the chosen one does not exist.
     """
     if prefs.python_path.strip():
         python = environment.chosen_python(bpy.path.abspath(prefs.python_path))
@@ -49,7 +49,7 @@ def trainer_python(prefs: Any) -> Path:
 
 
 def contents(prefs: Any, *, wheel: Path | None = None) -> list[str]:
-    """What `start_make` would install, how large, and from where, in sentences.
+    """Sentences on what `start_make` installs: packages, size and source.
 
     Raises:
         ValueError: as `start_make`, or nothing is made for this system.
@@ -74,20 +74,20 @@ def _wheel(chosen: Path | None) -> Path:
 
 
 class Setup:
-    """What is under way about the Python that trains, and what was found."""
+    """State of the trainer's Python: running checks and installations, and their results."""
 
     def __init__(self) -> None:
         self._checking: BackgroundTask | None = None
         self._making: BackgroundTask | None = None
         self.verdict: Verdict | None = None
-        """What a check found of the Python that is chosen now; None: it was not checked."""
+        """Result of the check of the chosen Python; None: not checked."""
         self._chosen = ""
-        """Which Python is checked."""
+        """The Python in check."""
         self.make_problem = ""
-        """Why the last environment was not made."""
+        """Error message of the last installation."""
 
     def start_check(self, prefs: Any) -> BackgroundTask:
-        """Look for a Python that can train, or check the chosen one; does not wait."""
+        """Search for a Python that can train, or check the chosen one; does not wait."""
         chosen = bpy.path.abspath(prefs.python_path) if prefs.python_path.strip() else ""
         if self._checking is not None and self._checking.running:
             if chosen == self._chosen:
@@ -173,7 +173,7 @@ class Setup:
         return changed
 
     def progress(self) -> list[str]:
-        """What is under way, one line each."""
+        """Messages of running tasks, one line each."""
         return [
             t.last_line or "Checking"
             for t in (self._checking, self._making)
@@ -185,17 +185,17 @@ class Setup:
         return self._making is not None and self._making.running
 
     def busy(self) -> bool:
-        """Whether anything is under way or waits for `collect`."""
+        """Whether a task is running or its result is not collected."""
         return self._checking is not None or self._making is not None
 
     def cancel(self) -> None:
-        """End whatever is under way; an environment that was there before stays."""
+        """Cancel running tasks; an earlier environment is kept."""
         for task in (self._checking, self._making):
             if task is not None:
                 task.cancel()
 
     def shut_down(self) -> None:
-        """End whatever is under way and wait for it shortly, because the add-on is switched off."""
+        """Cancel running tasks and wait shortly for their end, when the add-on is disabled."""
         self.cancel()
         for task in (self._checking, self._making):
             if task is not None:
@@ -209,13 +209,13 @@ _FOLLOWER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURREN
 
 
 def on_register() -> None:
-    """Take in what checks find."""
+    """Start to collect results of checks."""
     poll_timer.FOLLOWERS.append(_FOLLOWER)
     preferences.PYTHON_CHOSEN.append(CURRENT.chosen)
 
 
 def on_unregister() -> None:
-    """End what is under way."""
+    """Cancel running tasks."""
     poll_timer.FOLLOWERS.remove(_FOLLOWER)
     preferences.PYTHON_CHOSEN.remove(CURRENT.chosen)
     CURRENT.shut_down()
