@@ -1,6 +1,5 @@
 """Camera search: photos checked, attempts run, the best model published as a capture."""
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -12,7 +11,7 @@ from .._version import __version__
 from ..control import Control
 from ..datasets.capture import listing
 from ..errors import DatasetError
-from ..events import SfmDone, SfmEstimated, SfmProgress, Show, Warn, strict_json
+from ..events import SfmDone, SfmEstimated, Show, strict_json
 from ..io.runs import MADE_OF
 from ..raster import backend
 from ..text_format import count_words
@@ -28,6 +27,7 @@ from .photo_quality import PhotoQuality, blurred, exposure_jumps
 from .pycolmap_stages import Work
 from .pycolmap_thread import check_space, colmap, log_messages, run_in_thread
 from .search_attempts import ENOUGH, Attempt, attempts
+from .search_progress import SearchProgress
 from .search_request import USUAL_LENS, SearchRequest
 from .search_result import (
     SearchResult,
@@ -81,14 +81,13 @@ class _Search:
     """One search from its beginning to its end."""
 
     def __init__(self, request: SearchRequest, show: Show, control: Control) -> None:
-        self._request, self._show, self._control = request, show, control
+        self._request, self._control = request, control
+        self._progress = SearchProgress(show)
         self._began = time.monotonic()
-        self._warnings: list[str] = []
         self._root = photos.photo_folder(request.photos)
         self._space = Workspace(request.output, self._root)
         self._lens = ""
         self._opened = False
-        self._forecast: Forecast | None = None
         self._compared: set[Path] = set()
         self._stamps: list[list[Any]] = []
 
@@ -99,13 +98,13 @@ class _Search:
         if sentence := captures_inside(self._root, names):
             raise DatasetError(sentence)
         if unread:
-            self._warn(
+            self._progress.warn(
                 f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "
                 f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
             )
         self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
         read = photos.read_photos(
-            self._root, names, on_photo=self._counted("reading photos", len(names)),
+            self._root, names, on_photo=self._progress.counter("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
         if sentence := refused_panoramas(
@@ -115,7 +114,7 @@ class _Search:
         read, sentences = photos.one_of_each(self._root, read)
         doubtful = doubt(self._root, names, len(photos.by_camera(read)))
         for sentence in filter(None, (*sentences, doubtful, other_cameras(self._request.photos))):
-            self._warn(sentence)
+            self._progress.warn(sentence)
         folder = masks.mask_folder(self._root, self._request.masks)
         found = masks.find_masks(folder if self._request.use_masks else None, read)
         resumed = self._space.open(self._state(found))
@@ -151,7 +150,7 @@ class _Search:
         for tried, attempt in enumerate(plan, 1):
             placed = best[0].num_reg_images() if best else 0
             if attempt.name:
-                self._warn(attempt_text(placed, len(work.photos), attempt.name))
+                self._progress.warn(attempt_text(placed, len(work.photos), attempt.name))
             models = self._attempt(work, attempt)
             if models and models[0].num_reg_images() > placed:
                 best = models
@@ -161,9 +160,10 @@ class _Search:
 
     def _attempt(self, work: Work, attempt: Attempt) -> list[Any]:
         file, count = work.database(attempt), len(work.photos)
-        forecast = work.forecast(attempt, pace=self._forecast.pace if self._forecast else 1.0)
-        self._forecast = forecast
-        self._tell("entering photos", 0, count)
+        earlier = self._progress.forecast
+        forecast = work.forecast(attempt, pace=earlier.pace if earlier else 1.0)
+        self._progress.forecast = forecast
+        self._progress.report("entering photos", 0, count)
         check_space(work.folder, pycolmap_stages.space_needed(work, attempt))
         with log_messages(work.folder):
             pycolmap_stages.enter_photos(work, file)
@@ -208,8 +208,8 @@ class _Search:
             found = [number for number in database.features(file) if number]
         if found:
             forecast.has_features(sum(found), len(found))
-        self._tell(FEATURES, sample[0], count)  # the forecast learns the pace from it
-        self._show(SfmEstimated(photos=count, seconds=forecast.seconds))
+        self._progress.report(FEATURES, sample[0], count)  # the forecast learns the pace from it
+        self._progress.show(SfmEstimated(photos=count, seconds=forecast.seconds))
         self._steps(others, FEATURES, space, before=sample[0], total=count)
 
     def _compare(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
@@ -267,36 +267,13 @@ class _Search:
         done: Callable[[], int],
         under_way: Callable[[], int],
     ) -> Any:
-        progress = self._counted(phase, total, done())
-        self._tell(phase, done(), total)
+        progress = self._progress.counter(phase, total, done())
+        self._progress.report(phase, done(), total)
         return run_in_thread(
             work,
             self._space.folder,
             tick=lambda: progress(done(), under_way()),
             cancelled=self._stopping,
-        )
-
-    def _counted(self, phase: str, total: int, before: int = 0) -> Callable[..., None]:
-        """Tells how far a phase is: how much is done, and how much in one piece under way."""
-        began = time.monotonic()
-
-        def tell(done: int, under_way: int = 0) -> None:
-            own, passed = done - before, time.monotonic() - began
-            eta = passed / own * (total - done) if own else math.nan
-            self._tell(phase, done, total, eta, under_way)
-
-        return tell
-
-    def _tell(
-        self, phase: str, done: int, total: int, eta: float = math.nan, under_way: int = 0
-    ) -> None:
-        forecast, left, share = self._forecast, math.nan, math.nan
-        if forecast is not None:
-            whole = max(total, 1)
-            left = forecast.left(phase, done / whole, under_way / whole)
-            share = forecast.share
-        self._show(
-            SfmProgress(phase=phase, done=done, total=total, eta_s=eta, left_s=left, share=share)
         )
 
     def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
@@ -306,7 +283,7 @@ class _Search:
             found, read, self._space.masks,
             inverted=self._request.invert_masks, cancelled=self._stopping,
         ):  # fmt: skip
-            self._warn(sentence)
+            self._progress.warn(sentence)
 
     def _state(self, found: dict[str, Path]) -> dict[str, Any]:
         """What a stopped search must have in common with this one to be gone on from."""
@@ -333,7 +310,7 @@ class _Search:
         if not is_stable(model):
             raise DatasetError(self._why_none(work, last))
         for sentence in self._space.check_photos():
-            self._warn(sentence)
+            self._progress.warn(sentence)
         gps = self._by_gps(model, work.database(last), names)
         parts = tuple(model_names(each, names) for each in models)
         placed = {name for part in parts for name in part}
@@ -356,14 +333,14 @@ class _Search:
             attempts=tried,
             seconds=round(time.monotonic() - self._began, 2),
             resumed=resumed,
-            warnings=tuple(self._warnings),
+            warnings=tuple(self._progress.warnings),
         )
-        self._tell("writing the capture", 0, 0)
+        self._progress.report("writing the capture", 0, 0)
         made_of = (self._request.video or self._request.photos).absolute()
         record = {"gscore": __version__, MADE_OF: str(made_of)} | found.facts()
         record["photos_read"] = self._stamps
         self._space.publish(model, work.photos, strict_json(record), up=gps.up)
-        self._show(
+        self._progress.show(
             SfmDone(
                 photos=found.photos,
                 registered=found.registered,
@@ -394,19 +371,15 @@ class _Search:
         if found.before is not None:
             self._lens = lens_text(found.before, found.after)
         if found.held:
-            self._warn(focal_text([stated[number] for number in model.cameras]))
+            self._progress.warn(focal_text([stated[number] for number in model.cameras]))
 
     def _by_gps(self, model: Any, file: Path, names: dict[str, str]) -> Gps:
         """What EXIF tells of the model's world; its unit becomes a metre where that is known."""
         gps = read_gps(model, database.gps_places(file))
         to_metres(model, gps)
         for sentence in gps_text(gps, names):
-            self._warn(sentence)
+            self._progress.warn(sentence)
         return gps
-
-    def _warn(self, sentence: str) -> None:
-        self._warnings.append(sentence)
-        self._show(Warn(message=sentence))
 
     def _stopping(self) -> bool:
         return self._control.stopping
