@@ -13,68 +13,67 @@ class Strategy(StrEnum):
 
 
 class Doubling(StrEnum):
-    """What becomes of a splat that one is not enough for."""
+    """Operation that doubles a splat."""
 
     LONG_AXIS = "long-axis"
     """Two halves side by side along its longest axis (Deng et al. 2024)."""
     CLONE_SPLIT = "clone-split"
-    """A small one gets a copy in its place, a large one makes room for two that are drawn from it,
-    as in the paper of 3DGS (Kerbl et al. 2023)."""
+    """Small splats are cloned, large ones replaced by two samples (Kerbl et al. 2023)."""
 
 
 class Background(StrEnum):
-    """What lies behind the splats during training."""
+    """Background colour during training."""
 
     AUTO = "auto"
-    """Another colour at each step for photos with opacity, black for all others."""
+    """Random at each step for photos with opacity, else black."""
     BLACK = "black"
     WHITE = "white"
     RANDOM = "random"
-    """Another colour at each step."""
+    """Random at each step."""
 
 
 class Switch(StrEnum):
-    """Whether to do what not every capture has a use for."""
+    """State of a feature that only some captures need."""
 
     AUTO = "auto"
-    """Where the capture gives a reason to; a line says so."""
+    """On if the capture needs it; a message reports that."""
     ON = "on"
     OFF = "off"
 
 
 class Stereo(StrEnum):
-    """When photos are asked for points of the surfaces that they show."""
+    """Condition for initial points by multi-view stereo."""
 
     AUTO = "auto"
-    """Unless the capture's points are half of `max_splats` already."""
+    """Unless the points of the capture reach half of `max_splats`."""
     MISSING = "missing"
-    """Where the capture has no points."""
+    """Only if the capture has no points."""
     ON = "on"
     OFF = "off"
 
 
 class Skip(StrEnum):
-    """Work that a training leaves out because the scene has no use for it. Each can be switched
-    off (`TrainConfig.without`) to prove or to measure what it brings; `gscore bench skips`
-    does. All but the last three leave every bit of the result as it is."""
+    """Optimisations that skip needless work. `TrainConfig.without` disables them
+    for verification and measurement, as `gscore bench skips` does. All but the last three keep
+    every bit of the result."""
 
     EXACT_CULL = "exact-cull"
-    """Tiles and rows inside a splat's box that its ellipse does not reach."""
+    """Tiles and rows of a splat's bounding box outside its ellipse."""
     OPACITY_EXTENT = "opacity-extent"
-    """The rim that an opaque splat of the same shape would reach, but this one does not."""
+    """The margin that only an opaque splat of the same shape covers."""
     ROW_RANGE = "row-range"
-    """Rows of a tile that the ellipse does not reach."""
+    """Rows of a tile outside the ellipse."""
     ZERO_TILE = "zero-tile"
     """The backward pass of tiles without an image gradient."""
     MASKED_TILE = "masked-tile"
-    """Tiles that an `ignore` mask hides whole."""
+    """Tiles that an `ignore` mask covers completely."""
     SH_BANDS = "sh-bands"
-    """Storage and optimizer steps of SH degrees that are not in use yet."""
+    """Storage and optimizer steps of SH degrees that are not active yet."""
     UNSEEN_SH = "unseen-sh"
-    """Optimizer steps of the higher SH coefficients of splats that a view does not show: made up
-    for later, equal but for rounding."""
+    """Optimizer steps of the higher SH coefficients of splats outside the view: applied later
+    (lazy Adam), equal up to rounding."""
     RARE_SH = "rare-sh"
-    """Optimizer steps of the higher SH coefficients: one for the gradients of several views, see
-    `TrainConfig.shN_every`; another training, as good."""
+    """Optimizer steps of the higher SH coefficients: one per several views, with accumulated
+    gradients, see `TrainConfig.shN_every`; different bits, equal quality."""
     SMALL_PHOTOS = "small-photos"
-    """Pixels of the first steps: photos start small, see `TrainConfig.coarse_factor`."""
+    """Pixels of the first steps: photos start downscaled, see `TrainConfig.coarse_factor`."""

@@ -10,7 +10,7 @@ from .options import LARGEST, Range, check_options, option
 from .quoting import quoted
 
 _MOST_THREADS = 1024
-"""Most that the library takes."""
+"""Limit of the native library."""
 _MOST = 10**9
 """Steps and splats. Far beyond what machines do; forecasts walk through all refinements of a run,
 and much larger numbers are no floats."""
@@ -23,7 +23,7 @@ _DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
 
 
 def checked_threads(threads: int) -> int:
-    """`threads` if so many may be asked for, 0: all cores; ConfigError otherwise."""
+    """`threads` if valid (0: all cores), else ConfigError."""
     if not isinstance(threads, int) or not 0 <= threads <= _MOST_THREADS:
         raise ConfigError(
             f"threads must be 0 (all cores) to {_MOST_THREADS}, got {quoted(threads)}."
@@ -33,7 +33,7 @@ def checked_threads(threads: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class DataConfig:
-    """What to read of a capture and how to divide it."""
+    """Input of a run: files of the capture, and the split into training and test views."""
 
     source: Path
     """Folder with the COLMAP model or transforms.json."""
@@ -101,8 +101,8 @@ class DataConfig:
         basic=True,
     )
     max_width: int = 1600
-    """With `resolution` -1: photos wider than this are scaled down to it, pixels. Presets lower
-    it; no option of the command line gives it."""
+    """Width limit of photos with `resolution` -1, pixels. Set by presets, not by a command-line
+    option."""
     eval: bool = option(
         False,
         "Hold out test views and measure on them. Default: every 8th view, unless `hold_out` or"
@@ -113,8 +113,8 @@ class DataConfig:
     test_every: int = 8
     """Every n-th view by sorted name is a test view, unless the capture states its own split."""
     test_offset: int | None = None
-    """Of each `test_every` views the one at this place, from 0, is the test view, whatever split
-    the capture states; None: the first one, and the capture's own split counts."""
+    """Index of the test view in each group of `test_every`, from 0, overriding the split of the
+    capture; None: the first, unless the capture has a split."""
     test_list: Path | None = None
     """Text file with the names of the test views, one a line; wins over the other rules."""
     test_last: int = 0
@@ -143,8 +143,8 @@ class DataConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """How to train. A 0 that means "by itself" says so; `trainer.schedule.plan.Plan` holds what it
-    became.
+    """Training options. Where 0 selects a value automatically, `trainer.schedule.plan.Plan` has the
+    result.
 
     Lengths are in units of the camera extent: 1.1 times the largest distance of a camera from
     their mean.
@@ -833,11 +833,11 @@ LIFTED_BY = {
     "drop_rate": "drop_below",
     "ensemble": "ensemble_below",
 }
-"""Limits by what the photos are like, by the option that lifts them where it is given by itself."""
+"""Limits derived from the photos, by the option that disables them when given explicitly."""
 
 
 def unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
-    """The options before photos limited them, which limit them again alike.
+    """Options before the limits derived from the photos, for the same limits to be applied again.
 
     Args:
         train: Options of a run.

@@ -8,11 +8,11 @@ from collections import deque
 from collections.abc import Callable
 
 COMMANDS = ("stop", "pause", "resume", "snapshot")
-"""Lines that `submit` understands."""
+"""Commands of `submit`."""
 
 
 class Control:
-    """What a front end asks of a trainer; the trainer looks between two steps.
+    """Requests of a front end to a trainer, polled between two steps.
 
     Plain attributes instead of locks: a signal handler runs in the middle of the code that it
     interrupts, so a lock could be held by itself.
@@ -20,29 +20,29 @@ class Control:
 
     def __init__(self) -> None:
         self.stop_reason = ""
-        """Not empty: write a checkpoint and end."""
+        """Reason to write a checkpoint and stop; empty: none."""
         self.paused = False
         self._snapshots = 0
         self._unknown: deque[str] = deque(maxlen=100)
 
     def stop(self, reason: str = "stopped") -> None:
-        """Ask for a checkpoint and an end; the first reason counts."""
+        """Request a checkpoint and a stop; the first reason counts."""
         self.stop_reason = self.stop_reason or reason
 
     def pause(self) -> None:
-        """Ask to wait before the next step."""
+        """Request a pause before the next step."""
         self.paused = True
 
     def resume(self) -> None:
-        """Ask to go on."""
+        """Request to resume after a pause."""
         self.paused = False
 
     def snapshot(self) -> None:
-        """Ask for the splats as they are now."""
+        """Request a snapshot of the current splats."""
         self._snapshots += 1
 
     def submit(self, line: str) -> None:
-        """Act on a line of text; lines that are no command are kept for `unknown`."""
+        """Execute a command line; unknown lines are stored for `unknown`."""
         command = line.strip()
         if command in COMMANDS:
             getattr(self, command)()
@@ -51,16 +51,16 @@ class Control:
 
     @property
     def stopping(self) -> bool:
-        """Whether an end was asked for."""
+        """True after a stop request."""
         return bool(self.stop_reason)
 
     def take_snapshot(self) -> bool:
-        """Whether a snapshot was asked for since the last call."""
+        """True after a snapshot request since the last call."""
         asked, self._snapshots = self._snapshots > 0, 0
         return asked
 
     def unknown(self) -> list[str]:
-        """Lines since the last call that were no command."""
+        """Unknown lines since the last call."""
         lines = []
         while self._unknown:
             lines.append(self._unknown.popleft())

@@ -6,15 +6,15 @@ class GsError(Exception):
 
 
 class DatasetError(GsError):
-    """A capture cannot be used: files missing, names that do not match, nothing to train on."""
+    """A capture is unusable: missing files, mismatched names, no training data."""
 
 
 class FormatError(GsError):
-    """A file is not what its name says: truncated, corrupt or of another kind."""
+    """A file is truncated, corrupt or of another format than its name."""
 
 
 class ConfigError(GsError, ValueError):
-    """An option has a value that cannot work."""
+    """An option has an invalid value."""
 
 
 class ShapeError(GsError, ValueError):
@@ -26,4 +26,4 @@ class BackendError(GsError, RuntimeError):
 
 
 class Cancelled(GsError):  # noqa: N818 - nothing went wrong
-    """The caller asked to stop."""
+    """The caller requested cancellation."""

@@ -6,8 +6,8 @@ from .splats import Splats, sigmoid
 
 
 def importance_of(splats: Splats) -> np.ndarray:
-    """[N] float64: what a splat may show where no camera says what it does: its opacity times the
-    area of its largest side, of two standard deviations.
+    """[N] float64: importance of each splat without cameras: its opacity times the area of its
+    largest side, at two standard deviations.
 
     Splats lie flat on surfaces: of half of those of plush, chosen so, pictures keep 3 dB more than
     with the volume in its place, and 3 dB less than with contributions.

@@ -11,7 +11,7 @@ from .errors import ConfigError
 from .quoting import quoted
 
 LARGEST = 1e9
-"""Of every number that is no count: products of several must not leave float32."""
+"""Limit of numbers other than counts: products of several must fit float32."""
 _KEY = "option"
 
 T = TypeVar("T")
@@ -19,17 +19,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """Which numbers an option takes; ends included unless said otherwise."""
+    """Allowed numbers of an option, bounds included by default."""
 
     low: float = 0
     high: float | None = None
-    """None: as large as one likes."""
+    """None: no upper bound."""
     above: bool = False
-    """`low` itself is not taken."""
+    """`low` itself is excluded."""
     below: bool = False
-    """`high` itself is not taken."""
+    """`high` itself is excluded."""
     also: float | None = None
-    """A number outside that has a meaning of its own."""
+    """A number outside the range with a special meaning."""
 
     def __contains__(self, value: float) -> bool:
         if value == self.also:
@@ -52,7 +52,7 @@ class Range:
 
 @dataclass(frozen=True, kw_only=True)
 class Option:
-    """What is to be known of an option."""
+    """Declaration of one option."""
 
     name: str = ""
     default: Any
@@ -61,39 +61,39 @@ class Option:
     several: bool = False
     """Its value is a tuple."""
     text: str
-    """What it does; the first sentence stands alone in `--help`."""
+    """Help text; `--help` shows its first sentence only."""
     group: str
-    """Under which it is listed."""
+    """Heading in the option list."""
     range: Range | None = None
     unit: str = ""
     choices: tuple[str, ...] = ()
-    """All values there are; empty: any of its kind."""
+    """Allowed values; empty: any of its kind."""
     metavar: str = ""
-    """What stands for its value in `--help`."""
+    """Placeholder of the value in `--help`."""
     short: str = ""
     """One-letter flag."""
     basic: bool = False
     """Shown by `--help`; the others are listed by `gscore options`."""
     when: str = ""
-    """When it has an effect, a key of `commands.no_effect`; empty: always."""
+    """Condition of its effect, a key of `commands.no_effect`; empty: always."""
     free: bool = False
-    """It may change when a run goes on."""
+    """May change when a run is resumed."""
 
     @property
     def flag(self) -> str:
-        """Its long name on the command line."""
+        """Long flag on the command line."""
         return "--" + self.name.replace("_", "-")
 
     @property
     def values(self) -> str:
-        """Which values it takes, in words; empty: any of its kind."""
+        """Description of the allowed values; empty: any of its kind."""
         if self.choices:
             return ", ".join(self.choices)
         return "on, off" if self.kind is bool else str(self.range or "")
 
     @property
     def default_words(self) -> str:
-        """The default as one would give it; empty: none."""
+        """Default as command-line text; empty: none."""
         return value_words(self.default)
 
 
@@ -102,7 +102,7 @@ def option(default: T, text: str, **facts: Any) -> T:
 
     Args:
         default: Its default.
-        text: What it does.
+        text: Help text.
         **facts: The other fields of `Option`, as far as types do not say them.
     """
     declared: Any = field(default=default, metadata={_KEY: {"text": text} | facts})
@@ -122,7 +122,7 @@ def options_of(cls: type[Any]) -> Mapping[str, Option]:
 
 
 def check_options(config: Any) -> None:
-    """Raise ConfigError for the first value of a config that its option does not take."""
+    """Raise ConfigError for the first invalid value of a config."""
     for name, declared in options_of(type(config)).items():
         value = getattr(config, name)
         members = value if declared.several else (value,)
@@ -132,7 +132,7 @@ def check_options(config: Any) -> None:
 
 
 def value_words(value: Any) -> str:
-    """A value as one would give it on the command line; empty for none."""
+    """A value as command-line text; empty for none."""
     if isinstance(value, tuple):
         return " ".join(value_words(member) for member in value)
     if isinstance(value, bool):
@@ -149,7 +149,7 @@ def _taken(declared: Option, value: Any) -> bool:
 
 
 def flag_of(name: str) -> str:
-    """How the command line calls an option."""
+    """Name of an option on the command line."""
     return {"resolution": "-r"}.get(name, "--" + name.replace("_", "-"))
 
 
@@ -158,7 +158,7 @@ def _wanted(declared: Option) -> str:
 
 
 def _of_type(hint: Any) -> dict[str, Any]:
-    """What the annotation of a field says of its option."""
+    """Option attributes from the annotation of a field."""
     inner = [kind for kind in get_args(hint) if kind not in (type(None), ...)]
     kind = inner[0] if inner else hint
     facts: dict[str, Any] = {"kind": kind, "several": get_origin(hint) is tuple}
@@ -170,5 +170,5 @@ def _of_type(hint: Any) -> dict[str, Any]:
 
 
 def _digits(number: float) -> str:
-    """A number as people write it, without losing digits of whole ones."""
+    """A number as short text, with all digits of integers."""
     return str(number) if isinstance(number, int) else f"{number:g}"

@@ -8,7 +8,7 @@ from .choices import Stereo
 from .config import DataConfig, TrainConfig
 
 _LIMITED = TrainConfig(opaque_weight=0.005, steps_a_photo=80)
-"""What all but previews share: more steps for each photo lose on views between the photos."""
+"""Common options of all presets but `preview`: more steps per photo degrade novel views."""
 _LONG = replace(
     _LIMITED,
     stereo=Stereo.AUTO,
@@ -17,19 +17,19 @@ _LONG = replace(
     ensemble=2,
     ensemble_below=0.35,
 )
-"""What the longer presets share: points of stereo place what they grow, and what photos do not
-agree on is neither learnt by heart nor left to one model."""
+"""Common options of the longer presets: stereo points guide densification; dropout and an ensemble
+reduce overfitting where the photos disagree."""
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
     """A first look, in about a quarter of a minute on two cores; with AVX2 in half a minute."""
-    # Its few steps need more weight to close what is dark (docs/experiments).
+    # Few steps need a higher weight to fill dark areas (docs/experiments).
     train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1, opaque_weight=0.02)
     return DataConfig(source=source, max_width=400), train
 
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Good enough to judge a capture, in about a minute and a quarter on two cores."""
+    """Enough to assess a capture, in about a minute and a quarter on two cores."""
     # Points of stereo are worth the steps that they cost (docs/experiments).
     train = replace(
         _LIMITED,
@@ -49,7 +49,7 @@ def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Everything the method gives, ten minutes to an hour on two cores."""
+    """Highest quality, ten minutes to an hour on two cores."""
     # Three models of 200,000 have finer detail than two of 150,000, at the same PSNR.
     train = replace(_LONG, iterations=15_000, max_splats=600_000, splats_a_photo=6000, ensemble=3)
     return DataConfig(source=source, max_width=1600), train

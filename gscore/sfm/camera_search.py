@@ -41,26 +41,26 @@ from .search_result import (
 from .workspace import Workspace
 
 CHOOSING = "choosing pairs"
-"""A phase of some seconds, which the forecast does not know."""
+"""A phase of some seconds, not in the forecast."""
 
 
 def find_cameras(
     request: SearchRequest, *, on_event: Show = lambda event: None, control: Control | None = None
 ) -> SearchResult:
-    """Find cameras and points of photos, and make a capture of them.
+    """Camera search: find the camera poses and points of photos, and write a capture.
 
-    What was found is kept beside the output where this is stopped or killed, and the next call with
-    the same photos and options goes on from it.
+    After a stop or kill the intermediate results stay next to the output, and the next call with
+    the same photos and options resumes from them.
 
     Args:
-        request: Which photos, where to, and how.
-        on_event: Told how far it is: `SfmProgress`, `Warn`, at the end `SfmDone`.
-        control: Asked whether to stop.
+        request: Photos, output folder and options.
+        on_event: Receiver of `SfmProgress`, `Warn` and the final `SfmDone`.
+        control: Source of stop requests.
 
     Raises:
-        Cancelled: `control` said so.
-        DatasetError: there are too few photos, they cannot be read, or no cameras can be found.
-        ConfigError: the output is taken, or an option has a value that cannot work.
+        Cancelled: `control` requested a stop.
+        DatasetError: too few photos, unreadable photos, or no cameras found.
+        ConfigError: the output is not empty, or an option has an invalid value.
         BackendError: pycolmap is missing or too old, or the native library is missing.
         GsError: the output cannot be written.
     """
@@ -78,7 +78,7 @@ def find_cameras(
 
 
 class _Search:
-    """One search from its beginning to its end."""
+    """State of one camera search."""
 
     def __init__(self, request: SearchRequest, show: Show, control: Control) -> None:
         self._request, self._control = request, control
@@ -92,7 +92,7 @@ class _Search:
         self._stamps: list[list[Any]] = []
 
     def run(self) -> SearchResult:
-        """The search itself."""
+        """Run the search and publish the capture."""
         names, unread = photos.list_photos(self._root, excluded_folders(self._request, self._root))
         photos.check_enough(self._root, names, unread)
         if sentence := captures_inside(self._root, names):
@@ -134,17 +134,17 @@ class _Search:
         return self._publish(work, models, tried, last, resumed)
 
     def close(self) -> None:
-        """Let the next search in."""
+        """Release the workspace for the next search."""
         if self._opened:
             self._space.close()
 
     def discard(self) -> None:
-        """Leave nothing behind."""
+        """Remove all intermediate files."""
         if self._opened:
             self._space.discard()
 
     def _attempts(self, work: Work) -> tuple[list[Any], int, Attempt]:
-        """The models of the best attempt, how many were made, and the last of them."""
+        """The models of the best attempt, the number of attempts, and the last attempt."""
         best: list[Any] = []
         plan = attempts(self._request)
         for tried, attempt in enumerate(plan, 1):
@@ -191,7 +191,7 @@ class _Search:
         )
 
     def _find_features(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
-        """Find features, in a few photos first: by those it is told how long all will take."""
+        """Find features, first in a sample of photos that calibrates the forecast."""
         sample, *others = (
             (len(part), partial(pycolmap_stages.extract, work, attempt, part))
             for part in pycolmap_stages.feature_parts(work)
@@ -213,7 +213,7 @@ class _Search:
         self._steps(others, FEATURES, space, before=sample[0], total=count)
 
     def _compare(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
-        """Compare the photos that names join, and those that features and GPS join."""
+        """Match the pairs from photo names, then those from retrieval and GPS."""
         file, parts = work.database(attempt), work.parts(attempt)
         if work.looks_further(attempt):
             further = partial(pycolmap_stages.further, work, attempt)
@@ -236,14 +236,14 @@ class _Search:
         before: int = 0,
         total: int = 0,
     ) -> None:
-        """Do parts of a phase; each comes with how much of it that is, and may write `space` bytes.
+        """Run parts of a phase; each has its size, and may write `space` bytes.
 
         Args:
-            parts: In their order.
-            phase: Its name.
+            parts: Sizes and functions, in order.
+            phase: Name of the phase.
             space: Bytes on the disk.
-            before: How much of the phase was done earlier.
-            total: How much there is of it; 0: these parts.
+            before: Size done earlier.
+            total: Size of the phase; 0: the sum of these parts.
         """
         done, under_way = [before], [0]
 
@@ -286,7 +286,7 @@ class _Search:
             self._progress.warn(sentence)
 
     def _state(self, found: dict[str, Path]) -> dict[str, Any]:
-        """What a stopped search must have in common with this one to be gone on from."""
+        """Key of a resumable search: photos, masks and options that must be equal."""
         options = asdict(self._request)
         for name in ("output", "apart", "threads", "mapper", "video"):
             del options[name]  # these change neither features nor matches
@@ -356,7 +356,7 @@ class _Search:
     def _named(
         self, which: Callable[[list[PhotoQuality]], list[int]], read: list[photos.Photo]
     ) -> tuple[str, ...]:
-        """Names of the photos that stand out among those read."""
+        """Names of the photos that `which` selects."""
         seen = [(photo.name, photo.look) for photo in read if photo.look is not None]
         return tuple(seen[i][0] for i in which([look for _, look in seen]))
 
@@ -374,7 +374,7 @@ class _Search:
             self._progress.warn(focal_text([stated[number] for number in model.cameras]))
 
     def _by_gps(self, model: Any, file: Path, names: dict[str, str]) -> Gps:
-        """What EXIF tells of the model's world; its unit becomes a metre where that is known."""
+        """Scale the model to metres by GPS in EXIF, if possible."""
         gps = read_gps(model, database.gps_places(file))
         to_metres(model, gps)
         for sentence in gps_text(gps, names):

@@ -35,17 +35,17 @@ _MOST_GUESSED = 0.95
 
 
 def working_cores(threads: int) -> int:
-    """How many work, of an option that is 0 for one a core."""
+    """Number of working threads; 0: one per core."""
     return threads or os.cpu_count() or 1
 
 
 def features_of(megapixels: float, most: int) -> float:
-    """Features that a photo is expected to have."""
+    """Expected number of features of a photo."""
     return min(_PER_MEGAPIXEL * megapixels, _DOUBLED * most)
 
 
 class Forecast:
-    """Seconds of the phases; those done teach how fast this machine is at the moment."""
+    """Forecast seconds of the phases, scaled by the pace measured in finished phases."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Forecast:
         pace: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin with photos of which nothing is known but their sizes.
+        """Forecast from the sizes of the photos.
 
         Args:
             megapixels: Of each photo, as features are looked for.
@@ -78,39 +78,39 @@ class Forecast:
         self._first = self._told = 0.0  # its share then
         self.pace = self._pace_before = pace
         self.share = 0.0
-        """Of the work that was done when `left` was last asked, 0 to 1; never falls."""
+        """Share of the work done at the last call of `left`, 0 to 1; never decreases."""
 
     @property
     def seconds(self) -> float:
-        """Seconds that the whole search takes."""
+        """Seconds of the whole search."""
         return sum(self._seconds.values()) * self.pace
 
     def has(self, phase: str) -> None:
-        """All of a phase was done by an earlier attempt or search."""
+        """Mark a phase as done by an earlier attempt or search."""
         self._there.add(phase)
         self._seconds[phase] = 0.0
 
     def has_features(self, count: int, photos: int | None = None) -> None:
-        """So many were found, in all photos or in some that are like the others."""
+        """Set the number of features found in all photos, or in a sample of `photos`."""
         self._expect(count * self._photos / (self._photos if photos is None else photos))
 
     def has_pairs(self, count: int) -> None:
-        """So many are compared."""
+        """Set the number of pairs to match."""
         self._pairs = count
         self._expect(self._features)
 
     def has_matches(self, count: int) -> None:
-        """So many that fit one geometry join all pairs of photos."""
+        """Set the number of verified matches over all pairs."""
         self._expect_places(count)
 
     def left(self, phase: str, share: float, under_way: float = 0.0) -> float:
-        """Seconds left in all; NaN where the forecast does not know the phase.
+        """Remaining seconds of the search; NaN for an unknown phase.
 
         Args:
-            phase: What is done.
-            share: How much of it is done, 0 to 1; the pace is learned where that grows.
-            under_way: How much of it is being done in one piece, 0 to 1: nobody tells how far that
-                is, so the time that has passed counts.
+            phase: Name of the phase.
+            share: Share of it that is done, 0 to 1; the pace is updated when it grows.
+            under_way: Share in progress as one piece of unknown progress, 0 to 1; estimated from
+                the elapsed time.
         """
         if phase not in self._seconds:
             return math.nan
@@ -131,7 +131,7 @@ class Forecast:
         return self._left(phase, share)
 
     def _learn(self, done: float, forecast: float) -> None:
-        """The pace, of such a share of a phase and the seconds that were forecast for all of it."""
+        """Update the pace from a share of a phase and the forecast seconds of the whole phase."""
         if done <= 0:
             return
         own = (self._since - self._began) / (done * forecast)
@@ -139,7 +139,7 @@ class Forecast:
         self.pace = self._pace_before + sure * (own - self._pace_before)
 
     def _left(self, phase: str, share: float) -> float:
-        """Seconds left after so much of a phase; takes note of the share of the whole."""
+        """Remaining seconds after a share of a phase; updates `share`."""
         names = list(self._seconds)
         place, whole = names.index(phase), sum(self._seconds.values())
         rest = self._seconds[phase] * (1 - share)
@@ -149,7 +149,7 @@ class Forecast:
         return self.pace * rest
 
     def _expect(self, features: float) -> None:
-        """So many in all photos."""
+        """Update the forecast to `features` in all photos."""
         self._features = features
         each = features / max(self._photos, 1)
         self._take(FEATURES, _LOOK * self._megapixels + _DESCRIBE * features)
@@ -161,6 +161,6 @@ class Forecast:
         self._take(ADJUSTING, _ADJUST * matches)
 
     def _take(self, phase: str, cpu_seconds: float) -> None:
-        """Note the seconds of a phase where nothing else runs."""
+        """Set the seconds of a phase on an idle machine."""
         if phase not in self._there:
             self._seconds[phase] = cpu_seconds / min(self._cores, _AT_ONCE.get(phase, self._cores))

@@ -11,7 +11,7 @@ from . import database
 from .pycolmap_thread import colmap
 
 LEAST_PLACES = 5
-"""Photos with a place that are needed."""
+"""Minimum number of photos with a GPS position."""
 _LEAST_EXTENT = 15.0
 """Metres across all photos from which on GPS, good to some metres, tells a size."""
 _MOST_SCALE_ERROR = 0.15
@@ -30,31 +30,30 @@ _TRIPLES = 500
 _EXACT = 1e-6
 """Metres by which a place is off at least."""
 _ANY_TURN = math.pi**2 / 3
-"""Variance of an angle of which nothing is known."""
+"""Variance of a uniformly distributed angle."""
 _ROUNDS = 20
 """Fits with weights by the errors of the one before."""
 
 
 @dataclass(frozen=True)
 class Gps:
-    """What GPS tells of a model's world."""
+    """Scale and up direction of a model by GPS."""
 
     metres: float | None = None
-    """That a unit of the model is; None: GPS does not tell."""
+    """Metres per unit of the model; None: unknown."""
     up: np.ndarray | None = None
-    """[3] float64, unit, in the model's world; None: GPS does not tell."""
+    """[3] float64, unit, in the model's world; None: unknown."""
     tilt: float = math.nan
-    """Degrees by which that up may be off, a standard deviation; told where `metres` are."""
+    """Standard deviation of the up direction, degrees; set together with `metres`."""
     strays: tuple[tuple[str, float], ...] = ()
-    """Photos whose places do not fit those of the others: their names in the model and the metres
-    by which each is off, the farthest first. They count for nothing."""
+    """Outliers: names in the model and errors in metres, largest first; weight 0 in the fit."""
     contradicts: float | None = None
     """Metres by which places are off, typically, where they agree too little with the model for a
     size; None: they agree, or are too few or too close together to tell one."""
 
 
 def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
-    """What the places of photos tell of a model's world.
+    """Scale and up direction from the GPS positions of photos.
 
     Args:
         model: pycolmap's Reconstruction.
@@ -95,7 +94,7 @@ def places_in_metres(file: Path) -> dict[str, np.ndarray]:
 
 
 def to_metres(model: Any, gps: Gps) -> None:
-    """Scale pycolmap's Reconstruction so that its unit is a metre, where GPS tells how."""
+    """Scale a pycolmap Reconstruction to metres if `gps.metres` is known."""
     if gps.metres is not None:
         p = colmap()
         model.transform(p.Sim3d(gps.metres, p.Rotation3d(), np.zeros(3)))

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 _SIDE = 1600
-"""Longer side, px, at which photos are looked at: what training and features see of them."""
+"""Longer side, px, of the measured photos, similar to that of training and features."""
 _BLURRED = 0.4
-"""Detail against that of the median photo below which a photo is called blurred."""
+"""Detail relative to the median photo below which a photo is blurred."""
 _JUMP = 1.0
-"""Stops by which a photo differs from both neighbours and from the median where it jumps."""
+"""Difference of an exposure jump from both neighbours and from the median, stops."""
 _DARK = 1e-4
 
 
 @dataclass(frozen=True)
 class PhotoQuality:
-    """How sharp and bright one photo is."""
+    """Sharpness and brightness of one photo."""
 
     detail: float
     """Energy of second differences against that of first ones, along the axis where it is less:
@@ -42,7 +42,7 @@ def _detail(pixels: np.ndarray) -> float:
 
 
 def blurred(looks: list[PhotoQuality]) -> list[int]:
-    """Which photos have much less detail than the others."""
+    """Indices of photos with much less detail than the others."""
     if not looks:
         return []
     usual = float(np.median([look.detail for look in looks]))
@@ -50,7 +50,7 @@ def blurred(looks: list[PhotoQuality]) -> list[int]:
 
 
 def exposure_jumps(looks: list[PhotoQuality]) -> list[int]:
-    """Which photos are much brighter or darker than those taken before and after, and than most."""
+    """Indices of photos much brighter or darker than both neighbours and the median."""
     light = np.array([look.light for look in looks])
     if len(light) < 3:
         return []

@@ -10,17 +10,16 @@ ENOUGH = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """How cameras are looked for."""
+    """Settings of one reconstruction."""
 
     name: str
-    """Said to people, after "Trying again "."""
+    """Part of the message after "Trying again "."""
     mapper: str
     """incremental or global."""
     lenient: bool = False
-    """The incremental mapper begins with pairs of little parallax too, and takes photos with fewer
-    points."""
+    """The incremental mapper accepts initial pairs of low parallax and photos with few points."""
     rich: bool = False
-    """Weaker features too, and more of them; all photos compared."""
+    """More features, with a lower threshold; exhaustive matching."""
 
     @property
     def database(self) -> str:
@@ -36,7 +35,7 @@ _THIRD = Attempt(name="with more and weaker features", mapper="global", rich=Tru
 
 
 def attempts(request: SearchRequest) -> tuple[Attempt, ...]:
-    """What to try, in this order, until one registers `ENOUGH` photos."""
+    """Attempts in order, until one registers `ENOUGH` photos."""
     if request.mapper == "auto":
         return _FIRST, _SECOND, _THIRD
     first = Attempt(name="", mapper=request.mapper)

@@ -14,41 +14,41 @@ MAPPERS = ("auto", "incremental", "global")
 """Values of `SearchRequest.mapper`."""
 
 USUAL_LENS = "SIMPLE_RADIAL"
-"""One focal length and one coefficient: what few photos can tell."""
+"""One focal length and one coefficient: few photos constrain no more."""
 
 _LONGEST_FOCAL = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchRequest:
-    """Options of a search for cameras.
+    """Options of a camera search.
 
     Raises:
-        ConfigError: an option has a value that cannot work.
+        ConfigError: an option has an invalid value.
     """
 
     photos: Path
     """Folder of photos, sub-folders too."""
     video: Path | None = None
-    """The video whose frames the photos are, where they are that."""
+    """Source video of the photos; None: they are photos."""
     output: Path
     """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
     apart: Path | None = None
-    """A folder of results, in which no photos are looked for."""
+    """Folder of results, excluded from the photos."""
     masks: Path | None = None
     """Folder of masks; None: `masks` among the photos or beside their folder `images`."""
     use_masks: bool = True
-    """Whether masks are looked for at all."""
+    """False: masks are ignored."""
     invert_masks: bool = False
     """Masks are white where pixels do not count."""
     matching: str = "auto"
-    """Which photos are compared: one of `MATCHERS`."""
+    """Choice of the image pairs: one of `MATCHERS`."""
     mapper: str = "auto"
-    """Which of COLMAP's mappers: one of `MAPPERS`."""
+    """COLMAP mapper: one of `MAPPERS`."""
     camera_model: str = USUAL_LENS
-    """COLMAP's name of the lens model; the usual one may end as OPENCV where it fits badly."""
+    """COLMAP lens model; the default may become OPENCV if it fits badly."""
     focal_length: float = 0.0
-    """Of all photos, px, where it is known; 0: from EXIF, else that of a usual lens."""
+    """Focal length of all photos, px; 0: from EXIF, else that of a usual lens."""
     threads: int = 0
     """CPU threads; 0: one a core."""
 

@@ -11,20 +11,20 @@ from ..text_format import count_words, number, time_words
 from .gps_scale import Gps
 
 _BLURRED = 1.5
-"""Mean reprojection error, px, above which something is wrong with photos or lens model."""
+"""Mean reprojection error, px, above which photos or lens model are suspect."""
 _SHORT_TRACKS = 2.7
 """Photos that show a point, in the mean, below which photos are too few or too far apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
-    """Cameras and points of the largest model."""
+    """Result of a camera search: figures of the largest model."""
 
     output: Path
     """The capture."""
     photos: int
     registered: int
-    """Photos that have a camera."""
+    """Photos with a camera pose."""
     models: tuple[tuple[str, ...], ...]
     """Names of the photos of every model, the largest first; it alone is kept."""
     alone: tuple[str, ...]
@@ -32,7 +32,7 @@ class SearchResult:
     blurred: tuple[str, ...] = ()
     """Photos with much less detail than the others."""
     jumps: tuple[str, ...] = ()
-    """Photos much brighter or darker than those beside them."""
+    """Photos much brighter or darker than their neighbours."""
     points: int
     reprojection_px: float
     """Mean over the points."""
@@ -41,13 +41,13 @@ class SearchResult:
     cameras: tuple[dict[str, Any], ...]
     """Model, size and focal length in px of each camera."""
     lens: str = ""
-    """A sentence where the lens is another than was asked for."""
+    """Message if the lens model differs from the requested one; else empty."""
     in_metres: bool = False
     """Whether GPS in EXIF gave the model its size."""
     up: tuple[float, float, float] | None = None
-    """Up in the model's world, of length 1, by GPS in EXIF; None: the cameras are to tell."""
+    """Up direction in the model's world, unit, by GPS in EXIF; None: estimated from the cameras."""
     attempts: int
-    """How many settings were tried."""
+    """Number of attempts."""
     seconds: float
     resumed: bool
     """Whether features and matches of a stopped search were used."""
@@ -62,7 +62,7 @@ class SearchResult:
         }
 
     def lines(self) -> list[str]:
-        """The verdict for people: how good it is, and what to do next."""
+        """Summary in text lines: quality, warnings and the next command."""
         return [
             f"{self.output}: {self.registered} of {count_words(self.photos, 'photo')} have a "
             f"camera, {count_words(self.points, 'point')}",
@@ -112,7 +112,7 @@ def model_names(model: Any, names: dict[str, str]) -> tuple[str, ...]:
 
 
 def camera_facts(model: Any) -> tuple[dict[str, Any], ...]:
-    """The cameras of pycolmap's Reconstruction that photos with a place have."""
+    """Cameras of registered photos in a pycolmap Reconstruction."""
     used = sorted({model.images[i].camera_id for i in model.reg_image_ids()})
     return tuple(
         {
@@ -126,13 +126,13 @@ def camera_facts(model: Any) -> tuple[dict[str, Any], ...]:
 
 
 def attempt_text(best: int, photos: int, name: str) -> str:
-    """The sentence before a further attempt."""
+    """Message before a further attempt."""
     had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
     return f"So far {had} found a place. Trying again {name}."
 
 
 def focal_text(cameras: list[tuple[float, bool]]) -> str:
-    """The sentence on focal lengths that the photos do not tell.
+    """Message on focal lengths that the photos do not constrain.
 
     Args:
         cameras: The focal length of each in px, and whether it was stated.
@@ -148,7 +148,7 @@ def focal_text(cameras: list[tuple[float, bool]]) -> str:
 
 
 def lens_text(before: float, after: float) -> str:
-    """The sentence on a lens that fits better than the one asked for; mean errors in px."""
+    """Message on a lens model that fits better than the requested one; mean errors in px."""
     return (
         "The lenses are kept as OPENCV, with two focal lengths and more coefficients: that brought "
         f"the mean error from {before:.2f} px down to {after:.2f} px."
@@ -156,7 +156,7 @@ def lens_text(before: float, after: float) -> str:
 
 
 def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
-    """Sentences on stray places, and on size or up that GPS does not tell; `names` by alias."""
+    """Messages on GPS outliers and on an unknown scale or up direction; `names` by alias."""
     if gps.contradicts is not None:
         return [
             "GPS in EXIF gives the capture no size and no up: it contradicts the positions of the "
