@@ -11,22 +11,22 @@ COLOR, OPACITY, SELECT = "COLOR", "OPACITY", "SELECT"
 
 @dataclass(frozen=True, kw_only=True)
 class Brush:
-    """A brush as it is during a stroke."""
+    """Brush of one stroke."""
 
     radius: float
-    """Pixels of the view that is painted in; units of the world where places are painted."""
+    """Radius in pixels of the painted view, or in world units for points in space."""
     does: str = COLOR
-    """COLOR or OPACITY: what is changed; SELECT: nothing, splats are selected."""
+    """COLOR, OPACITY or SELECT: the changed attribute; SELECT changes the selection only."""
     strength: float = 1.0
-    """How much of the way to the target one stroke goes in the middle of the brush, 0 to 1."""
+    """Blending weight of the target in the centre of the brush, per stroke, 0 to 1."""
     hardness: float = 0.5
-    """Share of the radius within which the brush acts in full, 0 to 1."""
+    """Share of the radius with full weight, 0 to 1."""
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Target, sRGB values."""
     opacity: float = 0.0
     """Target, 0 to 1."""
     inverted: bool = False
-    """Go to the opposite opacity, 1 - `opacity`; deselect. Colours have no opposite."""
+    """Paint the opacity 1 - `opacity`, or deselect. No effect on colours."""
 
     def __post_init__(self) -> None:
         if not 0 < self.radius < np.inf:
@@ -37,7 +37,7 @@ class Brush:
                 raise ValueError(f"The brush's {name} must be between 0 and 1, got {value}.")
 
     def share(self, distances: np.ndarray) -> np.ndarray:
-        """[K] in [0, 1]: how much of the brush there is at distances [K] from its middle.
+        """Brush weights [K] in [0, 1] at distances [K] from its centre.
 
         1 up to the hard part's edge; from there 1 - u^2 (3 - 2 u), u from 0 to 1 at the radius.
         """

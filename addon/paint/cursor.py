@@ -21,27 +21,27 @@ def draw_circle(place: tuple[float, float], radius: float, hardness: float) -> N
 
 
 class Cursor:
-    """Is drawn from its making to `close`."""
+    """Drawn from its creation to `close`."""
 
     def __init__(self) -> None:
         self.region = 0
-        """Pointer of the region that it is drawn in; 0: none."""
+        """Pointer of the region of the cursor; 0: none."""
         self.place = (0.0, 0.0)
         """Pixels from that region's lower left."""
         self.radius = 0.0
         """Pixels."""
         self.hardness = 0.0
-        """Share of the radius at which a second circle shows where the brush begins to fade."""
+        """Share of the radius of the second circle, where the falloff begins."""
         space = bpy.types.SpaceView3D
         self._handle = space.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
 
     @property
     def state(self) -> tuple[object, ...]:
-        """All of what is drawn depends on."""
+        """Values that determine the drawing."""
         return self.region, self.place, self.radius, self.hardness
 
     def close(self) -> None:
-        """Draw it no more; may be called twice."""
+        """Stop drawing; may be called twice."""
         if self._handle is not None:
             bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
             self._handle = None

@@ -15,24 +15,24 @@ from .session import UNDO, Answer, Session, paintable
 
 
 class Running:
-    """The painting that is under way in this Blender: one is enough."""
+    """The running paint session of this Blender; at most one."""
 
     def __init__(self) -> None:
         self.session: Session | None = None
         self._status: StatusBar | None = None
-        """Tells the keys."""
+        """Key hints in the status bar."""
 
     def begin(self, context: bpy.types.Context) -> None:
-        """Paint from now on, with the brush's circle and the keys in the status bar."""
+        """Start painting, with the brush cursor and key hints in the status bar."""
         self.session, self._status = Session(), StatusBar(context.workspace)
         self.tell(context)
 
     def tell(self, context: bpy.types.Context) -> None:
-        """Bring what the status bar says up to date."""
+        """Update the status bar."""
         self._status.say(self.session.sentence(context.window_manager.gscore_paint))
 
     def end(self) -> None:
-        """Leave nothing behind; nothing happens where none is under way."""
+        """End the session and clean up; no effect without one."""
         session, self.session = self.session, None
         if session is not None:
             session.close()
@@ -58,7 +58,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether a splat object is active, and in a mode that can be left."""
+        """True if a splat object is active, in Object or Edit Mode."""
         if not super().poll(context):
             return False
         if context.mode in {"OBJECT", "EDIT_MESH"}:
@@ -71,13 +71,13 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         return (objects.meant(context).data,)
 
     def act(self, context: bpy.types.Context) -> str:
-        """Refuse: there is nothing to paint in."""
+        """Raise ValueError: painting needs a 3D view."""
         raise ValueError(
             "Paint Splats needs a 3D view in a window; scripts paint with gscore.paint_stroke."
         )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Begin, or end what has begun."""
+        """Start painting, or end the running session."""
         if RUNNING.session is not None:
             RUNNING.session.ended = True
             return {"CANCELLED"}
@@ -99,7 +99,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         return answer
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Hand an event to the session."""
+        """Pass an event to the session."""
         try:
             answer = RUNNING.session.take(context, event)
         except (GsError, ValueError) as error:
@@ -118,11 +118,11 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         return {answer.value}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this where another file is opened, or it ends."""
+        """Clean up; called by Blender before a file load or its end."""
         RUNNING.end()
 
     def _edit_again(self, context: bpy.types.Context) -> None:
-        """Go back to Edit Mode, if painting began there."""
+        """Return to Edit Mode, if painting started there."""
         ob = context.view_layer.objects.get(self._edited) if self._edited else None
         if objects.is_splats(ob) and ob.visible_get() and ob.mode == "OBJECT":
             edit_vertices(context, ob)
@@ -133,5 +133,5 @@ CLASSES = (PaintSplats,)
 
 
 def on_unregister() -> None:
-    """End painting that is under way: its operator is no more."""
+    """End the running session, whose operator is unregistered."""
     RUNNING.end()

@@ -83,7 +83,7 @@ def _within(
 
 
 class PaintedObject:
-    """Used on the main thread, from the beginning of a stroke to its end or cancellation."""
+    """Target of one stroke, on the main thread, until its end or cancellation."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class PaintedObject:
             base: [N, 4] of `radiance:base`.
             rows: [M], splats that can be painted.
             points: [M, D], where the brush finds them.
-            shows_live: Whether the live display is given what is painted.
+            shows_live: Update the live display during the stroke.
         """
         self._uid, self._name, self._brush = uid, name, brush
         self._marks, self._before, self._rows = marks, base, rows
@@ -119,7 +119,7 @@ class PaintedObject:
         self._follows = self._live or len(base) <= copies.EDITED_AT_ONCE
 
     def to(self, point: np.ndarray) -> None:
-        """Go on to a point, [2] pixels of the view or [3] in the world."""
+        """Extend the stroke to a point, [2] pixels of the view or [3] in the world."""
         reached = self._stroke.to(point)
         if not len(reached):
             return
@@ -153,7 +153,7 @@ class PaintedObject:
         return int((self._stroke.share > 0).sum())
 
     def cancel(self) -> None:
-        """Leave everything as it was before the stroke."""
+        """Restore the state before the stroke."""
         written = self._follows and not self._live and self._touched
         self._after, self._selected = self._before, (self._marks & SELECTED) != 0
         if self._live:

@@ -23,13 +23,13 @@ from .cursor import Cursor
 from .settings import LARGEST_RADIUS, BrushSettings
 
 UNDO = "Paint Splats"
-"""What the history calls a stroke."""
+"""Name of a stroke's undo step."""
 STEP = 1.1
-"""By which [ and ] change the radius."""
+"""Factor of the radius for the keys [ and ]."""
 _MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
 _NUMPAD = "NUMPAD_"
 _NUMPAD_WITH_CTRL = tuple(f"{_NUMPAD}{digit}" for digit in range(1, 10))
-"""Those that turn a view with Ctrl too; 0 and others change the scene then."""
+"""Numpad keys that rotate a view with Ctrl too; with Ctrl, 0 and others change the scene."""
 _NAVIGATION = (
     "MIDDLEMOUSE",
     "WHEEL",
@@ -41,33 +41,33 @@ _NAVIGATION = (
     "HOME",
     "ACCENT_GRAVE",
 )
-"""What events that turn a view begin with."""
+"""Prefixes of view navigation events."""
 _UNTOUCHED = ("TIMER", "WINDOW", "NONE")
-"""What events begin with that are for all: clocks, windows."""
+"""Prefixes of events that always pass through: timers, windows."""
 _HELD = {f"{side}_{key}" for side in ("LEFT", "RIGHT") for key in ("CTRL", "SHIFT", "ALT")}
-"""Keys that are held while others are pressed."""
+"""Modifier keys."""
 _PANELS = {"N", "T"}
-"""Keys that show and hide the regions at a view's sides."""
+"""Keys that toggle the regions at a view's sides."""
 _BUTTONS = {"LEFTMOUSE", "RIGHTMOUSE"}
-"""Of the mouse; with Alt they turn views, where the preferences say so."""
+"""Mouse buttons; with Alt they rotate views, if enabled in the preferences."""
 _ENDS, _ENTERS = {"ESC", "RET", "NUMPAD_ENTER"}, {"LEFTMOUSE", "RET", "NUMPAD_ENTER"}
 _DROPS = {"ESC", "RIGHTMOUSE"}
 
 
 class Answer(Enum):
-    """What becomes of an event."""
+    """Handling of an event."""
 
     TAKEN = "RUNNING_MODAL"
-    """It was for the brush."""
+    """The brush used the event."""
     PASSED = "PASS_THROUGH"
-    """It is for others."""
+    """The event passes through."""
     ENDED = "FINISHED"
-    """Painting is over."""
+    """Painting has ended."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Where the mouse is."""
+    """Mouse position in a view."""
 
     region: bpy.types.Region
     """Main region of a 3D view."""
@@ -77,7 +77,7 @@ class Spot:
 
     @property
     def view(self) -> RenderCamera:
-        """What the region shows."""
+        """Camera of the region."""
         own = self.region.data
         return view_camera(
             matrix_to_numpy(own.view_matrix),
@@ -94,7 +94,7 @@ class Spot:
 
 
 class _Looking(TaskRunner):
-    """What a stroke or a color begins with, looked for while the mouse goes on."""
+    """Search at the start of a stroke or a color pick, while the mouse moves on."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class Session:
 
     def __init__(self) -> None:
         self.ended = False
-        """Set it to have painting end with the next event."""
+        """Set to end painting at the next event."""
         self.cursor = Cursor()
         self._stroke: paint_target.PaintedObject | None = None
         self._stroke_region = 0
@@ -140,16 +140,16 @@ class Session:
 
     @property
     def painting(self) -> bool:
-        """Whether a stroke is under way."""
+        """True during a stroke."""
         return self._stroke is not None or self._is_awaited
 
     @property
     def _is_awaited(self) -> bool:
-        """Whether a stroke was begun whose splats are looked for."""
+        """True if a stroke has started and its splats are still being collected."""
         return self._looking is not None and self._looking.way is not None
 
     def close(self) -> None:
-        """End; a stroke that is under way is taken back."""
+        """End the session; a running stroke is cancelled."""
         self.cursor.close()
         self._look_no_more()
         if self._stroke is not None:
@@ -158,7 +158,7 @@ class Session:
         redraw_views()
 
     def take(self, context: bpy.types.Context, event: bpy.types.Event) -> Answer:
-        """Do what an event says.
+        """Handle an event.
 
         Raises:
             GsError, ValueError: it cannot be done, a sentence; painting goes on.
@@ -189,7 +189,7 @@ class Session:
         brush: BrushSettings,
         event: bpy.types.Event,
     ) -> Answer:
-        """While nothing is painted."""
+        """Handle an event outside strokes."""
         key, pressed = event.type, event.value == "PRESS"
         if spot is None or key in _MOVES or (event.alt and key in _BUTTONS):
             return Answer.PASSED
@@ -270,7 +270,7 @@ class Session:
             undo.push(UNDO)
 
     def _go_on(self, spot: Spot | None, event: bpy.types.Event) -> Answer:
-        """While a stroke is painted."""
+        """Handle an event during a stroke."""
         if event.type in _MOVES:
             if spot is not None and spot.region.as_pointer() == self._stroke_region:
                 self._go_to(spot, shown=event.type == "MOUSEMOVE")
@@ -301,7 +301,7 @@ class Session:
         redraw_views()
 
     def _size(self, brush: BrushSettings, event: bpy.types.Event) -> Answer:
-        """While the mouse's way says how large the brush is."""
+        """Handle an event while the mouse sets the radius."""
         radius, x = self._sizing
         if event.type in _ENTERS and event.value == "PRESS":
             self._sizing = None
@@ -334,7 +334,7 @@ class Session:
             redraw_views()
 
     def sentence(self, brush: BrushSettings) -> str:
-        """What the keys do, for the status bar."""
+        """Key hints for the status bar."""
         if self._sizing is not None:
             return f"Radius {brush.radius:.0f} px   |   move the mouse, click to keep, Esc to drop"
         keys = ["drag to paint"]
@@ -350,7 +350,7 @@ class Session:
 
 
 def _navigates(key: str, *, ctrl: bool) -> bool:
-    """Whether a key turns or moves the view."""
+    """True if a key rotates or moves the view."""
     if ctrl and key.startswith(_NUMPAD):
         return key in _NUMPAD_WITH_CTRL
     return key.startswith(_NAVIGATION)

@@ -16,7 +16,7 @@ LARGEST_RADIUS = 2000.0
 FRONT_ONLY = (
     "Leave out splats whose center lies behind the surface that the view shows of the object"
 )
-"""What the setting of that name does."""
+"""Description of the setting Front Only."""
 _DOES = [
     (COLOR, "Color", "Paint a color; how colors depend on the view stays", "BRUSH_DATA", 0),
     (OPACITY, "Opacity", "Paint an opacity; 0 erases", "MOD_OPACITY", 1),
@@ -25,7 +25,7 @@ _DOES = [
 
 
 class BrushProperties:
-    """Mixed into what has a brush: the settings of the session, and the operator of scripts."""
+    """Brush properties, shared by the session settings and the operator for scripts."""
 
     does: EnumProperty(name="Brush", description="What the brush does", items=_DOES)
     strength: FloatProperty(
@@ -66,7 +66,7 @@ class BrushProperties:
     )
 
     def brush(self, *, inverted: bool) -> Brush:
-        """The brush that these settings say."""
+        """The brush of these settings."""
         return Brush(
             radius=self.radius,
             does=self.does,
@@ -97,10 +97,10 @@ CLASSES = (BrushSettings,)
 
 
 def on_register() -> None:
-    """Give the session its brush."""
+    """Register the brush settings of the session."""
     bpy.types.WindowManager.gscore_paint = PointerProperty(type=BrushSettings)
 
 
 def on_unregister() -> None:
-    """Take it back."""
+    """Remove the brush settings."""
     del bpy.types.WindowManager.gscore_paint

@@ -21,10 +21,10 @@ class Stroke:
         self._brush = brush
         self._last: np.ndarray | None = None
         self.share = np.zeros(len(points), np.float32)
-        """[N], the most of the brush that each point had so far."""
+        """[N] largest brush weight of each point so far."""
 
     def to(self, point: np.ndarray) -> np.ndarray:
-        """Go straight on to a point [D]; [K], which `points` have more of the brush than before."""
+        """Extend the stroke straight to a point [D]; indices [K] of `points` with more weight."""
         point = np.asarray(point, np.float64)
         last = point if self._last is None else self._last
         self._last = point
@@ -37,7 +37,7 @@ class Stroke:
         return rows
 
     def _near(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """[K], points in the box around the brush on its way from one place to another."""
+        """Indices [K] of points in the box around the brush along a segment."""
         # Python's own numbers: with numpy's all points would be compared in double precision.
         low = (np.minimum(one, other) - self._brush.radius).tolist()
         high = (np.maximum(one, other) + self._brush.radius).tolist()
@@ -48,7 +48,7 @@ class Stroke:
 
 
 def _from_segment(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """[K] distances of points [K, D] from the straight way between two places [D]."""
+    """Distances [K] of points [K, D] from the segment between two points [D]."""
     way = other - one
     length = way @ way
     along = np.clip((points - one) @ way / length, 0, 1) if length > 0 else np.zeros(len(points))

@@ -16,40 +16,40 @@ from ..splats import filters, objects
 from ..splats.read_chunked import read_chunked
 
 LARGEST = 512
-"""Pixels of the larger side of the picture whose depths say what is in front."""
+"""Larger side of the depth picture for the occlusion test, pixels."""
 _SLACK = 4.0
 """Widths of that picture's pixels by which a splat in front may lie behind the surface, besides its
 own size: surfaces are slanted."""
 _BLOCK = 1 << 15
-"""Splats looked at at once."""
+"""Splats per block."""
 _FAINTEST = 0.05
-"""Opacity of a pixel below which nothing is seen there."""
+"""Smallest opacity of a visible pixel."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VisibleSplats:
-    """The splats of an object before a view, copied out of Blender; needs no bpy."""
+    """The splats of an object and a view, copied out of Blender; no bpy."""
 
     name: str
     """The object's."""
     view: RenderCamera | None
-    """From where; None: it is looked at in Blender's world."""
+    """Camera of the view; None: points are in Blender's world."""
     matrix: np.ndarray
     """[4, 4] float64 from the object's space to the world."""
     limits: filters.Filters
-    """What the display shows."""
+    """Display filters."""
     antialias: bool
     columns: dict[str, np.ndarray]
     """Attributes of N splats, as `attributes.as_splats` takes them; some may be missing."""
 
     def shown(self) -> np.ndarray:
-        """[N] bool: which splats the filters let pass."""
+        """[N] bool: splats that pass the filters."""
         if not self.limits.leave_out_anything:
             return np.ones(len(self.columns[attributes.BASE]), bool)
         return filters.passing(self.columns, self.limits)
 
     def pixels(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the view shows the centers.
+        """Projected means.
 
         Returns:
             [N, 2] float32, pixels from the top left, and [N] bool: which of them lie beyond the
@@ -68,7 +68,7 @@ class VisibleSplats:
         return found, there
 
     def in_front(self, at: np.ndarray) -> np.ndarray:
-        """[N] bool: splats whose center does not lie behind the surface that the view shows.
+        """[N] bool: splats whose mean is not behind the visible surface.
 
         The surface is where half of the light is blocked by the object's own splats, those that its
         filters hide apart; the rasterizer says where, on a picture of `LARGEST` pixels. A splat may
@@ -118,7 +118,7 @@ class VisibleSplats:
         depths: bool,
         window: tuple[int, int, int, int] | None = None,
     ) -> Rendered:
-        """A picture of the object alone, without what its filters hide."""
+        """Rendered picture of the object alone, with its filters applied."""
         splats = attributes.as_splats({name: v.copy() for name, v in self.columns.items()})
         if self.limits.leave_out_anything:
             splats = splats.subset(self.shown())
@@ -144,7 +144,7 @@ class VisibleSplats:
 def looking(
     ob: bpy.types.Object, view: RenderCamera | None, *, drawn: bool
 ) -> Pieces[VisibleSplats]:
-    """Copy what a view shows of an object in Object Mode.
+    """Copy the splats of an object in Object Mode for a view.
 
     Args:
         ob: A splat object.
@@ -172,7 +172,7 @@ def looking(
 
 
 def _looked_up(picture: np.ndarray, at: np.ndarray, view: RenderCamera) -> np.ndarray:
-    """[B] values of a smaller picture [H, W] of a view at its pixels [B, 2]."""
+    """Values [B] of a downscaled picture [H, W] at pixels [B, 2] of the view."""
     height, width = picture.shape
     column = np.clip(at[:, 0] * np.float32(width / view.width), 0, width - 1).astype(np.int32)
     line = np.clip(at[:, 1] * np.float32(height / view.height), 0, height - 1).astype(np.int32)
@@ -180,7 +180,7 @@ def _looked_up(picture: np.ndarray, at: np.ndarray, view: RenderCamera) -> np.nd
 
 
 def _blocks(count: int) -> Iterator[slice]:
-    """So many splats in parts that stay in a cache, several times faster than all at once."""
+    """Blocks of `count` splats that fit the cache, several times faster than all at once."""
     return (slice(at, at + _BLOCK) for at in range(0, count, _BLOCK))
 
 
@@ -193,7 +193,7 @@ def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Pie
         point: [2] pixels from the top left.
 
     Raises:
-        ValueError: nothing is seen there, or as `looking`.
+        ValueError: nothing is visible there, or as `looking`.
     """
     left, top = (int(v) for v in np.floor(point))
     if not (0 <= left < view.width and 0 <= top < view.height):

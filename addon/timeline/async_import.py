@@ -27,7 +27,7 @@ class SequenceComing:
         parent: bpy.types.Object | None,
         up: str,
     ) -> None:
-        """Begin to look.
+        """Start the search for frames.
 
         Args:
             As `importing.import_sequence`.
@@ -39,22 +39,22 @@ class SequenceComing:
 
     @property
     def warnings(self) -> list[str]:
-        """What the user should know besides."""
+        """Warnings for the user."""
         return self._arrival.warnings
 
     @property
     def series(self) -> Series:
-        """The frames, once the object is there."""
+        """The frames, once the object exists."""
         assert self._series is not None
         return self._series
 
     @property
     def sentence(self) -> str:
-        """How far it is."""
+        """Progress sentence."""
         return self._arrival.sentence
 
     def step(self) -> list[bpy.types.Object] | None:
-        """Do a small piece; the one object once it is there.
+        """Run a short step; the object once it exists.
 
         Raises:
             ValueError: there are no frames, or the first cannot be imported; nothing of it is left.
@@ -67,10 +67,10 @@ class SequenceComing:
         return made
 
     def cancel(self) -> None:
-        """Leave nothing."""
+        """Remove all partial results."""
         self._arrival.cancel()
 
     def _first(self, wanted: Wanted) -> Wanted:
-        """In the thread."""
+        """Find the frames and the first one; runs in the thread."""
         self._series = find_series(self._folder, self._called)
         return replace(wanted, path=self._series.files[0].path)

@@ -15,55 +15,55 @@ from .library import LIBRARY, NOTHING, Folder, Frame
 from .settings import is_sequence, plays, timing_of
 
 AHEAD = 48
-"""Frames of the timeline that are read ahead, where there is room."""
+"""Number of timeline frames to read ahead, memory permitting."""
 _MB = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """Of a sequence object at one frame of the timeline."""
+    """State of a sequence object at one frame of the timeline."""
 
     name: str
-    """The object's."""
+    """Name of the object."""
     owner: Hashable
-    """The same for one object as long as Blender runs."""
+    """Identity of the object in this Blender session."""
     files: tuple[FrameFile, ...]
-    """The one that shows, then those to come; empty where nothing shows or is known."""
+    """The current frame, then the next ones; empty if none is shown or known."""
     hidden: bool
-    """Nothing shows, because the sequence has not begun or is over."""
+    """True before the start and after the end of a sequence that hides there."""
     problem: str
-    """Why no frame is known, a sentence."""
+    """Error message if no frame is known."""
 
     def ready(self) -> Frame | None:
-        """The frame if it is in memory; else it is read soon, as those to come are."""
+        """The frame if it is in memory; else None, and it is queued like the next ones."""
         if self.hidden:
             return NOTHING
         LIBRARY.most = preferences.get().sequence_memory * _MB
         LIBRARY.want(self.owner, self.files)
         found = LIBRARY.frame(self.files[0])[0] if self.files else None
         if found is None:
-            poll_timer.ensure()  # which has views drawn again when it has come
+            poll_timer.ensure()  # redraws views when the frame is loaded
         return found
 
     @property
     def holds(self) -> str:
-        """`FrameFile.label` of what shows; empty where that is not known."""
+        """`FrameFile.label` of the current frame; empty if unknown."""
         if self.hidden:
             return NOTHING.file.label
         return self.files[0].label if self.files else ""
 
     def failed(self) -> bool:
-        """Whether there is nothing to wait for, because the frame cannot be read."""
+        """True if the frame cannot be read."""
         return bool(self.problem) or bool(self.files and LIBRARY.frame(self.files[0])[1])
 
     def waits(self) -> bool:
-        """Whether the frame is still to come, or to be found."""
+        """True while the frame is being read or searched."""
         if self.hidden or self.failed():
             return False
         return not self.files or LIBRARY.frame(self.files[0])[0] is None
 
     def frame(self) -> Frame:
-        """The frame, read at once where it is not in memory.
+        """The frame, read synchronously if it is not in memory.
 
         Raises:
             ValueError: it cannot be read; the message names the object.
@@ -80,12 +80,12 @@ class Moment:
 
 
 def moment_of(ob: bpy.types.Object, frame: float, *, wait: bool = False) -> Moment | None:
-    """What an object shows; None where it shows its own mesh.
+    """State of an object at a frame; None if it shows its own mesh.
 
     Args:
         ob: Evaluated or original.
-        frame: Of the timeline, with its fraction.
-        wait: Look for the files at once, instead of in a while.
+        frame: Timeline frame, with subframe.
+        wait: List the files synchronously.
     """
     ob = ob.original  # a handler's changes are in no evaluated copy yet
     if not plays(ob):
@@ -120,7 +120,7 @@ def series_of(ob: bpy.types.Object, *, wait: bool = False) -> tuple[Series | Non
 
 
 def folder_of(ob: bpy.types.Object) -> Folder:
-    """Where the frames of an object are, and what they are called.
+    """Folder and name pattern of an object's frames.
 
     Raises:
         ValueError: the folder is relative to a file that is not saved.
@@ -136,6 +136,6 @@ def folder_of(ob: bpy.types.Object) -> Folder:
 
 
 def gap_sentence(ob: bpy.types.Object) -> str:
-    """Which frames of an object's sequence are missing; empty where none is, or none is known."""
+    """Sentence about missing frames of an object's sequence; empty if none or unknown."""
     series, _ = series_of(ob)
     return "" if series is None or not series.gaps else f"{ob.name}: {series.gap_words()}"

@@ -28,47 +28,47 @@ from .library import LIBRARY, Frame
 from .settings import is_sequence, plays
 
 TAKE_FRAMES: set[str] = set()
-"""Render engines that take frames from memory, and need no mesh."""
+"""Render engines that take frames from memory instead of meshes."""
 _log = logging.getLogger(__name__)
 
 
 @dataclass
 class _Coming:
-    """A mesh on its way to an object."""
+    """A mesh being filled for an object."""
 
     owner: int
-    """Session number of the object."""
+    """Session uid of the object."""
     frame: Frame
     task: BackgroundTask
-    """Makes its columns, and their mark."""
+    """Task that computes its columns and their mark."""
     filling: ChunkedWrite | None = None
 
 
 @dataclass
 class _State:
-    """Of the session."""
+    """State of the session."""
 
     coming: _Coming | None = None
     refused: str = ""
-    """`FrameFile.label` of the last frame that has no room in a mesh."""
+    """`FrameFile.label` of the last frame whose mesh did not fit into memory."""
     told: set[str] = field(default_factory=set)
-    """Problems that the console was told of."""
+    """Errors already printed to the console."""
     problems: dict[int, str] = field(default_factory=dict)
-    """Why meshes do not follow, by the session number of their object."""
+    """Sync errors by session uid of the object."""
     left_alone: int = 0
-    """How many renderers look at several moments of a frame."""
+    """Number of renderers that sample several times within a frame."""
 
 
 _state = _State()
 
 
 def problem_of(ob: bpy.types.Object) -> str:
-    """Why an object's mesh does not follow; empty where it does."""
+    """Sync error of an object's mesh; empty if none."""
     return _state.problems.get(ob.session_uid, "")
 
 
 def bring(scene: bpy.types.Scene) -> None:
-    """Put the frames that a scene shows now into the meshes of its objects, at once."""
+    """Write the current frames of a scene to its objects' meshes, synchronously."""
     for ob in _players(scene):
         try:
             _bring_one(ob, scene)
@@ -77,7 +77,7 @@ def bring(scene: bpy.types.Scene) -> None:
 
 
 def catch_up(ob: bpy.types.Object) -> None:
-    """Put the frame that an object shows now into its mesh, at once; what is edited stays.
+    """Write the current frame of an object to its mesh, synchronously; edited meshes stay.
 
     Raises:
         GsError, ValueError: the frame cannot be read, or the mesh cannot be written.
@@ -101,7 +101,7 @@ def _drop_coming() -> None:
 
 @contextmanager
 def left_alone() -> Iterator[None]:
-    """Leave meshes as they are, while a renderer that needs none looks at moments of a frame."""
+    """Suspend mesh updates while a renderer that needs no meshes samples a frame's times."""
     _state.left_alone += 1
     try:
         yield
@@ -110,7 +110,7 @@ def left_alone() -> Iterator[None]:
 
 
 def note_edits(obs: list[bpy.types.Object]) -> None:
-    """Let objects whose mesh was edited stand still, and those play whose edits were undone."""
+    """Pause objects with an edited mesh, and resume those whose edits were undone."""
     for ob in obs:
         if not is_sequence(ob) or not ob.is_editable or ob.mode == "EDIT":
             continue
@@ -120,7 +120,7 @@ def note_edits(obs: list[bpy.types.Object]) -> None:
 
 
 def settings_changed(ob: bpy.types.Object) -> None:
-    """Show what an object's settings say now."""
+    """Apply changed settings of an object."""
     for scene in bpy.data.scenes:
         if bpy.app.background and scene.objects.get(ob.name) is ob:
             bring(scene)
@@ -153,7 +153,7 @@ def _tell(ob: bpy.types.Object, problem: str) -> None:
 
 
 def _behind() -> Iterator[tuple[bpy.types.Object, Moment]]:
-    """Objects whose mesh has yet to follow, and what they show; not while they play live."""
+    """Objects with an outdated mesh, and their state; none during live playback."""
     for scene in _scenes():
         for ob in _players(scene):
             moment = moment_of(ob, scene.frame_current_final)
@@ -180,12 +180,12 @@ def _playing() -> bool:
 
 
 def _needs_mesh(ob: bpy.types.Object) -> bool:
-    """Whether what shows of an object is its mesh, even while it plays."""
+    """True if an object's mesh is displayed even during playback."""
     return ob.gscore.display != "SPLATS" or not live.SESSION.works
 
 
 def _collect() -> bool:
-    """Do a small piece; whether panels have to be drawn anew."""
+    """Run a short step; True if panels need a redraw."""
     came = LIBRARY.take_news()
     if came:
         redraw_views()
@@ -201,7 +201,7 @@ def _collect() -> bool:
 
 
 def _begin(ob: bpy.types.Object, moment: Moment) -> bool:
-    """Begin with the mesh of an object, if its frame is in memory."""
+    """Start to fill an object's mesh, if its frame is in memory."""
     frame = moment.ready()
     if frame is not None:
         _state.coming = _Coming(ob.session_uid, frame, BackgroundTask(lambda _: _prepared(frame)))
@@ -214,7 +214,7 @@ def _prepared(frame: Frame) -> tuple[tuple[tuple[str, str, np.ndarray], ...], st
 
 
 def _go_on() -> bool:
-    """Do the next step with the mesh that is on its way; whether it has come."""
+    """Continue to fill the current mesh; True if it is complete."""
     coming = _state.coming
     if coming.filling is None:
         if coming.task.running:
@@ -280,14 +280,14 @@ def _render_begins(scene: bpy.types.Scene, *_: object) -> None:
 
 
 def _at_once(scene: bpy.types.Scene) -> bool:
-    """Whether somebody is about to look at meshes: a script, or a render of another engine."""
+    """True if meshes are needed now: by a script, or a render of another engine."""
     renders = bpy.app.is_job_running("RENDER") and scene.render.engine not in TAKE_FRAMES
     return bpy.app.background or renders
 
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Something was changed: a mesh perhaps, by others than us."""
+    """Check changed meshes for edits."""
     changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, bpy.types.Mesh)}
     if changed:
         note_edits([ob for ob in scene.objects if ob.type == "MESH" and ob.data in changed])
@@ -295,7 +295,7 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def _undone(*_: object) -> None:
-    """Meshes are as they were, of other frames perhaps."""
+    """Check meshes after undo, which may contain other frames."""
     obs = [ob for ob in bpy.data.objects if ob.type == "MESH" and is_sequence(ob)]
     if obs:
         note_edits(obs)
@@ -323,7 +323,7 @@ HANDLERS = {
 
 
 def on_register() -> None:
-    """Follow the timeline."""
+    """Start the sync with the timeline."""
     settings.CHANGED.append(settings_changed)
     objects.CATCH_UP.append(catch_up)
     poll_timer.FOLLOWERS.append(_FOLLOWER)

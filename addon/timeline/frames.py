@@ -19,20 +19,20 @@ from ..core import SPLAT_ENDINGS, GsError, read_sequence
 from ..interface.option_labels import error_words
 
 LOOP, HOLD, HIDE = "LOOP", "HOLD", "HIDE"
-"""What is shown before the first frame and after the last one."""
+"""Behaviour before the first frame and after the last one."""
 RESULT = "point_cloud.ply"
-"""File of splats in the folder that a training leaves."""
+"""Splat file in the output folder of a training."""
 _DIGITS = re.compile(r"\d+")
 _ITERATION = re.compile(r"iteration_(\d+)")
 _ENDINGS = tuple(ending for ending in SPLAT_ENDINGS if not ending.endswith(".json"))
 _MOSTLY_GAPS = 10
 """Numbers for each file above which numbers are no count of frames, as the times of a clock."""
 _NAMED = 5
-"""Missing numbers that a sentence names."""
+"""Number of missing frames listed in a sentence."""
 _ROUNDED = 6
 """Decimals of a speed; Blender keeps it in single precision."""
 _SLACK = 1e-6
-"""Frames by which a moment may fall short of a frame's own."""
+"""Rounding tolerance of a time, frames."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class FrameFile:
     """The file of one frame."""
 
     number: int
-    """As its name states it."""
+    """Number in the name."""
     path: Path
     stamp: tuple[int, int]
     """Time of its last change, nanoseconds, and its size, bytes: another file has others."""
 
     @property
     def label(self) -> str:
-        """Text that no other frame of the sequence has."""
+        """Unique label within the sequence."""
         return f"{self.number} {self.path.name} {self.stamp}"
 
 
@@ -59,7 +59,7 @@ def stride_of(numbers: Sequence[int]) -> int:
 
 
 def slots_of(numbers: Sequence[int]) -> list[int]:
-    """The place of each of rising numbers, from 0, gaps counted as places."""
+    """Slot of each of the rising numbers, from 0; gaps count as slots."""
     stride = stride_of(numbers)
     return [(n - numbers[0]) // stride if stride else i for i, n in enumerate(numbers)]
 
@@ -71,7 +71,7 @@ class Series:
     files: tuple[FrameFile, ...]
     """At least one, by number; no number twice."""
     name: str
-    """What the files are called, `#` for the number."""
+    """Name pattern of the files, `#` for the number."""
 
     @cached_property
     def stride(self) -> int:
@@ -100,11 +100,11 @@ class Series:
 
     @property
     def gaps(self) -> int:
-        """How many frames are missing."""
+        """Number of missing frames."""
         return self.slots - len(self.files)
 
     def gap_words(self) -> str:
-        """Which numbers are missing, a sentence; empty where none is."""
+        """Sentence about missing numbers; empty if none."""
         if not self.gaps:
             return ""
         first = self.files[0].number
@@ -118,7 +118,7 @@ class Series:
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """When the frames of a sequence are shown."""
+    """Mapping from timeline frames to the frames of a sequence."""
 
     start: int = 1
     """Frame of the timeline that shows the first one."""
@@ -127,7 +127,7 @@ class Timing:
     speed: float = 1.0
     """Frames of the sequence for each frame of the timeline; below 0 it runs backwards."""
     step: int = 1
-    """Only each so many-th frame is shown, for as long as those between would be."""
+    """Show every n-th frame only, for the duration of the skipped ones too."""
     beyond: str = HOLD
     """LOOP, HOLD or HIDE."""
 
@@ -150,7 +150,7 @@ class Timing:
         return first + passed // step * step
 
     def ahead(self, frame: float, slots: int, count: int) -> Iterator[int]:
-        """The slots of a frame and of the `count` frames of the timeline after it, each once."""
+        """Unique slots of a timeline frame and of the `count` frames after it."""
         seen = set()
         for further in range(count + 1):
             slot = self.slot(frame + further, slots)
@@ -193,7 +193,7 @@ def find_series(folder: Path, chosen: str = "") -> Series:
 
 
 def name_of_file(path: Path) -> tuple[Path, str]:
-    """The folder, and what its frames are called, of a file that was chosen among them.
+    """Folder and name pattern of the sequence of a chosen file.
 
     Raises:
         ValueError: it is no numbered file of splats.
@@ -217,7 +217,7 @@ def _of_training(folder: Path) -> dict[int, Path]:
 
 
 def _grouped(folder: Path) -> dict[str, dict[int, Path]]:
-    """Files by number, by what they are called, `#` in place of the number that differs."""
+    """Files by number, by name pattern, `#` in place of the frame number."""
     groups: dict[str, dict[int, Path]] = defaultdict(dict)
     with os.scandir(folder) as entries:
         names = sorted((entry.name, entry.is_dir()) for entry in entries)
@@ -235,7 +235,7 @@ def _grouped(folder: Path) -> dict[str, dict[int, Path]]:
 
 
 def _stamped(named: Mapping[int, Path]) -> list[FrameFile]:
-    """Those that are there, by number."""
+    """Existing files, by number."""
     found = []
     for number, path in sorted(named.items()):
         try:
@@ -251,7 +251,7 @@ def _holds_splats(name: str) -> bool:
 
 
 def _inside(folder: Path) -> Path | None:
-    """The file of splats in the folder of a frame: the result of a training, or the only one."""
+    """Splat file in the folder of a frame: the result of a training, or the only one."""
     try:
         names = os.listdir(folder)  # noqa: PTH208 - names alone
         if RESULT in names:

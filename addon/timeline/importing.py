@@ -29,7 +29,7 @@ def import_sequence(
     Args:
         context: Its collection gets the object.
         folder: Absolute; as `find_series` takes it.
-        called: What the frames are called, where the folder has several kinds.
+        called: Name pattern of the frames, if the folder has several.
         start: Frame of the timeline that shows the first one.
         parent: The empty of the capture that the splats were trained from.
         up: Without `parent`, the axis of the files that points up, a key of `files.UP_AXES`.
@@ -56,7 +56,7 @@ def import_sequence(
 
 
 def let_play(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:
-    """Let an object whose mesh holds the first frame of a folder play all of them.
+    """Set up playback of a folder on an object whose mesh has its first frame.
 
     Args:
         As `import_sequence`.
@@ -68,13 +68,13 @@ def let_play(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> 
 
 
 def play_again(ob: bpy.types.Object) -> None:
-    """Let an object play whose splats were edited; the edits go."""
+    """Resume playback of an object with edited splats; the edits are dropped."""
     mesh.forget(ob.data)
     ob.gscore_sequence.edited = False
 
 
 def keep_frame(ob: bpy.types.Object, number: int) -> bpy.types.Object:
-    """An object of its own with the splats that an object's mesh holds, which plays nothing.
+    """A separate object with the current splats of a sequence object, without a sequence.
 
     Args:
         ob: Plays a sequence.

@@ -18,15 +18,15 @@ from ..splats.filters import Filters, mask
 from .frames import FrameFile, Series, find_series
 
 MAX_AGE = 3.0
-"""Seconds after which a folder is looked at again while its frames are shown."""
+"""Interval of folder scans while its frames are shown, seconds."""
 _GB = 1 << 30
 _KEPT_PROBLEMS = 1000
 _PATIENCE = 60.0
-"""Seconds for which a frame that is being read is waited for before it is read once more."""
+"""Timeout for a frame that another thread reads, before it is read again, seconds."""
 
 AnswerT = TypeVar("AnswerT")
 Folder = tuple[Path, str]
-"""A folder, and what its frames are called."""
+"""A folder, and the name pattern of its frames."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +39,21 @@ class Frame:
 
     @property
     def fingerprint(self) -> Hashable:
-        """Differs wherever the splats may."""
+        """Key that differs for different splats."""
         return self.file
 
     @property
     def vertices(self) -> range:
-        """One a splat."""
+        """One vertex per splat."""
         return range(len(self.splats))
 
     @property
     def marks(self) -> None:
-        """None: what is selected or hidden belongs to meshes."""
+        """None: selection and hiding are states of meshes."""
 
     @property
     def bytes(self) -> int:
-        """Of memory."""
+        """Size in memory, bytes."""
         return sum(np.asarray(values).nbytes for values in vars(self.splats).values())
 
     def read(self) -> Splats:
@@ -61,7 +61,7 @@ class Frame:
         return self.splats
 
     def kept(self, filters: Filters) -> np.ndarray:
-        """[N] bool: which of them filters let pass."""
+        """[N] bool: splats that pass the filters."""
         splats = self.splats
         opacities = 1 / (1 + np.exp(-np.clip(splats.opacities.astype(np.float64), -500, 500)))
         return mask(splats.means, np.exp(splats.scales), opacities.astype(np.float32), filters)
@@ -77,15 +77,15 @@ NOTHING = Frame(FrameFile(0, Path(), (0, 0)), NO_SPLATS)
 
 @dataclass
 class _Wanted:
-    """By one object."""
+    """Requests of one object."""
 
     files: tuple[FrameFile, ...] = ()
-    """The one that is shown first, then those that come."""
+    """The current frame, then the next ones."""
 
 
 @dataclass
 class _Known:
-    """What was found out, or why not."""
+    """Result of a folder scan, or its error."""
 
     answer: Series | None = None
     problem: str = ""
@@ -120,31 +120,31 @@ class Library:
         self._under_way: FrameFile | None = None
         self._typical = 0
         self._era = 0
-        """Counts how often everything was let go of."""
+        """Number of calls of `clear`."""
         self._thread: threading.Thread | None = None
         self._closed = False
         self.most = _GB
         """Bytes that frames take at most; the ones that are shown have room in any case."""
         self.fresh = False
-        """Whether something came since `take_news` was last asked."""
+        """True if something was loaded since the last `take_news`."""
         self.reads = 0
-        """How many files were read, for measuring."""
+        """Number of files read, for measurements."""
 
     def take_news(self) -> bool:
-        """Whether something came since this was last asked."""
+        """True if something was loaded since the last call."""
         with self._changed:
             came, self.fresh = self.fresh, False
         return came
 
     @property
     def busy(self) -> bool:
-        """Whether something is to be read or listed."""
+        """True while files or folders wait to be read."""
         with self._changed:
             return self._under_way is not None or bool(self._asked) or self._next() is not None
 
     @property
     def held(self) -> tuple[int, int]:
-        """How many frames are in memory, and their bytes."""
+        """Number of frames in memory, and their bytes."""
         with self._changed:
             return len(self._frames), sum(frame.bytes for frame in self._frames.values())
 
@@ -210,20 +210,20 @@ class Library:
                 del self._problems[file]
 
     def keep_owners(self, owners: set[Hashable]) -> None:
-        """Forget what others wanted."""
+        """Drop the requests of all other owners."""
         with self._changed:
             for owner in self._wanted.keys() - owners:
                 del self._wanted[owner]
 
     def clear(self) -> None:
-        """Let go of everything; what is being read is dropped when it comes."""
+        """Drop all frames and requests; a file being read is dropped when it is loaded."""
         with self._changed:
             self._era += 1
             for kept in (self._series, self._asked, self._frames, self._problems, self._wanted):
                 kept.clear()
 
     def close(self) -> None:
-        """End the thread after what it does; the next wish begins another."""
+        """End the thread after its current file; the next request starts a new one."""
         self.clear()
         with self._changed:
             self._closed, self._thread = True, None
@@ -257,14 +257,14 @@ class Library:
                 self._changed.notify_all()
 
     def _next(self) -> FrameFile | None:
-        """What to read next: what is shown, then what comes, the soonest first."""
+        """Next file to read: current frames, then the next ones, soonest first."""
         for file in self._in_order():
             if file not in self._frames and file not in self._problems:
                 return file
         return None
 
     def _in_order(self) -> list[FrameFile]:
-        """What is wanted and has room, by urgency."""
+        """Requested files that fit into memory, by urgency."""
         queues = [wanted.files for wanted in self._wanted.values()]
         chosen: dict[FrameFile, None] = {}
         taken = 0
@@ -298,7 +298,7 @@ class Library:
         return answer, ""
 
     def _make_room(self, new: FrameFile) -> None:
-        """Let go of frames that nobody wants any more, those unused for the longest time first."""
+        """Evict frames without requests, least recently used first."""
         wanted = {new, *self._in_order()}
         held = sum(frame.bytes for frame in self._frames.values())
         for file in [f for f in self._frames if f not in wanted]:
@@ -317,7 +317,7 @@ class Library:
 
 
 def _tried(act: Callable[[], AnswerT], what: str) -> tuple[AnswerT | None, str]:
-    """What came of it, or why nothing did, a sentence."""
+    """Result of `act`, or an error sentence."""
     try:
         return act(), ""
     except MemoryError:
@@ -327,4 +327,4 @@ def _tried(act: Callable[[], AnswerT], what: str) -> tuple[AnswerT | None, str]:
 
 
 LIBRARY = Library()
-"""Of this Blender session."""
+"""Library of this Blender session."""

@@ -19,7 +19,7 @@ from .library import Frame
 _HOLDS, _MARK = "gs_frame", "gs_frame_mark"
 """Custom properties of a mesh: the frame that it holds, and its `_signature` as it came."""
 _LOOKED_AT = (attributes.POSITION, attributes.BASE)
-"""Attributes that an edit changes; to look at all would take five times as long."""
+"""Attributes compared to detect edits; all of them would take five times as long."""
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4), "FLOAT4": ("vector", 4)}
 """Key for foreach_get and width in floats, by data type."""
 
@@ -30,7 +30,7 @@ def holds(ob: bpy.types.Object) -> str:
 
 
 def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
-    """Put a frame into an object's own mesh.
+    """Write a frame to an object's own mesh.
 
     Raises:
         ValueError: as `objects.refresh`.
@@ -43,7 +43,7 @@ def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
 
 
 def note(mesh: bpy.types.Mesh, file: FrameFile, mark: str = "") -> None:
-    """Say which frame a mesh holds, as it came.
+    """Store the frame label and mark of a mesh.
 
     Args:
         mesh: Was just filled.
@@ -81,13 +81,13 @@ def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
 
 
 def forget(mesh: bpy.types.Mesh) -> None:
-    """Let a mesh hold no frame in particular."""
+    """Remove the frame label of a mesh."""
     for key in (_HOLDS, _MARK):
         mesh.pop(key, None)
 
 
 def was_edited(ob: bpy.types.Object) -> bool:
-    """Whether an object's mesh is no longer as its frame came; not while it is being edited."""
+    """True if an object's mesh differs from its loaded frame; False in Edit Mode."""
     mark = ob.data.get(_MARK, "")
     return bool(mark) and ob.mode != "EDIT" and mark != _mark_now(ob.data)
 
@@ -98,7 +98,7 @@ def _is_shared(mesh: bpy.types.Mesh) -> bool:
 
 
 def _mark_now(mesh: bpy.types.Mesh) -> str:
-    """`mark_of` what a mesh holds; 2 ms for 100,000 splats."""
+    """`mark_of` a mesh's current data; 2 ms for 100,000 splats."""
     columns = []
     for name in _LOOKED_AT:
         found = mesh.attributes.get(name)

@@ -25,13 +25,13 @@ from .settings import is_sequence
 
 
 class OnSequence(BaseOperator):
-    """Works on the active splat object, which plays a sequence."""
+    """Base of operators on the active splat object with a sequence."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether it has one."""
+        """True if the active object has a sequence."""
         ob = meant(context)
         if is_splats(ob) and is_sequence(ob):
             return True
@@ -95,7 +95,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Find the frames and read the first in a thread, then hand it over."""
+        """Find the frames and read the first in a thread, then write it to Blender."""
         folder, options = self._options(context)
         coming = SequenceComing(context, folder, **options)
         made = yield from stepped(coming)
@@ -109,7 +109,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         return self._settle(context, ob, series, warnings)
 
     def _options(self, context: bpy.types.Context) -> tuple[Path, dict[str, Any]]:
-        """What `import_sequence` is to be given."""
+        """Arguments of `import_sequence`."""
         folder, called = self._chosen()
         parent = self._parent(context)
         return folder, {"called": called, "start": self.start, "parent": parent, "up": self.up}
@@ -142,7 +142,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         return root_of(context.object) if self.under_capture else None
 
     def _chosen(self) -> tuple[Path, str]:
-        """The folder, and what its frames are called."""
+        """The folder, and the name pattern of its frames."""
         path = Path(bpy.path.abspath(self.filepath)) if self.filepath else None
         if path is not None and path.is_file() and path.name != "sequence.json":
             return name_of_file(path)
@@ -161,7 +161,7 @@ class PlayAgain(OnSequence, bpy.types.Operator):
     bl_label = "Drop Edits and Play"
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points, and whether it plays."""
+        """Its points and playback state."""
         ob = meant(context)
         return ob.data, ob
 

@@ -14,7 +14,7 @@ _BEYOND = [
     (HIDE, "Hide", "Nothing shows before the first frame and after the last one"),
 ]
 CHANGED: list[Callable[[bpy.types.Object], None]] = []
-"""Told of an object whose settings a user has changed."""
+"""Callbacks for an object whose settings a user has changed."""
 
 
 def _update(self: "SequenceSettings", context: bpy.types.Context) -> None:
@@ -82,18 +82,18 @@ class SequenceSettings(bpy.types.PropertyGroup):
 
 
 def is_sequence(ob: bpy.types.Object | None) -> bool:
-    """Whether an object has a sequence, playing or not."""
+    """True if an object has a sequence, playing or not."""
     settings = getattr(ob, "gscore_sequence", None)
     return settings is not None and bool(settings.folder.strip())
 
 
 def plays(ob: bpy.types.Object | None) -> bool:
-    """Whether an object shows what its sequence says, and not its own mesh."""
+    """True if an object shows its sequence instead of its own mesh."""
     return is_sequence(ob) and not ob.gscore_sequence.edited
 
 
 def timing_of(ob: bpy.types.Object) -> Timing:
-    """When an object shows which frame."""
+    """Timing of an object's sequence."""
     own = ob.gscore_sequence
     return Timing(
         start=own.start, offset=own.offset, speed=own.speed, step=own.step, beyond=own.beyond
