@@ -11,7 +11,7 @@ import numpy as np
 from ..core import find_up
 
 GROUND_TILT = np.cos(np.radians(12))
-"""How far the ground may lean from what the cameras say."""
+"""Largest angle between the ground's normal and the cameras' up direction."""
 GROUND_TOLERANCE = 0.01
 """Half the thickness of the ground, in median diameters of the points around the cameras."""
 GROUND_SHARE = 0.08
@@ -23,14 +23,14 @@ _TRIALS, _SAMPLES, _SEED = 1200, 3000, 0
 
 @dataclass(frozen=True, kw_only=True)
 class Alignment:
-    """Where a capture's world lies in Blender's: z up, ground at z = 0."""
+    """Transform of a capture's world to Blender's: z up, ground at z = 0."""
 
     matrix: np.ndarray
     """[4, 4] float64, rigid, from the capture's world."""
     up: np.ndarray
     """[3] float64, unit, in the capture's world."""
     ground_found: bool
-    """Whether z = 0 is a plane of points; else it is the height of the lowest few."""
+    """True if z = 0 is a plane of points; else the height of the lowest few."""
 
 
 def align(viewmats: np.ndarray, points: np.ndarray, up: np.ndarray | None = None) -> Alignment:
@@ -97,7 +97,7 @@ def find_ground(
 
 
 def focus(viewmats: np.ndarray) -> np.ndarray:
-    """The point [3] nearest to all optical axes, or the cameras' middle if they look past it."""
+    """The point [3] nearest to all optical axes, or the cameras' centre if they face away."""
     z, centers = viewmats[:, 2, :3], _centers(viewmats)
     across = np.eye(3) - z[:, :, None] * z[:, None, :]
     total = across.mean(axis=0)
@@ -131,7 +131,7 @@ def _support(
 
 
 def _neighbourhood(points: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, float]:
-    """Points no farther from the cameras' middle than twice the median is, and their size."""
+    """Points within twice the median distance from the cameras' centre, and their size."""
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
         return points, 0.0
@@ -141,7 +141,7 @@ def _neighbourhood(points: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray,
 
 
 def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:
-    """Height below which hardly a point lies; of cameras if there are no points."""
+    """Height of the lowest points, as a low quantile; of cameras without points."""
     near, _ = _neighbourhood(points, centers)
     if len(near) == 0:
         return float((centers @ up).min())
@@ -149,7 +149,7 @@ def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:
 
 
 def _upright(up: np.ndarray, forward: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """[4, 4] that takes `up` to +z, `forward` over +y and `origin` to 0."""
+    """[4, 4] that maps `up` to +z, `forward` above +y and `origin` to 0."""
     ahead = forward - (forward @ up) * up
     if np.linalg.norm(ahead) < 1e-3:  # straight down: any heading will do
         ahead = np.eye(3)[np.argmin(np.abs(up))]

@@ -16,7 +16,7 @@ _AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 class _Aligning(OnCapture):
-    """Moves the capture's empty, and all with it."""
+    """Base of operators that move the capture's empty and its children."""
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The empty."""
@@ -104,7 +104,7 @@ class SetExtent(_Aligning, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask, beginning with the present size."""
+        """Show a dialog with the current size."""
         try:
             self.extent = capture_transform.world_extent(find_root(context, self.capture))
         except ValueError as error:

@@ -17,19 +17,19 @@ _MADE = "gs_background"
 """Custom property of the images that the add-on puts into backgrounds; others are the user's."""
 
 _BATCH = 50
-"""Images that are removed together, in a millisecond or so."""
+"""Images removed per step, in about a millisecond."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StraightBackground:
-    """The background of a camera whose photo is straightened; needs no bpy any more."""
+    """The background of a camera with an undistorted photo, read out of bpy."""
 
     own: PhotoCamera
     """The camera."""
     file: Path
-    """The picture that it shows."""
+    """The displayed image file."""
     can_change: bool
-    """Whether it can be led to another picture."""
+    """True if the image can be replaced."""
 
     def lacks(self) -> Path | None:
         """The straightened copy that is not there, or not what is shown; None: nothing is to be
@@ -50,14 +50,14 @@ class KnownImages:
     """Images of the open file by their files. Names are kept, not images, which undo replaces."""
 
     def __init__(self) -> None:
-        """Look at all there are."""
+        """Collect all images of the file."""
         images = (i for i in bpy.data.images if i.source == "FILE" and i.filepath)
         self._names = {str(file_of(image)): (image.name, _library_of(image)) for image in images}
         self._made: set[int] = set()
-        """Session numbers."""
+        """Session uids."""
 
     def of(self, shown: Path, photo: Path) -> bpy.types.Image:
-        """The image of a file, made where there is none, called like its photo."""
+        """The image of a file, created if missing, with the name of its photo."""
         found = self._found(shown)
         if found is None:
             # `images.load` looks into every file, which makes it 80 times slower.
@@ -71,7 +71,7 @@ class KnownImages:
         return found
 
     def dropping(self) -> Iterator[None]:
-        """Remove those that were made here and that nothing shows, some a piece."""
+        """Remove unused images that the add-on created, some per step."""
         made = (image for image in bpy.data.images if image.session_uid in self._made)
         names = [image.name for image in made if _MADE in image and not image.users]
         for start in range(0, len(names), _BATCH):
@@ -88,7 +88,7 @@ class KnownImages:
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """A photo as the disk has it; needs no bpy any more."""
+    """Files of a photo, read out of bpy."""
 
     file: Path
     """It."""
@@ -98,14 +98,14 @@ class Photo:
 
 
 def photo_on_disk(own: PhotoCamera, file: Path) -> Photo:
-    """Look for a photo of a camera."""
+    """Find the files of a camera's photo."""
     if not file.is_file():
         return Photo(file=file, shown=None)
     return Photo(file=file, shown=file if own.photo_size is None else copy_of(own, file))
 
 
 def photo_of(ob: bpy.types.Object) -> bpy.types.Image | None:
-    """The picture in a camera's background, or None."""
+    """The image in a camera's background, or None."""
     return next((slot.image for slot in ob.data.background_images if slot.image), None)
 
 
@@ -136,7 +136,7 @@ def set_photo(ob: bpy.types.Object, photo: Photo, known: KnownImages) -> None:
 
 
 def shows_photo(ob: bpy.types.Object, photo: Photo) -> bool:
-    """Whether a camera has what `set_photo` gives it."""
+    """True if a camera has the background of `set_photo`."""
     if stored_paths.read(ob, stored_paths.PHOTO) != str(photo.file):
         return False
     slot = _own_slot(ob)
@@ -185,13 +185,13 @@ def _library_of(image: bpy.types.Image) -> str | None:
 
 
 def _own_slot(ob: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
-    """Where the add-on has put a camera's photo, or None."""
+    """Background slot of a camera's photo, or None."""
     images = ((slot, slot.image) for slot in ob.data.background_images)
     return next((slot for slot, image in images if image and _MADE in image), None)
 
 
 def _free_slot(ob: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
-    """Where a camera's photo can be put, made where it has to be; None: the user chose pictures."""
+    """Free background slot, created if needed; None: the user chose other images."""
     slots = ob.data.background_images
     if any(slot.image is not None for slot in slots):
         return None

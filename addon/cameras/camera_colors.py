@@ -21,7 +21,7 @@ def own_cameras(root: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def give(ob: bpy.types.Object, mark: str, color: tuple[float, ...]) -> None:
-    """Color a camera, linear RGBA; `mark` says what for."""
+    """Color a camera, linear RGBA; `mark` names the purpose."""
     take(ob)
     own = [float(v) for v in ob.color]
     ob.color = color
@@ -29,7 +29,7 @@ def give(ob: bpy.types.Object, mark: str, color: tuple[float, ...]) -> None:
 
 
 def take(ob: bpy.types.Object) -> None:
-    """Give a camera its color back; one that the user has given it since stays."""
+    """Restore a camera's color; a color that the user has set since stays."""
     if MARK not in ob:
         return
     kept = [float(v) for v in ob.get(_KEPT, ())]
@@ -42,16 +42,16 @@ def take(ob: bpy.types.Object) -> None:
 
 
 def mark_of(ob: bpy.types.Object) -> str:
-    """What a camera is colored for; empty: it is not."""
+    """Mark of a camera; empty: it is not colored."""
     return str(ob.get(MARK, ""))
 
 
 def marks(root: bpy.types.Object) -> set[str]:
-    """What cameras of a capture are colored for."""
+    """Marks of the cameras of a capture."""
     return {mark_of(ob) for ob in root.children_recursive} - {""}
 
 
 def hide(root: bpy.types.Object) -> None:
-    """Give the cameras of a capture the colors back that they had."""
+    """Restore the colors of a capture's cameras."""
     for ob in own_cameras(root):
         take(ob)

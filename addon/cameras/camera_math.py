@@ -15,12 +15,12 @@ MIN_LENS = 1.0
 """Millimetres; Blender clamps `Camera.lens` below."""
 
 _UNIT = 1e-9
-"""How far K's last row and skew may be from theirs."""
+"""Tolerance of K's last row and skew."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """What a Blender camera datablock says about projection, under Blender's names."""
+    """Projection settings of a Blender camera, with Blender's names."""
 
     type: str = "PERSP"
     """PERSP or ORTHO."""

@@ -21,11 +21,11 @@ from .undistort_program import task_of
 from .undistort_queue import UndistortQueue
 
 QUEUE = UndistortQueue()
-"""What this Blender has straightened."""
+"""Undistortion queue of this Blender session."""
 LACKING = Lacking()
-"""What is still to be straightened, for panels."""
+"""Cache of missing undistorted copies, for panels."""
 _PAUSE = 0.05
-"""Seconds between two looks of a script that waits."""
+"""Polling interval of a waiting script, seconds."""
 
 
 def ask(cameras: Iterable[bpy.types.Object]) -> int:
@@ -55,7 +55,7 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
 
 
 def begin(tasks: Sequence[dict[str, Any]]) -> None:
-    """Have copies made (`straightener.task_of`), the first one first."""
+    """Queue tasks (`undistort_program.task_of`), in this order."""
     if tasks:
         QUEUE.ask(tasks)
         poll_timer.ensure()
@@ -63,20 +63,20 @@ def begin(tasks: Sequence[dict[str, Any]]) -> None:
 
 
 def wait() -> None:
-    """Return when all copies that were asked for are there, or cannot be made."""
+    """Block until all queued copies are written or have failed."""
     while QUEUE.busy:
         collect()
         time.sleep(_PAUSE)
 
 
 def problems_of(lack: Lack) -> list[str]:
-    """Why copies that are lacking could not be made, sentences."""
+    """Errors of missing copies, as sentences."""
     told = (QUEUE.problems.get(str(copy)) for copy in lack.copies)
     return [*lack.problems, *(problem for problem in told if problem)]
 
 
 def collect() -> bool:
-    """Take in what was made; whether panels have to be drawn anew."""
+    """Collect written copies; True if panels need a redraw."""
     if not QUEUE.busy:
         return False
     made = {Path(copy) for copy in QUEUE.poll(_program)}
@@ -91,7 +91,7 @@ def collect() -> bool:
 
 
 def _program() -> tuple[list[str], Mapping[str, str]]:
-    """A Blender without a window and without the user's add-ons, which runs `straightener`."""
+    """Command line of a background Blender without the user's add-ons, for `undistort_program`."""
     library = find_spec("gscore")
     assert library is not None and library.origin is not None
     path = [str(Path(__file__).parents[2]), str(Path(library.origin).parents[1])]
@@ -123,7 +123,7 @@ HANDLERS = {"load_post": _file_loaded}
 
 
 def on_register() -> None:
-    """Follow the beat."""
+    """Register with the poll timer."""
     poll_timer.FOLLOWERS.extend(_FOLLOWERS)
 
 

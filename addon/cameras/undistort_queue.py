@@ -8,44 +8,44 @@ from typing import Any
 from ..process.child_program import Process
 
 READY = "ready to straighten"
-"""The first line of the program: a Blender says other things too."""
+"""First line of the program, among other output of Blender."""
 ANSWER = "straightened "
-"""Begins an answer of the program."""
+"""Prefix of the program's answers."""
 _STARTS = 2
-"""Starts after which a program that never becomes ready is given up."""
+"""Largest number of starts of a program that never becomes ready."""
 _BUDGET = 0.02
-"""Seconds for reading answers at one beat."""
+"""Seconds for reading answers per poll."""
 
 
 class UndistortQueue:
-    """Copies that are wanted; the program runs as long as there are any."""
+    """Queue of requested copies; the program runs while there are any."""
 
     def __init__(self) -> None:
-        """Nothing is wanted yet."""
+        """Initialise an empty queue."""
         self.done = 0
-        """Copies made since it was last idle."""
+        """Copies written since the queue was last idle."""
         self.problems: dict[str, str] = {}
-        """Why copies could not be made, by their file."""
+        """Errors by file of the copy."""
         self._tasks: dict[str, dict[str, Any]] = {}
         self._current = ""
         self._process: Process | None = None
         self._closing = False
-        """Whether the program was told to end: it reads nothing more."""
+        """True after the end of the program's input."""
         self._starts = 0
         """Of the program since it was last ready."""
 
     @property
     def busy(self) -> bool:
-        """Whether something is wanted, or the program still ends."""
+        """True while copies are queued or the program is ending."""
         return bool(self._tasks) or self._process is not None
 
     @property
     def total(self) -> int:
-        """Copies that were wanted since it was last idle."""
+        """Copies requested since the queue was last idle."""
         return self.done + len(self._tasks)
 
     def ask(self, tasks: Iterable[dict[str, Any]]) -> None:
-        """Make these copies next, after the one that is being made."""
+        """Queue these copies first, after the current one."""
         if not self.busy:
             self.done = 0
         wanted = {task["copy"]: task for task in tasks}
@@ -55,7 +55,7 @@ class UndistortQueue:
         self._tasks = {**current, **wanted, **self._tasks}
 
     def stop(self) -> None:
-        """Forget what is wanted; the copy that is being made stays whole."""
+        """Clear the queue; the current copy is completed."""
         self._tasks = {copy: t for copy, t in self._tasks.items() if copy == self._current}
 
     def poll(self, program: Callable[[], tuple[list[str], Mapping[str, str]]]) -> list[str]:
@@ -77,14 +77,14 @@ class UndistortQueue:
         return made
 
     def kill(self) -> None:
-        """End the program at once, and forget what is wanted."""
+        """Kill the program, and clear the queue."""
         if self._process is not None:
             self._process.kill(wait=5.0)
         self._tasks, self._starts = {}, 0
         self._forget_process()
 
     def _start(self, program: Callable[[], tuple[list[str], Mapping[str, str]]]) -> bool:
-        """Start the program; whether it runs."""
+        """Start the program; True if it runs."""
         try:
             arguments, variables = program()
             self._process = Process(arguments, variables=MappingProxyType(dict(variables)))
@@ -103,7 +103,7 @@ class UndistortQueue:
             process.end_input()
 
     def _answer(self, line: str) -> str:
-        """The copy that was made, if the line says so."""
+        """File of the written copy, if the line reports one."""
         if line.startswith((READY, ANSWER)):
             self._starts = 0
         if not line.startswith(ANSWER):

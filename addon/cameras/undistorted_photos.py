@@ -16,12 +16,12 @@ from ..paths import own_folder
 from .objects import PhotoCamera
 
 _VERSION = 1
-"""Of what copies look like: another one makes all of them anew."""
+"""Version of the copies' contents; a new one invalidates all."""
 _STEM, _DIGITS = 40, 16
 """Letters of the photo's name in that of its copy, and of what makes it another than its likes."""
 _JPEG = frozenset({".jpg", ".jpeg"})
 _PART = ".part"
-"""Ends the names of files that are being written."""
+"""Suffix of partially written files."""
 
 
 def lens_of(own: PhotoCamera) -> ColmapCamera:
@@ -35,7 +35,7 @@ def lens_of(own: PhotoCamera) -> ColmapCamera:
 
 
 def undistortion_of(own: PhotoCamera) -> Undistortion | None:
-    """The way from a photo to what its camera in Blender sees; None: they are the same.
+    """Undistortion of a photo for its Blender camera; None: it needs none.
 
     Raises:
         ValueError: the lens bends lines, and cannot be straightened, or the camera is not made for
@@ -57,7 +57,7 @@ def undistortion_of(own: PhotoCamera) -> Undistortion | None:
 
 
 def copies_folder() -> Path:
-    """Where straightened copies lie, whether it is there or not."""
+    """Folder of the undistorted copies, which need not exist."""
     return own_folder() / "straight"
 
 
@@ -86,7 +86,7 @@ def earlier_copies(copy: Path) -> list[Path]:
 
 
 def copies(folder: Path) -> list[Path]:
-    """All copies that lie in a folder."""
+    """All copies in a folder."""
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted(file for file in files if file.suffix in (".jpg", ".png") and file.is_file())
 
@@ -97,12 +97,12 @@ def part_of(copy: Path) -> Path:
 
 
 def left_over(folder: Path) -> list[Path]:
-    """What programs that were ended in the middle of copies have left in their folder."""
+    """Partial files of killed programs in a folder."""
     return sorted(folder.glob(f".*{_PART}"))
 
 
 def size_of(folder: Path) -> tuple[int, int]:
-    """How many copies lie in a folder, and their bytes."""
+    """Number of copies in a folder, and their bytes."""
     sizes = [file.stat().st_size for file in copies(folder)]
     return len(sizes), sum(sizes)
 

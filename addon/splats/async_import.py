@@ -28,7 +28,7 @@ Columns = Sequence[tuple[str, str, np.ndarray]]
 
 @dataclass(frozen=True, kw_only=True)
 class _Read:
-    """A file that was read."""
+    """Contents of a read file."""
 
     wanted: Wanted
     count: int
@@ -52,16 +52,16 @@ class AsyncImport:
         find: Callable[[Wanted], Wanted] = lambda wanted: wanted,
         look: Callable[[Columns], str] = lambda columns: "",
     ) -> None:
-        """Begin to read.
+        """Start reading.
 
         Args:
             context: Its scene and collection get the objects.
             wanted: At least one file.
-            find: Which file is meant, where that has to be looked for; in the thread.
+            find: Resolves the file, if it must be searched for; runs in the thread.
             look: Notes something of what each file gives a mesh, for `looked`; in the thread.
         """
         self.warnings: list[str] = []
-        """What the user should know besides."""
+        """Warnings for the user."""
         self._wanted, self._find, self._look = tuple(wanted), find, look
         self._scene = context.scene.session_uid
         self._collection = getattr(context.collection, "session_uid", 0)
@@ -76,14 +76,14 @@ class AsyncImport:
 
     @property
     def sentence(self) -> str:
-        """How far it is."""
+        """Progress sentence."""
         if self._fillings is None:
             return f"Reading {self._task.last_line or self._wanted[0].path.name}"
         share = sum(filling.share for filling in self._fillings) / len(self._fillings)
         return f"Importing {sum(f.loaded.count for f in self._fillings):,} splats: {share:.0%}"
 
     def step(self) -> list[bpy.types.Object] | None:
-        """Do a small piece; the objects once all are there.
+        """Run a short step; the objects once all are complete.
 
         Raises:
             ValueError: a file cannot be imported, or the scene is gone; nothing of it is left.
@@ -106,7 +106,7 @@ class AsyncImport:
         return self._finish(self._fillings)
 
     def cancel(self) -> None:
-        """Leave nothing."""
+        """Remove all partial results."""
         self._task.cancel()
         for filling in self._fillings or ():
             filling.drop()
@@ -118,7 +118,7 @@ class AsyncImport:
         self._fillings = [ChunkedWrite(one) for one in read]
 
     def _read(self, task: BackgroundTask) -> tuple[list[_Read], list[str]]:
-        """In the thread."""
+        """Read all files; runs in the thread."""
         made = []
         with collected_warnings() as warnings:
             for asked in self._wanted:

@@ -7,11 +7,11 @@ from .. import attributes, compat
 from . import objects
 
 _MOST = 200_000
-"""Splats that are looked at, at most: quantiles of all are theirs to a thousandth."""
+"""Largest sample of splats: its quantiles agree with those of all to a thousandth."""
 
 
 def in_world(ob: bpy.types.Object) -> np.ndarray:
-    """[M, 3] float64: places of splats in Blender's world; of many an even choice.
+    """[M, 3] float64: means in Blender's world; an even sample of many splats.
 
     M is 0 where there are none, or where they are out of reach in Edit Mode.
 
@@ -28,7 +28,7 @@ def in_world(ob: bpy.types.Object) -> np.ndarray:
 
 
 def opacities(ob: bpy.types.Object) -> np.ndarray:
-    """[M] float64, 0 to 1: of the splats of `in_world`.
+    """[M] float64 opacities in [0, 1] of the splats of `in_world`.
 
     Raises:
         ValueError: as `in_world`.
@@ -37,6 +37,6 @@ def opacities(ob: bpy.types.Object) -> np.ndarray:
 
 
 def _some(ob: bpy.types.Object, name: str) -> np.ndarray:
-    """An even choice of the rows of an attribute."""
+    """An even sample of the rows of an attribute."""
     values = attributes.column(ob.data, name)
     return values[:: -(-len(values) // _MOST) or 1]

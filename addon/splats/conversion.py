@@ -26,21 +26,21 @@ from ..process.incremental_tasks import Check
 from ..trainer_python import setup
 
 _PERIOD = 0.05
-"""Seconds between two looks at the other Python."""
+"""Polling interval of the other Python, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Other:
-    """Another Python, and where it puts what it makes."""
+    """Another Python, and its temporary folder."""
 
     python: Path | None
-    """None: none is set up."""
+    """Python executable; None: not set up."""
     folder: str
-    """Of temporary files."""
+    """Folder of temporary files."""
 
 
 def other() -> Other:
-    """The Python that trains. On Blender's main thread."""
+    """The Python of the trainings; call on Blender's main thread."""
     try:
         python = setup.trainer_python(preferences.get())
     except ValueError:
@@ -54,7 +54,7 @@ def read(path: Path, by: Other, check: Check) -> SplatFile:
     Args:
         path: The file.
         by: As `other`.
-        check: Raises where the file is no longer wanted; the other Python is ended then.
+        check: Raises after cancellation; the other Python is then killed.
 
     Raises:
         GsError: it cannot be read by either.
@@ -84,7 +84,7 @@ def write(
 
     Args:
         path: The file.
-        splats: What it holds.
+        splats: The splats to write.
         by: As `other`.
         check: As in `read`; `path` is untouched then.
         antialiased: As in `write_splat_file`.

@@ -8,7 +8,7 @@ import bpy
 from . import vertex_groups
 
 _OURS = "gs_"
-"""Begins the names of custom properties that tell of the points themselves."""
+"""Prefix of custom properties that describe the points."""
 
 
 def check_movable(mesh: bpy.types.Mesh, called: str) -> None:
@@ -70,7 +70,7 @@ def hand_over(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
 
 
 def copy_asset_mark(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
-    """Have a mesh be the asset that another one is, with its catalog, tags and texts."""
+    """Mark a mesh as the same asset as another, with catalog, tags and texts."""
     if old.asset_data is not None:
         mesh.asset_mark()
         mesh.asset_data = old.asset_data

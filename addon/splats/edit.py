@@ -22,7 +22,7 @@ from .rotation import moved
 from .write_chunked import ChunkedWrite, filled, swap
 
 _QUICK = 200_000
-"""Splats whose filters run in a few milliseconds."""
+"""Largest number of splats filtered within a few milliseconds."""
 _CROP_QUANTILE = 0.005
 """Share of the splats beyond each side of a new crop box."""
 
@@ -40,7 +40,7 @@ class Stats:
 
 
 def stats(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Stats:
-    """Counts, cheap enough for a panel.
+    """Counts of a splat object, cheap enough for a panel.
 
     Args:
         ob: A splat object.
@@ -77,7 +77,7 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
 
 
 def apply_filters(held: EditGuard) -> Pieces[int]:
-    """Delete what the filters hide and reset them; other attributes of the mesh follow.
+    """Delete splats that the filters hide and reset the filters; all attributes are kept in step.
 
     Returns:
         Number of splats deleted.
@@ -108,7 +108,7 @@ def _passing(table: list[Column], limits: filters.Filters, check: Check) -> np.n
 
 
 def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:
-    """Make a wire box around most of the splats, and crop the object by it.
+    """Create a wire box around the bulk of the splats, and use it as the crop object.
 
     The box stands upright in Blender's world, whichever way the splats are turned, and moves along
     with them as their child; move, turn and scale it.

@@ -28,7 +28,7 @@ class EditGuard:
         self.name = ob.name
         self.mesh_uid = ob.data.session_uid
         self.is_changed = False
-        """Whether somebody has changed the splats, or may have."""
+        """True if the splats were or may have been changed."""
         self._uid, self._count = ob.session_uid, len(ob.data.vertices)
         self._mode, self._stood = bpy.context.mode, _stands(ob)
         _HELD.add(self)
@@ -57,7 +57,7 @@ class EditGuard:
         return all_to_change([self])[0]
 
     def check_unmoved(self) -> None:
-        """Raise ValueError where it stands elsewhere than when this was made."""
+        """Raise ValueError if the object was moved since this was created."""
         ob = self.there()
         if _stands(ob) != self._stood:
             raise ValueError(
@@ -65,15 +65,15 @@ class EditGuard:
             )
 
     def check_movable(self) -> None:
-        """Raise ValueError where its splats cannot become others, before anything is read."""
+        """Raise ValueError if the splats cannot be replaced, before any reading."""
         copy_metadata.check_movable(self.there().data, self.name)
 
     def check_points_alone(self) -> None:
-        """The same where there will be more of them or fewer."""
+        """`check_movable` for a changed number of splats."""
         copy_metadata.check_points_alone(self.there().data, self.name)
 
     def copied_mesh(self) -> bpy.types.Mesh:
-        """A copy of its mesh, to be filled and put in its place; it shares memory until then.
+        """A copy of its mesh as its replacement; it shares memory until it is written.
 
         Raises:
             ValueError: as `there` and `check_movable`.
@@ -82,7 +82,7 @@ class EditGuard:
         return self.there().data.copy()
 
     def emptied_mesh(self) -> bpy.types.Mesh:
-        """The same without its points, and without vertex groups.
+        """`copied_mesh` without points and vertex groups.
 
         Raises:
             ValueError: as `there` and `check_points_alone`.
@@ -96,11 +96,11 @@ class EditGuard:
         return copy
 
     def found(self) -> bpy.types.Object | None:
-        """The object, whatever became of it; None: it is gone."""
+        """The object in its current state; None: it was removed."""
         return with_uid(bpy.data.objects, self._uid)
 
     def close(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         _HELD.discard(self)
 
     def _check_mode(self) -> None:
@@ -112,7 +112,7 @@ class EditGuard:
 
 
 def _stands(ob: bpy.types.Object) -> tuple[Matrix, Matrix]:
-    """Where an object stands in the world, and before its parent's matrix."""
+    """World matrix and basis matrix of an object."""
     return ob.matrix_world.copy(), ob.matrix_parent_inverse @ ob.matrix_basis
 
 

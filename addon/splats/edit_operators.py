@@ -18,10 +18,10 @@ from .read_chunked import read_chunked
 
 
 class Editing(IncrementalOperator, OnSplats):
-    """Works on the mesh outside of Edit Mode, and goes back to it."""
+    """Base of edits that leave Edit Mode for the edit, and return to it."""
 
     leaves_edit_mode: ClassVar = True
-    """Whether it does; else it is refused there."""
+    """True if the operator is available in Edit Mode."""
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The points."""
@@ -49,12 +49,12 @@ class Editing(IncrementalOperator, OnSplats):
                 _edit_again(context, uid)
 
     def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
-        """Do it; ValueError where it cannot be done."""
+        """The edit in steps; raises ValueError if it is not possible."""
         raise NotImplementedError
 
 
 def _edit_again(context: bpy.types.Context, uid: int) -> None:
-    """Enter Edit Mode of an object, where it is still there and nothing else was begun."""
+    """Return to Edit Mode of an object, if it exists and no other mode is active."""
     ob = with_uid(bpy.data.objects, uid)
     if ob is None or context.mode != "OBJECT" or ob.name not in context.view_layer.objects:
         return
@@ -133,7 +133,7 @@ class SeparateSplats(Editing, bpy.types.Operator):
 
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The selected splat objects besides the one that is worked on."""
+    """The selected splat objects other than the active one."""
     own = objects.meant(context)
     return [o for o in context.selected_objects if objects.is_splats(o) and o != own]
 
@@ -146,7 +146,7 @@ class JoinSplats(Editing, bpy.types.Operator):
     bl_label = "Join Splats"
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The points of the active object, the others, which go, and what hangs from these."""
+        """The points of the active object, the removed other objects, and their children."""
         others = _others(context)
         children = [child for other in others for child in other.children]
         return (*super().changes(context), *others, *children)
@@ -194,7 +194,7 @@ class ApplySplatTransform(Editing, bpy.types.Operator):
     leaves_edit_mode = False
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points, and where it stands."""
+        """Its points and transform."""
         ob = objects.meant(context)
         return ob.data, ob
 

@@ -10,7 +10,7 @@ from .. import stored_paths
 from .objects import is_splats
 
 MAP = "gs_error_map"
-"""Custom property of an object that shows the errors of another one's run."""
+"""Custom property of an error map object."""
 
 
 def run_of(ob: bpy.types.Object) -> Path:
@@ -26,12 +26,12 @@ def run_of(ob: bpy.types.Object) -> Path:
 
 
 def is_map(ob: bpy.types.Object) -> bool:
-    """Whether an object shows errors."""
+    """True if an object is an error map."""
     return bool(ob.get(MAP))
 
 
 def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.types.Object]]:
-    """The objects that show the splats of an object's run, and those that show their errors.
+    """The splat objects and the error map objects of an object's run.
 
     Raises:
         ValueError: it comes from no run.
@@ -46,7 +46,7 @@ def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.typ
 
 
 def show_map(ob: bpy.types.Object, show: bool) -> None:
-    """Show the errors of an object's run in its place, or the splats again.
+    """Show the error map of an object's run in place of its splats, or the splats again.
 
     Raises:
         ValueError: there is no map.
@@ -66,7 +66,7 @@ def show_map(ob: bpy.types.Object, show: bool) -> None:
 
 @contextmanager
 def splats_in_view() -> Iterator[None]:
-    """Have the view layer show splats in the place of their errors, as long as this lasts.
+    """Context in which the view layer shows splats in place of their error maps.
 
     Errors are no colors of the scene: what is compared with photos are the splats.
     """
@@ -84,7 +84,7 @@ def splats_in_view() -> Iterator[None]:
 
 
 def drop_maps(ob: bpy.types.Object) -> None:
-    """Take the maps of an object's run away, and show its splats again."""
+    """Remove the error maps of an object's run, and show its splats again."""
     maps = siblings(ob)[1] if stored_paths.read(ob, stored_paths.RUN) else []
     if maps:
         show_map(ob, False)

@@ -25,13 +25,13 @@ were left out."""
 
 @dataclass(frozen=True, kw_only=True)
 class _Part:
-    """What becomes of the splats of one object."""
+    """Export of the splats of one object."""
 
     name: str
     matrix: np.ndarray
     """[4, 4] from the object's space to the file's."""
     filters: Filters | None
-    """What is left out; None: nothing."""
+    """Filters; None: all splats are exported."""
 
     def made(self, columns: dict[str, np.ndarray]) -> Splats:
         """Splats for the file of columns that `ChunkedRead` read; ValueError as `objects.moved`."""
@@ -110,7 +110,7 @@ def exporting(
 
 
 def _in_words(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
-    """The same work, with a sentence where memory is lacking."""
+    """The same work, with a readable error if memory runs out."""
 
     def done(check: Check) -> ResultT:
         try:
@@ -126,7 +126,7 @@ def _in_words(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
 def _together(
     parts: list[_Part], read: list[dict[str, np.ndarray]], check: Check
 ) -> tuple[Splats, int]:
-    """All splats of a file, and how many there were before filters; `read` is emptied."""
+    """All splats of a file, and their number before filters; `read` is emptied."""
     total, made = 0, []
     for part in parts:
         columns = read.pop(0)

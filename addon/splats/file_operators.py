@@ -115,7 +115,7 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
         return self.invoke_popup(context)
 
     def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
-        """What the properties say; ValueError where they ask for what there is not."""
+        """Requested files of the properties; raises ValueError for impossible requests."""
         paths = [Path(self.directory, file.name) for file in self.files if file.name]
         active = root_of(context.object) if self.under_capture else None
         cropped = meant(context) if self.in_crop else None
@@ -135,7 +135,7 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
-        """Select what was imported; what to tell the user."""
+        """Select the imported objects; the text of the report."""
         self.warn(warnings)
         free = context.mode == "OBJECT"  # asked first, it has the view layer know the new objects
         here = [ob for ob in made if ob.name in context.view_layer.objects]
@@ -178,11 +178,11 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
 
     @property
     def filename_ext(self) -> str:
-        """Of the name that the file browser begins with."""
+        """Extension of the file browser's default name."""
         return self.ending
 
     def check(self, context: bpy.types.Context) -> bool:
-        """Give the name the ending of the format that was chosen."""
+        """Set the extension of the chosen format."""
         known = sorted((end for end, *_ in _ENDINGS), key=len, reverse=True)
         stem = next((self.filepath[: -len(e)] for e in known if self.filepath.endswith(e)), "")
         named = (stem or self.filepath) + self.ending
@@ -192,7 +192,7 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether there is an object with splats; exporters of collections need none selected."""
+        """True if any object has splats; collection exporters need no selection."""
         if any(can_export(ob) for ob in context.scene.objects):
             return True
         cls.poll_message_set("There are no splats: import a splat PLY or train some")
@@ -241,7 +241,7 @@ class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Whether the file was dropped on a 3D view."""
+        """True if the file was dropped on a 3D view."""
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
@@ -265,6 +265,6 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take them back."""
+    """Remove the entries."""
     bpy.types.TOPBAR_MT_file_export.remove(_draw_export)
     bpy.types.TOPBAR_MT_file_import.remove(_draw_import)

@@ -11,12 +11,12 @@ from ..core import at_least_opaque, in_unit_shape, of_size
 SPHERE = "SPHERE"
 BOX = "BOX"
 LOOKED_AT = (attributes.BASE, attributes.POSITION, attributes.SCALE)
-"""Attributes that tell which splats pass."""
+"""Attributes that the filters read."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Filters:
-    """What is shown. Lengths are in the object's own units, before its scale."""
+    """Filter limits. Lengths are in the object's own units, before its scale."""
 
     opacity_min: float = 0.0
     """Smallest opacity, in [0, 1]."""
@@ -29,11 +29,11 @@ class Filters:
     crop_shape: str = BOX
     """BOX, or SPHERE for the ellipsoid that touches the box's sides."""
     crop_invert: bool = False
-    """Show what lies outside."""
+    """Show the outside of the crop."""
 
     @property
     def leave_out_anything(self) -> bool:
-        """Whether there may be a splat that does not pass."""
+        """True if the filters may hide a splat."""
         limits = (self.opacity_min, self.size_min, self.size_max)
         return any(limits) or self.crop is not None
 
@@ -72,7 +72,7 @@ def passing(columns: dict[str, np.ndarray], limits: Filters) -> np.ndarray:
 
 
 def filters_of(ob: Any) -> Filters:
-    """The filters that a splat object's settings and crop object say."""
+    """Filters from a splat object's settings and crop object."""
     settings = ob.gscore
     return Filters(
         opacity_min=settings.opacity_min,
@@ -85,17 +85,17 @@ def filters_of(ob: Any) -> Filters:
 
 
 def is_cropped(ob: Any) -> bool:
-    """Whether the object has a crop object; one that is scaled to nothing on all axes is none."""
+    """True if the object has a crop object with a non-zero scale on some axis."""
     crop = ob.gscore.crop_object
     return crop is not None and any(any(row[:3]) for row in crop.matrix_world[:3])
 
 
 def visible_mask(ob: Any, data: Any = None) -> np.ndarray:
-    """[N] bool: which vertices of a splat object its display shows.
+    """[N] bool: vertices of a splat object that its display shows.
 
     Args:
         ob: The object with the settings.
-        data: Mesh or point cloud to look at instead of the object's own.
+        data: Mesh or point cloud in place of the object's own.
 
     Raises:
         ValueError: attributes are missing or out of reach in Edit Mode.

@@ -19,7 +19,7 @@ def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
 
 
 def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.SpaceView3D]:
-    """Turn the 3D views of a scene's windows to an object's splats; these views.
+    """Frame an object's splats in the 3D views of a scene's windows; returns these views.
 
     Splats are good where photos were taken: where the cameras of their capture are there, a view
     stands with the one that looks most as it does, so that it is inside of a room. Else it shows
@@ -41,7 +41,7 @@ def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.S
 
 
 def _shown(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """[M, 3] places and [M] weights of splats."""
+    """[M, 3] means and [M] weights of splats."""
     placed = bounds.in_world(ob)
     if not len(placed):
         raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")

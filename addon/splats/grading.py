@@ -7,27 +7,27 @@ import numpy as np
 from ..core import rgb_to_sh0, sh0_to_rgb
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
-"""Rec. 709."""
+"""Luma weights of Rec. 709."""
 _BLOCK = 1 << 14
-"""Splats that are graded at once: what is computed of them stays in the cache."""
+"""Splats per block, so that intermediate results stay in the cache."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grade:
-    """What is done, in this order, on sRGB values; a channel each where there are three."""
+    """Grading operations in this order on sRGB values; three values are per channel."""
 
     lift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where black goes; white stays."""
+    """New value of black; white stays."""
     gamma: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Above 1 brightens the middle; black and white stay."""
+    """Above 1 brightens the midtones; black and white stay."""
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Where white goes; black stays."""
+    """New value of white; black stays."""
     saturation: float = 1.0
     """0 for grey."""
 
 
 def graded(base: np.ndarray, grade: Grade) -> np.ndarray:
-    """[N, 4] float32: `radiance:base` [N, 4] with other colours, to the bit where nothing is asked.
+    """[N, 4] float32: graded `radiance:base` [N, 4], bit-identical for a neutral grade.
 
     View-dependent coefficients add to these colours as they did; values below 0, which a view may
     lift again, keep their sign.

@@ -11,26 +11,26 @@ from .async_import import AsyncImport
 
 
 class ImportOperator(IncrementalOperator, OnScene):
-    """They say which files, and what becomes of the objects."""
+    """Base of import operators, which define the files and the handling of the objects."""
 
     def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
-        """Which files; ValueError where there is nothing to bring."""
+        """Files to import; raises ValueError if there are none."""
         raise NotImplementedError
 
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
-        """Take care of the objects, one a file; what to tell the user."""
+        """Handle the objects, one per file; the text of the report."""
         raise NotImplementedError
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Read in a thread, then hand over."""
+        """Read in a thread, then write to Blender."""
         coming = AsyncImport(context, self.wanted(context))
         made = yield from stepped(coming)
         return self.show(context, made, coming.warnings)
 
     def act(self, context: bpy.types.Context) -> str:
-        """Import one or several files; none of them where one cannot be read."""
+        """Import one or several files; none if one cannot be read."""
         made: list[bpy.types.Object] = []
         try:
             with collected_warnings() as warnings:

@@ -5,23 +5,23 @@ from dataclasses import dataclass
 
 @dataclass
 class Live:
-    """Of the session."""
+    """State of the live display in the session."""
 
     there: bool = False
-    """Whether there is a window, and the drawing is registered."""
+    """True with a window and a registered draw handler."""
     problem: str = ""
-    """Why the graphics card does not draw them, a sentence."""
+    """Error sentence if the GPU does not draw splats."""
     by_engine: bool = False
-    """Whether views show pictures of the render engine where it does not."""
+    """True if views show pictures of the render engine as a fallback."""
 
     @property
     def works(self) -> bool:
-        """Whether views show splats that are displayed as such, as far as is known."""
+        """True if views show the display mode Splats, as far as known."""
         return self.there and not self.as_points
 
     @property
     def as_points(self) -> bool:
-        """Whether they are shown as points, for want of anything better."""
+        """True if splats are shown as points as a fallback."""
         return bool(self.problem) and not self.by_engine
 
 

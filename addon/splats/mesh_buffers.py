@@ -13,7 +13,7 @@ from .point_attributes import GROUP, TEXT, Column, blocks
 
 
 class MeshBuffers(Protocol):
-    """Splats as Blender takes them."""
+    """Splats in the form of Blender's attributes."""
 
     @property
     def count(self) -> int:
@@ -31,7 +31,7 @@ ReadyT = TypeVar("ReadyT", bound=MeshBuffers)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Points:
-    """Attributes of points, and nothing besides."""
+    """Attributes of points only."""
 
     count: int
     """How many."""

@@ -16,7 +16,7 @@ from .write_chunked import ChunkedWrite, filled
 
 
 def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
-    """Make a splat object of a point cloud, where the cloud stands, which stays, hidden.
+    """Create a splat object from a point cloud, in its place; the cloud stays, hidden.
 
     Raises:
         ValueError: attributes are missing, the cloud is gone meanwhile, or its numbers are not

@@ -14,7 +14,7 @@ from . import copy_metadata, lag, live, settings
 
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
-"""Custom property of a splat object whose opacities want compensation (Mip-Splatting)."""
+"""Custom property of a splat object trained with antialias (Mip-Splatting)."""
 CATCH_UP: list[Callable[[bpy.types.Object], None]] = []
 """Bring an object's mesh up to what the object shows; ValueError where that cannot be."""
 

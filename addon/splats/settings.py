@@ -60,7 +60,7 @@ _SHAPES = [
 
 
 _KEPT = {"LIBRARY_OVERRIDABLE"}
-"""Of properties that a library override keeps."""
+"""Options of properties that a library override keeps."""
 
 
 def _update(self: "SplatSettings", context: bpy.types.Context) -> None:
@@ -159,7 +159,7 @@ class SplatSettings(bpy.types.PropertyGroup):
 
 
 def apply(ob: bpy.types.Object) -> None:
-    """Hand the object's settings to its display modifier, if it still has one."""
+    """Copy the object's settings to its display modifier, if it has one."""
     modifier = display.modifier_of(ob)
     if modifier is None:
         return
@@ -188,7 +188,7 @@ def apply(ob: bpy.types.Object) -> None:
 
 
 def _leave_points_unselected(data: bpy.types.ID) -> None:
-    """Of meshes in files that were made before this add-on saw to it, too."""
+    """Deselect points, also in meshes of files from older versions of the add-on."""
     if isinstance(data, bpy.types.Mesh) and data.is_editable and not data.is_editmode:
         attributes.leave_points_unselected(data)
 
@@ -204,7 +204,7 @@ def reset_filters(ob: bpy.types.Object) -> None:
 
 
 def building() -> Pieces[None]:
-    """Build what the first splat object of a file is displayed with, a part a piece."""
+    """Build the display node groups of a file, one per step."""
     until = time.perf_counter() + BUDGET
     for build in display.builders():
         build()
@@ -214,7 +214,7 @@ def building() -> Pieces[None]:
 
 
 def attach(ob: bpy.types.Object) -> bpy.types.NodesModifier:
-    """Give a splat object its display modifier, or its current node group to the one it has."""
+    """Add the display modifier to a splat object, or update the node group of an existing one."""
     modifier = display.modifier_of(ob) or ob.modifiers.new(display.NAME, "NODES")
     modifier.node_group = display.group()
     apply(ob)
@@ -223,7 +223,7 @@ def attach(ob: bpy.types.Object) -> bpy.types.NodesModifier:
 
 @persistent
 def _renew(*_: object) -> None:
-    """Give objects of a file that another Blender has saved the display that this one can show."""
+    """Replace displays of files from other Blender versions by supported ones."""
     for ob in bpy.data.objects:
         modifier = display.modifier_of(ob) if ob.library is None else None
         if modifier is not None and is_of_another_blender(modifier.node_group):
@@ -240,6 +240,6 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take the property back."""
+    """Remove the property."""
     bpy.app.handlers.load_post.remove(_renew)
     del bpy.types.Object.gscore

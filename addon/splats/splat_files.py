@@ -33,37 +33,37 @@ UP_AXES = {
     "X": np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
     "-X": np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]]),
 }
-"""[4, 4] that turns the named axis of a file to Blender's +Z."""
+"""Rotation [4, 4] of the named axis of a file to Blender's +Z."""
 MOST_AT_ONCE = 1_000_000
-"""Splats of the level that is read where none is chosen: as many as Blender edits at ease."""
+"""Largest size of the default level of detail, in splats: still fluent to edit in Blender."""
 SOURCE, BLENDER = "SOURCE", "BLENDER"
 FROM_FILE = "FILE"
-"""In place of an axis: the one that the file states; -Y where it states none."""
+"""Axis stated by the file; -Y if it states none."""
 _USUAL_UP = "-Y"
 _BLENDER_NOTE = f"{UP_NOTE}Z"
-"""The comment of a PLY whose splats stand in Blender's world."""
+"""PLY comment of splats in Blender's world."""
 _IMPORT_MATRIX = "gs_import_matrix"
 _NOISE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """A file that is to be imported, and where its splats go: needs no bpy to be read."""
+    """Import request of a file, with the transform of its splats; read without bpy."""
 
     path: Path
     level: int | None
     to_unit: np.ndarray | None
     """[4, 4] from the file to the unit box of what is read of it; None: all."""
     crop: str
-    """Name of the crop object that says so."""
+    """Name of the crop object."""
     parent: int
-    """Session number of the object that becomes the parent; 0: none."""
+    """Session uid of the future parent; 0: none."""
     basis: tuple[Matrix, Matrix] | None
     """Where the object of a crop stands: its matrix and that of its parent's inverse."""
     origin: np.ndarray | None
     """[3] the local origin of the capture that the parent belongs to; None: it has none."""
     stored: tuple[float, ...]
-    """What is remembered of that object's import; empty: nothing."""
+    """Import record of that object; empty: none."""
     up: str
     by: conversion.Other
     """Reads formats that Blender's Python lacks a package for."""
@@ -100,7 +100,7 @@ def import_splats(
 
 
 def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Object:
-    """As `import_splats`, of what `want` returns."""
+    """As `import_splats`, for a request of `want`."""
     found = read(wanted)
     ob = objects.create(found.splats, wanted.path.stem, collection=context.collection)
     settle(ob, wanted, found)
@@ -115,7 +115,7 @@ def want(
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
 ) -> Wanted:
-    """What `import_splats` is asked for, so that another thread can `read` it.
+    """Import request with the arguments of `import_splats`, for `read` in another thread.
 
     Raises:
         ValueError: `cropped` has no crop object, or the file no levels of detail.
@@ -146,7 +146,7 @@ def want(
 
 
 def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
-    """What is imported; in any thread. `check` raises where it is no longer wanted.
+    """Read an import request, in any thread. `check` raises after cancellation.
 
     Raises:
         As `import_splats`.
@@ -163,7 +163,7 @@ def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
 
 
 class Said(Protocol):
-    """What a file says of its splats."""
+    """Metadata of a splat file."""
 
     @property
     def antialiased(self) -> bool: ...
@@ -174,7 +174,7 @@ class Said(Protocol):
 
 
 def settle(ob: bpy.types.Object, wanted: Wanted, said: Said) -> None:
-    """Put the object of a file where it was wanted; under no parent where that is gone."""
+    """Place the object of a file as requested; without a parent if that was removed."""
     if said.antialiased:
         ob[ANTIALIAS] = True
     uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
@@ -210,7 +210,7 @@ def stand(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
 
 
 def turn_up(ob: bpy.types.Object, up: str) -> None:
-    """Turn an object so that an axis of its data, a key of `UP_AXES`, points up."""
+    """Rotate an object so that an axis of its data, a key of `UP_AXES`, points up."""
     place(ob, UP_AXES[up])
 
 

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 
 BLOCK = 1 << 12
-"""Points that are read at once: some milliseconds."""
+"""Points per block, some milliseconds each."""
 
 
 def read(mesh: Any, name: str, begin: int, values: np.ndarray, known: dict[bytes, bytes]) -> None:
-    """Read those of `BLOCK` points from one on.
+    """Read a string attribute of `BLOCK` points from an index on.
 
     Args:
         mesh: Not in Edit Mode. One that shares memory with another gets its own with the first of

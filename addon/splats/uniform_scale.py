@@ -10,7 +10,7 @@ from . import objects
 
 
 def is_even(ob: bpy.types.Object) -> bool:
-    """Whether an object's matrix is one that splats can follow."""
+    """True if an object's matrix is a similarity, which splats can represent."""
     try:
         transform_splats(attributes.NO_SPLATS, compat.matrix_to_numpy(ob.matrix_world))
     except ValueError:
@@ -19,7 +19,7 @@ def is_even(ob: bpy.types.Object) -> bool:
 
 
 def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
-    """Give an object and its parents one scale for all axes, where theirs differ.
+    """Make the scales of an object and its parents uniform.
 
     The volume stays, and a side that is scaled to nothing becomes 1; mirrors stay.
 

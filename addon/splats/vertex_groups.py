@@ -10,11 +10,11 @@ import bpy
 import numpy as np
 
 BLOCK = 1 << 12
-"""Splats that are read at once: a few milliseconds."""
+"""Splats per block, a few milliseconds each."""
 
 
 def made(names: list[str], count: int) -> np.ndarray:
-    """[G, N] float32 for the weights of groups: nobody is in any."""
+    """[G, N] float32 weights of groups, without members."""
     return np.full((len(names), count), np.nan, np.float32)
 
 
@@ -52,7 +52,7 @@ def write(mesh: bpy.types.Mesh, name: str, entries: np.ndarray) -> None:
 
 
 def clear(mesh: bpy.types.Mesh) -> None:
-    """Take all groups of a mesh away."""
+    """Remove all groups of a mesh."""
     with _groups(mesh) as groups:
         groups.clear()
 
@@ -72,7 +72,7 @@ def settings_kept(ob: bpy.types.Object) -> Iterator[None]:
 
 @contextmanager
 def _groups(mesh: bpy.types.Mesh) -> Iterator[bpy.types.VertexGroups]:
-    """The groups of a mesh, as an object for the moment shows them."""
+    """The groups of a mesh, through a temporary object."""
     ob = bpy.data.objects.new(mesh.name, mesh)
     try:
         yield ob.vertex_groups

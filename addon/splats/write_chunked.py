@@ -23,14 +23,14 @@ def _new() -> bpy.types.Mesh:
 
 
 class ChunkedWrite(Generic[ReadyT]):
-    """A mesh on its way. Where undo, or another file, takes it, it is begun anew."""
+    """A mesh being filled. If undo or a file load removes it, filling starts again."""
 
     # Quoted: see ready.py.
     def __init__(self, loaded: ReadyT, make: "Callable[[], bpy.types.Mesh]" = _new) -> None:
-        """Begin.
+        """Start.
 
         Args:
-            loaded: What fills it.
+            loaded: Source of the attributes.
             make: Makes the mesh, which lacks points if it has not as many.
         """
         self.loaded = loaded
@@ -39,16 +39,16 @@ class ChunkedWrite(Generic[ReadyT]):
         self._next = 0
 
     def step(self) -> bpy.types.Mesh | None:
-        """Fill some more; the mesh once it is complete, which then is the caller's."""
+        """Fill one step; the mesh once it is complete, owned by the caller."""
         return self.take() if self.fill() else None
 
     @property
     def share(self) -> float:
-        """How much of it is filled, 0 to 1."""
+        """Filled fraction, 0 to 1."""
         return self._next / max(len(self.loaded.columns), 1)
 
     def fill(self) -> bool:
-        """Fill some more; whether it is complete."""
+        """Fill one step; True if the mesh is complete."""
         mesh = self._mesh()
         until = time.perf_counter() + BUDGET
         while self._next < len(self.loaded.columns):
@@ -70,14 +70,14 @@ class ChunkedWrite(Generic[ReadyT]):
         return True
 
     def take(self) -> bpy.types.Mesh:
-        """The complete mesh, which from now on is the caller's."""
+        """The complete mesh; ownership passes to the caller."""
         mesh = self._mesh()
         self._temporary.take()
         mesh.update()
         return mesh
 
     def drop(self) -> None:
-        """Remove what was filled so far; nothing happens once it is the caller's."""
+        """Remove the partial mesh; no effect once the caller owns it."""
         if self._temporary is not None:
             self._temporary.drop()
 
@@ -95,7 +95,7 @@ class ChunkedWrite(Generic[ReadyT]):
 def filled(
     fillings: "Sequence[ChunkedWrite[Any]]", check: Callable[[], object] = lambda: None
 ) -> Pieces[list[bpy.types.Mesh]]:
-    """Meshes that were filled, which are the caller's; where this fails, none is left.
+    """Filled meshes, owned by the caller; none is left after an error.
 
     Args:
         fillings: All of them are complete at the same moment, right before this returns.
