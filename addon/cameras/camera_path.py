@@ -30,7 +30,7 @@ def export_path(
     root: bpy.types.Object | None = None,
     kind: str = CAMERAS,
 ) -> int:
-    """The same as `exporting_path`, at once."""
+    """`exporting_path` in one call."""
     return run_blocking(exporting_path(path, camera, scene, root=root, kind=kind))
 
 
@@ -42,7 +42,7 @@ def exporting_path(
     root: bpy.types.Object | None,
     kind: str,
 ) -> Pieces[int]:
-    """Write where a camera stands, and its lens, at each frame of the scene's range.
+    """Write the pose and lens of a camera at each frame of the scene's range.
 
     Every `frame_step`-th frame is written, as a render of the animation would draw them, and so
     many fewer pictures a second, so that the path takes as long as on the timeline. After each

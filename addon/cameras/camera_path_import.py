@@ -31,7 +31,7 @@ _LAST = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedPath:
-    """What came into the scene."""
+    """Result of an import."""
 
     scene: bpy.types.Scene
     camera: bpy.types.Object
@@ -48,7 +48,7 @@ class ImportedPath:
 
 
 def import_path(path: str | Path, scene: bpy.types.Scene, **options: Any) -> ImportedPath:
-    """The same as `importing_path`, at once."""
+    """`importing_path` in one call."""
     return run_blocking(importing_path(path, scene, **options))
 
 
@@ -122,10 +122,10 @@ def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Column:
-    """What a curve says."""
+    """Values of one F-curve."""
 
     of_lens: bool
-    """It animates the camera's data, else the object."""
+    """True if it animates the camera datablock, else the object."""
     name: str
     """The property."""
     index: int
@@ -217,7 +217,7 @@ class _Coming:
     def arrive(
         self, scene: bpy.types.Scene, root: bpy.types.Object | None
     ) -> bpy.types.Object | None:
-        """Bring it into the scene; None: undo, or a user, has taken it meanwhile."""
+        """Link the camera to the scene; None: undo or the user has removed it."""
         if (outer := self._temporary.take()) is None:
             return None
         ob = outer.objects[0]
@@ -232,7 +232,7 @@ class _Coming:
         return ob
 
     def drop(self) -> None:
-        """Remove what did not come into the scene."""
+        """Remove the camera if it did not enter the scene."""
         self._temporary.drop()
 
 

@@ -111,7 +111,7 @@ def set_extent(root: bpy.types.Object, extent: float) -> None:
 
 
 def reset_root(root: bpy.types.Object) -> None:
-    """Give a capture the axes, origin and scale of its own files back."""
+    """Reset a capture to the axes, origin and scale of its own files."""
     set_root_matrix(root, np.eye(4))
     size_drawings(root, cameras_of(root))
 
@@ -137,12 +137,12 @@ def centers_of(viewmats: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Drawing:
-    """How large things are drawn, in Blender's units where the empty is not scaled."""
+    """Display sizes, in Blender units at a scale of 1 of the empty."""
 
     length: float
-    """Of a camera's drawing."""
+    """Size of a camera's drawing."""
     extent: float
-    """Of all cameras."""
+    """Extent of all cameras."""
 
 
 def drawing_of(centers: np.ndarray) -> Drawing:

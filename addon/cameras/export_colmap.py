@@ -36,7 +36,7 @@ def export_colmap(
     binary: bool = True,
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
-    """The same as `exporting_colmap`, at once."""
+    """`exporting_colmap` in one call."""
     given = {"root": root, "binary": binary, "depsgraph": lambda: depsgraph}
     return run_blocking(exporting_colmap(path, cameras, scene, **given))
 
@@ -76,7 +76,7 @@ def _write(
     binary: bool,
     check: Check,
 ) -> Exported:
-    """What needs no bpy."""
+    """Write the files; no bpy."""
     views, source = given.views, given.source
     for known in given.captures:
         if _same(folder, _model_folder(known)):

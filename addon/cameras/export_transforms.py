@@ -32,7 +32,7 @@ def export_transforms(
     root: bpy.types.Object | None = None,
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
-    """The same as `exporting_transforms`, at once."""
+    """`exporting_transforms` in one call."""
     given = {"root": root, "depsgraph": lambda: depsgraph}
     return run_blocking(exporting_transforms(path, cameras, scene, **given))
 
@@ -69,7 +69,7 @@ def _write(
     given: Gathered,
     check: Check,
 ) -> Exported:
-    """What needs no bpy."""
+    """Write the files; no bpy."""
     views, source = given.views, given.source
     for known in given.captures:
         own = known if known.is_file() else known / path.name

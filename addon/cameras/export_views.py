@@ -47,15 +47,15 @@ class Exported:
     views: int
     """Cameras."""
     moved: int
-    """Of these, written as they stand in Blender instead of as the capture states them."""
+    """Number of these written with Blender's values instead of the capture's."""
     points: int
     """SfM points."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Warnings for the user."""
 
 
 Graph = Callable[[], bpy.types.Depsgraph | None]
-"""Gives the animated poses, as they are now."""
+"""Source of the current animated poses."""
 
 
 def collect(
@@ -138,13 +138,13 @@ class Watched:
         scene: bpy.types.Scene,
         root: bpy.types.Object | None,
     ) -> None:
-        """They are there now."""
+        """Remember the cameras, which exist now."""
         self.cameras, self.scene, self.root = list(cameras), scene, root
         self._uids = [ob.session_uid for ob in cameras]
         self._others = scene.session_uid, None if root is None else root.session_uid
 
     def look_again(self) -> None:
-        """Look all of it up; ValueError where it is gone."""
+        """Look up all objects; ValueError if one was removed."""
         obs = {ob.session_uid: ob for ob in bpy.data.objects}
         scenes = {scene.session_uid: scene for scene in bpy.data.scenes}
         scene, root = self._others

@@ -18,16 +18,16 @@ from .lookup import roots_of
 from .reading import ReadCamera
 
 _SAMPLES = 20
-"""Cameras that are looked at to tell whether the files have the same world as before."""
+"""Number of cameras compared to detect a changed world of the files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Present:
-    """A capture that the scene has."""
+    """A capture in the scene."""
 
     root: bpy.types.Object
     cameras: list[bpy.types.Object]
-    """By image name."""
+    """Cameras by image name."""
     points: bpy.types.Object | None
 
 
@@ -50,7 +50,7 @@ def find_present(scene: bpy.types.Scene, source: Path, into: int) -> Present | N
 
 
 def uid_of(there: Present | None) -> int:
-    """Session number of its empty; 0: there is none."""
+    """Session uid of its empty; 0: none."""
     return 0 if there is None else there.root.session_uid
 
 
@@ -66,7 +66,7 @@ def known_origins(scene: bpy.types.Scene, into: int) -> list[tuple[Path | None, 
 
 
 def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, ...]:
-    """A sentence where captures of a scene are about different local origins."""
+    """Warning if the captures of a scene have different local origins."""
     own = noted_origin(root)
     for other in roots_of(scene):
         apart = offset_between(own, noted_origin(other))
@@ -87,7 +87,7 @@ def _is_of(root: bpy.types.Object, source: Path) -> bool:
 
 
 def _may_change(found: Present) -> bool:
-    """Whether a capture is all of this file, and no override."""
+    """True if all of a capture is local to this file, without overrides."""
     obs = [found.root, *found.cameras, *filter(None, [found.points])]
     blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
     return all(block.library is None and block.override_library is None for block in blocks)
@@ -96,7 +96,7 @@ def _may_change(found: Present) -> bool:
 def in_another_world(
     cameras: Sequence[ReadCamera], there: dict[str, bpy.types.Object]
 ) -> tuple[str, ...]:
-    """A sentence where most photos were taken from elsewhere than it was stated before."""
+    """Warning if most camera poses differ from the imported ones."""
     known = [one.setup.own for one in cameras if one.setup.own.image in there]
     some = known[:: max(1, len(known) // _SAMPLES)]
     moved = 0
@@ -112,7 +112,7 @@ def in_another_world(
 
 
 def constrained_warning(cameras: list[bpy.types.Object]) -> tuple[str, ...]:
-    """A sentence where something besides its own place says where a camera stands."""
+    """Warning if constraints or animation also move a camera."""
     names = sorted(ob.name for ob in cameras if not co.is_plain_child(ob))
     if not names:
         return ()

@@ -11,9 +11,9 @@ from . import objects as co
 from . import sfm_points
 
 _POINTS = 20_000
-"""Points that are looked at, at most."""
+"""Largest sample of points."""
 _GAP = 0.1
-"""Between two captures, in the width of the one that comes."""
+"""Gap between captures, in widths of the new one."""
 
 
 def frame_capture(scene: bpy.types.Scene, root: bpy.types.Object) -> list[bpy.types.SpaceView3D]:
@@ -76,7 +76,7 @@ def place_next_to(
 
 
 def _box(reach: np.ndarray) -> np.ndarray | None:
-    """[2, 2] lowest and highest x and y of most of a capture; None: there is nothing of it."""
+    """[2, 2] lowest and highest x and y of the bulk of a capture; None: it is empty."""
     if not len(reach):
         return None
     return np.quantile(reach[:, :2], [(1 - framing.MOST) / 2, (1 + framing.MOST) / 2], axis=0)

@@ -41,21 +41,21 @@ from .reading import ReadCamera, ReadCapture, ReadPoints, read
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedCapture:
-    """What came into the scene."""
+    """Result of an import."""
 
     scene: bpy.types.Scene
     root: bpy.types.Object
-    """The empty that carries the alignment."""
+    """The empty with the alignment."""
     collection: bpy.types.Collection
-    """Holds it."""
+    """Collection of the capture."""
     cameras: list[bpy.types.Object]
     """By image name."""
     points: bpy.types.Object | None
     """The SfM points."""
     renewed: bool
-    """Whether it was there before."""
+    """True if the capture was already in the scene."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Warnings for the user."""
 
 
 def importing(
@@ -68,7 +68,7 @@ def importing(
     align: bool = True,
     into: bpy.types.Object | None = None,
 ) -> Pieces[ImportedCapture]:
-    """Bring a capture into the scene; nothing is there before everything is.
+    """Import a capture into the scene, all at once at the end.
 
     Where the scene has it already, its cameras and points become what the files say now: those of
     photos that are gone go too. The empty, and all else that hangs from it, stay as they are.
@@ -113,31 +113,31 @@ def importing(
 
 @dataclass(frozen=True, kw_only=True)
 class _Compared:
-    """A camera, with what the files say otherwise."""
+    """A camera and its differences from the files."""
 
     state: tuple[Any, ...]
-    """`_state_of` it."""
+    """`_state_of` the object."""
     lacking: co.Lacking | None
-    """None: nothing."""
+    """Changes to write; None: none."""
     has_photo: bool
-    """Whether it shows the one of the files."""
+    """True if it shows the photo of the files."""
 
 
 def _state_of(ob: bpy.types.Object) -> tuple[Any, ...]:
-    """Which object it is, and what a user is likely to change of it."""
+    """Identity of an object, and properties that users are likely to change."""
     return ob.session_uid, ob.matrix_basis.copy().freeze(), ob.data.lens
 
 
 class _Coming:
-    """Cameras and points on their way, in a collection that no scene has."""
+    """Cameras and points being created, in a collection outside all scenes."""
 
     def __init__(self, found: ReadCapture, known: KnownImages, into: int, align: bool) -> None:
-        """Make the collection, with the capture's empty."""
+        """Create the collection with the capture's empty."""
         self._found, self._known, self._into, self._align = found, known, into, align
         self._there = 0
-        """Session number of the capture's empty in the scene, when cameras were begun."""
+        """Session uid of the capture's empty in the scene, at the start of the cameras."""
         self._compared: dict[str, _Compared] = {}
-        """Cameras that are there, by image."""
+        """Existing cameras, by image."""
         outer = bpy.data.collections.new(found.name)
         self._temporary = Temporary(outer)
         inner = bpy.data.collections.new(f"{found.name} cameras")
@@ -151,7 +151,7 @@ class _Coming:
             self._temporary.hold(one)
 
     def fill(self, there: Present | None) -> Pieces[None]:
-        """Make what is not `there`."""
+        """Create all that is missing in `there`."""
         self._there = uid_of(there)
         have = {} if there is None else _by_image(there.cameras)
         known = {image: (ob.name, ob.session_uid) for image, ob in have.items()}
@@ -208,7 +208,7 @@ class _Coming:
         )
 
     def dropping(self) -> Iterator[None]:
-        """Remove what did not come into the scene, and what has left it, some a piece."""
+        """Remove objects that did not enter the scene or have left it, some per step."""
         return self._temporary.dropping()
 
     def _make(self, one: ReadCamera, outer: bpy.types.Collection) -> bpy.types.Object:
@@ -225,7 +225,7 @@ class _Coming:
             stored_paths.write(ob, stored_paths.PHOTO, one.setup.own.photo)
 
     def _compare(self, one: ReadCamera, ob: bpy.types.Object) -> None:
-        """Note what is to be written when all arrives, which is one piece."""
+        """Collect the changes that the final step writes."""
         image, same = one.setup.own.image, co.is_as_stated(ob, one.setup)
         lacking = None if same else co.lacking(ob, one.setup)
         self._compared[image] = _Compared(
@@ -250,7 +250,7 @@ class _Coming:
             step(co.points_among(outer.objects))
 
     def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> Present:
-        """Have the scene show the collection."""
+        """Link the collection to the scene."""
         root = next(ob for ob in outer.objects if co.is_kind(ob, "capture"))
         for ob in outer.all_objects:
             if ob != root:
@@ -277,7 +277,7 @@ class _Coming:
             self._hand_photo(ob, one)
 
     def _take_away(self, gone: set[bpy.types.Object], outer: bpy.types.Collection) -> None:
-        """Have cameras leave the scene; to remove them takes longer, which is done afterwards."""
+        """Unlink cameras from the scene; their removal takes longer and follows later."""
         # `users_collection` would look through all of this for each camera.
         for collection in [*bpy.data.collections, *(one.collection for one in bpy.data.scenes)]:
             for ob in [ob for ob in collection.objects if ob in gone]:
@@ -290,7 +290,7 @@ class _Coming:
     def _renew(
         self, capture: Present, outer: bpy.types.Collection, scene: bpy.types.Scene
     ) -> tuple[Present, tuple[str, ...]]:
-        """Have a capture be what was read; what it is then, and what to tell the user."""
+        """Update a capture to the read state; returns the result with warnings."""
         root, cameras = capture.root, capture.cameras
         old, new = capture.points, co.points_among(outer.objects)
         if new is not None and old is not None and old.mode == "EDIT":
@@ -335,12 +335,12 @@ class _Coming:
 
 
 def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
-    """Of copies that a user made the first, by name, counts."""
+    """Cameras by image; among copies by a user the first by name."""
     return {str(ob.get("gs_image")): ob for ob in reversed(list(cameras))}
 
 
 def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
-    """What makes an object of points complete, a short piece each."""
+    """Steps that complete an object of points."""
     for name, kind, values in found.columns:
         yield lambda ob, name=name, kind=kind: attributes.declare(ob.data, name, kind)
         yield lambda ob, given=(name, kind, values): attributes.fill(ob.data, *given)
@@ -349,20 +349,20 @@ def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
 
 
 def _beside(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Where a new object is put to be beside another one in a scene."""
+    """Collection for a new object next to another one in a scene."""
     own = {scene.collection, *scene.collection.children_recursive}
     return editable_check.taking([one for one in ob.users_collection if one in own], scene)[0]
 
 
 def _move(ob: bpy.types.Object, before: bpy.types.Collection, after: bpy.types.Collection) -> None:
-    """From a temporary collection to one of the scene."""
+    """Move objects from a temporary collection to one of the scene."""
     release(ob)
     after.objects.link(ob)
     before.objects.unlink(ob)
 
 
 def _hang(ob: bpy.types.Object, root: bpy.types.Object) -> None:
-    """Put an object directly below the capture's empty."""
+    """Parent an object to the capture's empty."""
     if ob.parent != root or ob.parent_type != "OBJECT":
         ob.parent, ob.parent_type = root, "OBJECT"
     if ob.matrix_parent_inverse != Matrix.Identity(4):

@@ -13,7 +13,7 @@ from . import objects as co
 
 
 def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
-    """The capture that is meant: by name, else by what is active or chosen, else the only one.
+    """The capture by name, else the active or chosen one, else the only one.
 
     Raises:
         ValueError: there is none, or it is not clear which.
@@ -79,7 +79,7 @@ def root_of_run(scene: bpy.types.Scene, splats: Path) -> bpy.types.Object | None
 
 
 def panel_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """The empty that the sidebar is about: the chosen capture's; the first where none is chosen."""
+    """The empty of the sidebar's capture: the chosen one, else the first."""
     if scene.gscore.capture_path.strip():
         return chosen_root(scene)
     return next(iter(roots_of(scene)), None)
@@ -94,7 +94,7 @@ def roots_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def find_camera(
     context: bpy.types.Context, root: bpy.types.Object, name: str = "", index: int = -1
 ) -> bpy.types.Object:
-    """A photo's camera by object or image name, else by index, else what is active.
+    """A photo's camera by object or image name, else by index, else the active one.
 
     Raises:
         ValueError: there is no such camera.

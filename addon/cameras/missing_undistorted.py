@@ -15,28 +15,28 @@ from ..process import poll_timer
 from .backgrounds import StraightBackground, straight_background
 
 _AGE = 3.0
-"""Seconds after which it is looked up again."""
+"""Lifetime of a cached result, seconds."""
 _NEVER = 1e9
 """Seconds that no Blender runs for: what was looked up grows old here alone."""
 
 
 @dataclass(frozen=True)
 class Lack:
-    """What some cameras lack."""
+    """Missing copies of some cameras."""
 
     copies: tuple[Path, ...] = ()
-    """Of the photos that have to be straightened."""
+    """Tasks of the photos to undistort."""
     problems: tuple[str, ...] = ()
-    """Of cameras that cannot be looked at, sentences."""
+    """Errors of unreadable cameras, sentences."""
 
 
 def lack_of(cameras: Iterable[bpy.types.Object]) -> Lack:
-    """What cameras lack; asks the disk."""
+    """Missing copies of cameras; reads the disk."""
     return _looked(*_taken(cameras))
 
 
 class Lacking:
-    """What captures lack, by the session number of their empty; used on the main thread."""
+    """Missing copies of captures by session uid of their empty; main thread only."""
 
     def __init__(self) -> None:
         self._taken: dict[int, tuple[list[StraightBackground], list[str]]] = {}
@@ -46,7 +46,7 @@ class Lacking:
         )
 
     def of(self, root: bpy.types.Object, cameras: Iterable[bpy.types.Object]) -> Lack:
-        """What is known by now of the cameras of a capture."""
+        """Cached result for the cameras of a capture."""
         uid, now = root.session_uid, time.monotonic()
         if not self.busy and now - self._times.get(uid, float("-inf")) > _AGE:
             self._taken[uid], self._times[uid] = _taken(cameras), now
@@ -56,26 +56,26 @@ class Lacking:
         return found
 
     def expire(self) -> None:
-        """Look anew when it is asked for next."""
+        """Drop the cached result of a capture."""
         self._times.clear()
 
     def clear(self) -> None:
-        """Forget everything: another file is open."""
+        """Drop all results after a file load."""
         self._times.clear()
         self._taken.clear()
 
     def collect(self) -> bool:
-        """Take in what threads have found; whether that was anything new."""
+        """Collect results of threads; True if any is new."""
         return self._lookup.collect()
 
     @property
     def busy(self) -> bool:
-        """Whether something is being looked up."""
+        """True while a thread runs."""
         return self._lookup.busy
 
 
 def _taken(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground], list[str]]:
-    """What Blender knows of the backgrounds of cameras, and problems with them."""
+    """Backgrounds of cameras as read from bpy, and errors."""
     found, problems = [], []
     for ob in cameras:
         try:
@@ -89,6 +89,6 @@ def _taken(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground
 
 
 def _looked(backgrounds: Iterable[StraightBackground], problems: Iterable[str]) -> Lack:
-    """What the disk says of them; no bpy."""
+    """Missing copies on disk; no bpy."""
     copies = (background.lacks() for background in backgrounds)
     return Lack(tuple(copy for copy in copies if copy is not None), tuple(problems))

@@ -17,7 +17,7 @@ KIND = "gs_kind"
 TURNED, MOVED = "gs_turned_degrees", "gs_moved"
 """Custom properties of a camera that a training moved: degrees, and world units of the capture."""
 _TURN, _MOVE, _LENS = 1e-5, 1e-6, 1e-6
-"""What Blender's single precision does to a camera that nobody touched: radians, and relative."""
+"""Rounding of unmoved cameras by Blender's single precision: radians, and relative."""
 
 _PLAIN = {
     "scale": (1.0, 1.0, 1.0),
@@ -31,7 +31,7 @@ _PLAIN = {
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoCamera:
-    """What the capture states about one photo; kept in custom properties, in float64."""
+    """Camera of one photo in the capture; stored in custom properties, in float64."""
 
     image: str
     """Name in the capture, sub-folders with '/'."""
@@ -40,7 +40,7 @@ class PhotoCamera:
     viewmat: np.ndarray
     """[4, 4], world to camera, OpenCV axes, in the capture's world."""
     K: np.ndarray
-    """[3, 3], pixels; of a lens that bends lines those of its straightened photo."""
+    """[3, 3], pixels; of the undistorted photo for a lens with distortion."""
     width: int
     """Pixels."""
     height: int
@@ -60,12 +60,12 @@ class PhotoCamera:
 
 
 def is_kind(ob: bpy.types.Object | None, kind: str) -> bool:
-    """Whether the add-on marked an object as one of its own."""
+    """True if an object has a mark of the add-on."""
     return ob is not None and ob.get(KIND) == kind
 
 
 def is_camera(ob: bpy.types.Object | None) -> bool:
-    """Whether an object is the camera of a photo."""
+    """True if an object is the camera of a photo."""
     return is_kind(ob, "camera") and ob.type == "CAMERA"
 
 
@@ -108,7 +108,7 @@ def points_among(obs: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What Blender is told of a photo's camera."""
+    """Blender camera values of a photo."""
 
     own: PhotoCamera
     """The camera."""
@@ -116,11 +116,11 @@ class Setup:
     location: np.ndarray
     """[3] in the capture's world."""
     rotation: np.ndarray
-    """[4] quaternion wxyz, of the same."""
+    """[4] quaternion wxyz, in the capture's world."""
 
 
 def setup_of(own: PhotoCamera) -> Setup:
-    """Work it out; needs no bpy."""
+    """Compute the values; no bpy."""
     lens, _ = cm.lens_from_intrinsics(own.K, own.width, own.height)
     location, rotation = _pose(own.viewmat)
     return Setup(own=own, lens=lens, location=location, rotation=rotation)
@@ -135,24 +135,24 @@ def make(setup: Setup, name: str, collection: bpy.types.Collection) -> bpy.types
 
 
 def state(ob: bpy.types.Object, setup: Setup) -> None:
-    """Give a camera a photo's pose, intrinsics and custom properties, but `gs_photo`."""
+    """Write a photo's pose, intrinsics and custom properties to a camera, except `gs_photo`."""
     give(ob, lacking(ob, setup))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lacking:
-    """What is to be written to a camera; needs no bpy any more."""
+    """Changes to write to a camera; no bpy."""
 
     lens: dict[str, Any]
-    """Of its datablock."""
+    """Properties of the camera datablock."""
     place: dict[str, Any]
-    """Of the object."""
+    """Properties of the object."""
     properties: dict[str, Any]
-    """Custom ones; None: it has one too many."""
+    """Custom properties; None: the object has an extra one."""
 
 
 def lacking(ob: bpy.types.Object, setup: Setup) -> Lacking:
-    """What `state` has to write. To write takes Blender several times as long as to compare."""
+    """Changes for `state`; Blender writes several times slower than it compares."""
     own, size = setup.own, setup.own.photo_size
     properties = {
         KIND: "camera",
@@ -172,7 +172,7 @@ def lacking(ob: bpy.types.Object, setup: Setup) -> Lacking:
 
 
 def give(ob: bpy.types.Object, found: Lacking) -> None:
-    """Write it."""
+    """Write the changes."""
     for owner, values in ((ob.data, found.lens), (ob, found.place)):
         for name, value in values.items():
             setattr(owner, name, value)
@@ -188,7 +188,7 @@ def _as_list(value: Any) -> Any:
 
 
 def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
-    """Whether a camera has what `state` gives it."""
+    """True if a camera already has the values of `state`."""
     try:
         own = stated(ob)
     except ValueError:
@@ -199,7 +199,7 @@ def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
 
 
 def stated(ob: bpy.types.Object) -> PhotoCamera:
-    """What `make` was given.
+    """The photo camera of an object, the argument of `make`.
 
     Raises:
         ValueError: a custom property is missing or has been changed into something else.
@@ -243,7 +243,7 @@ def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]])
 
 
 def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
-    """Give a camera datablock a lens."""
+    """Set the lens of a camera datablock."""
     for name, value in _lacking_lens(data, lens).items():
         setattr(data, name, value)
 
@@ -271,7 +271,7 @@ def lens_of(data: bpy.types.Camera) -> cm.Lens:
 def frame_of(
     scene: bpy.types.Scene, width: int | None = None, height: int | None = None
 ) -> cm.Frame:
-    """The raster a scene renders to, or another size with the scene's pixel aspect."""
+    """Render raster of a scene, or another size with the scene's pixel aspect."""
     render = scene.render
     own = cm.frame_size(render.resolution_x, render.resolution_y, render.resolution_percentage)
     return cm.Frame(
@@ -283,7 +283,7 @@ def frame_of(
 
 
 def is_moved(ob: bpy.types.Object, own: PhotoCamera) -> bool:
-    """Whether a photo's camera stands elsewhere in the capture than the photo was taken from."""
+    """True if a photo's camera was moved from its pose in the capture."""
     if not is_plain_child(ob):
         return True
     now, then = local_matrix(ob), cm.matrix_world_from_viewmat(own.viewmat)
@@ -292,7 +292,7 @@ def is_moved(ob: bpy.types.Object, own: PhotoCamera) -> bool:
 
 
 def is_lens_changed(data: bpy.types.Camera, own: PhotoCamera) -> bool:
-    """Whether a photo's camera has another K than the photo's."""
+    """True if the K of a photo's camera differs from the photo's."""
     lens, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
     try:
         now = cm.intrinsics(lens_of(data), frame)
@@ -311,7 +311,7 @@ def local_matrix(ob: bpy.types.Object) -> np.ndarray:
 def viewmat_in(
     ob: bpy.types.Object, root: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None
 ) -> np.ndarray:
-    """World to camera [4, 4] where a camera stands now, in the capture's world.
+    """Current world-to-camera matrix [4, 4] of a camera, in the capture's world.
 
     Without `root`, in Blender's.
 
@@ -376,7 +376,7 @@ def _differs(ob: bpy.types.Object, name: str, value: Any) -> bool:
 
 
 def is_plain_child(ob: bpy.types.Object) -> bool:
-    """Whether an object stands below a capture's empty and nothing else moves it."""
+    """True if an object is a child of a capture's empty and nothing else moves it."""
     return (
         is_kind(ob.parent, "capture")
         and ob.parent_type == "OBJECT"

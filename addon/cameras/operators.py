@@ -20,7 +20,7 @@ from .select_imported import choose
 
 
 class OnCapture(BaseOperator):
-    """Works on a capture's empty."""
+    """Base of operators on a capture's empty."""
 
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
@@ -97,7 +97,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         return cls.__doc__ or ""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for a folder where the panel names none."""
+        """Open the file browser if the panel names no folder."""
         if not self.browse and (self.directory or _panel_path(context)):
             return self.execute(context)
         if not self.directory and (path := _panel_path(context)):
@@ -106,7 +106,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Read it in a thread, then bring it in."""
+        """Read the capture in a thread, then create its objects."""
         scene = context.scene
         path = absolute(self.directory or _panel_path(context), "Capture")
         images = self.images
@@ -148,7 +148,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The capture and its cameras, with what they say of their photos."""
+        """The capture and its cameras, with their photo properties."""
         root = find_root(context, self.capture)
         obs = cameras_of(root)
         return (root, *obs, *(ob.data for ob in obs))
@@ -245,7 +245,7 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take it back."""
+    """Remove the entry."""
     bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
 
 

@@ -14,11 +14,11 @@ from mathutils import Matrix
 from .camera_colors import MARK
 
 LINE_WIDTH = 2.5
-"""Pixels at a scale of the interface of 1."""
+"""Line width in pixels at interface scale 1."""
 FILL = 0.25
-"""Opacity of the picture plane."""
+"""Opacity of the image plane."""
 _NEARER = 2e-5
-"""In depths of the normalised device."""
+"""Depth offset in normalised device coordinates."""
 _EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 _FACES = np.array([(1, 2, 3), (1, 3, 4)])
 
@@ -109,11 +109,11 @@ class _Drawing:
         self._made: tuple[Any, Any] = ((), ())
 
     def begin(self) -> None:
-        """Draw in 3D views from now on."""
+        """Start drawing in 3D views."""
         self._handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_VIEW")
 
     def end(self) -> None:
-        """Draw no more."""
+        """Stop drawing."""
         bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
         self.__init__()
 

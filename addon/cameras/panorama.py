@@ -17,7 +17,7 @@ KINDS = {
     EQUIDISTANT: ("fisheye_fov",),
     EQUISOLID: ("fisheye_lens", "fisheye_fov"),
 }
-"""Those that are known here, by Blender's names, and the settings that each has."""
+"""Supported panorama types by Blender's names, with their settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Panorama:
     """Width and height of a pixel on the sensor, millimetres."""
 
     def same(self, other: object) -> bool:
-        """Whether another sees the same."""
+        """True if another camera has the same projection and pose."""
         return (
             isinstance(other, Panorama)
             and (self.width, self.height, self.near, self.kind, self.settings, self.shift)
@@ -53,7 +53,7 @@ class Panorama:
 
     @property
     def density(self) -> float:
-        """Pixels a radian, where there are most."""
+        """Largest pixels per radian."""
         if self.kind == EQUIRECTANGULAR:
             low, high, left, right = self.settings
             across = self.width / max(abs(right - left), 1e-6)
@@ -63,7 +63,7 @@ class Panorama:
         return self.settings[0] / min(self.pixel)
 
     def directions(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which way points of the picture look.
+        """Ray directions of image points.
 
         Args:
             x: [...] pixels from the left side.

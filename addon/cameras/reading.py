@@ -29,18 +29,18 @@ from .capture_transform import Drawing, centers_of, drawing_of
 from .undistort_program import task_of
 
 FAR = 1e4
-"""Distance of a capture from its origin, in extents, at which single precision shows."""
+"""Distance of a capture from its origin where single precision is visible, in extents."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadCamera:
-    """A camera that is to be made."""
+    """A camera to create."""
 
     name: str
     """Of the object."""
     setup: co.Setup
     photo: Photo | None
-    """None: it is not wanted."""
+    """Photo; None: not requested."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class ReadPoints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReadCapture:
-    """A capture that was read."""
+    """Contents of a read capture."""
 
     source: Path
     """Its folder or file, absolute."""
@@ -76,13 +76,13 @@ class ReadCapture:
     """None: there are none, or they are not wanted."""
     drawing: Drawing
     copies: tuple[dict[str, Any], ...]
-    """Tasks of straightened copies that are lacking."""
+    """Undistortion tasks of missing copies."""
     warnings: tuple[str, ...]
     """Sentences for the user."""
 
     @property
     def name(self) -> str:
-        """What it is called in Blender."""
+        """Name in Blender."""
         source = self.source.parent if self.source.is_file() else self.source
         return source.name or "Capture"
 
@@ -158,7 +158,7 @@ def read(
 
 
 class _Lenses:
-    """The lenses of a capture, each looked at once."""
+    """Lenses of a capture, each processed once."""
 
     def __init__(self) -> None:
         self.problems: list[str] = []

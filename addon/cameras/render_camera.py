@@ -12,7 +12,7 @@ from . import objects as co
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCamera:
-    """A Blender camera as a rasterizer wants it."""
+    """A Blender camera in the rasterizer's terms."""
 
     viewmat: np.ndarray
     """[4, 4] float64, Blender's world to camera, OpenCV axes."""
@@ -25,12 +25,12 @@ class RenderCamera:
     near: float
     """Clip start, world units."""
     orthographic: bool
-    """Whether `K` is applied without dividing by z."""
+    """True if `K` is applied without division by z."""
     name: str
     """Of the object."""
 
     def same(self, other: object) -> bool:
-        """Whether another sees the same, whatever it is called."""
+        """True if another camera has the same view, regardless of names."""
         fields = ("width", "height", "near", "orthographic")
         return (
             isinstance(other, RenderCamera)

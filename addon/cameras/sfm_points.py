@@ -39,14 +39,14 @@ def columns(
 
 
 def complete(mesh: bpy.types.Mesh) -> None:
-    """Have a mesh that is filled show its colors."""
+    """Activate the colors of a filled mesh."""
     mesh.color_attributes.active_color = mesh.color_attributes[COLOR]
     mesh.materials.append(_material())
     mesh.update()
 
 
 def display(ob: bpy.types.Object, radius: float) -> None:
-    """Have an object of points displayed by a node group.
+    """Display an object of points by a node group.
 
     It stays out of renders (`hide_render`) until the user wants it there.
 
@@ -76,7 +76,7 @@ def positions_of(ob: bpy.types.Object) -> np.ndarray:
 
 
 def places_of(ob: bpy.types.Object) -> np.ndarray:
-    """[P] int32, the number that each vertex got when it was imported; -1 without one."""
+    """[P] int32, index of each vertex in the imported capture; -1 without one."""
     out = np.full(len(ob.data.vertices), -1, np.int32)
     attribute = ob.data.attributes.get(INDEX)
     if attribute is not None and attribute.data_type == "INT" and attribute.domain == "POINT":
@@ -111,7 +111,7 @@ def encoded(rgba: np.ndarray) -> np.ndarray:
 
 
 def lost_colors(name: str) -> str:
-    """What to tell where `linear_of` an object finds none."""
+    """Error message for an object without `linear_of` colours."""
     return f"{name} has no colour attribute {COLOR!r} any more. Import the capture again."
 
 

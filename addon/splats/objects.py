@@ -16,7 +16,7 @@ KIND = "splats"
 ANTIALIAS = "gs_antialias"
 """Custom property of a splat object trained with antialias (Mip-Splatting)."""
 CATCH_UP: list[Callable[[bpy.types.Object], None]] = []
-"""Bring an object's mesh up to what the object shows; ValueError where that cannot be."""
+"""Updates an object's mesh to its displayed splats; raises ValueError if that fails."""
 
 
 def create(
@@ -26,7 +26,7 @@ def create(
     collection: bpy.types.Collection | None = None,
     parent: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
-    """Make a mesh object with one vertex a splat and the attributes of `attributes`.
+    """Create a mesh object with one vertex per splat and the attributes of `attributes`.
 
     Args:
         splats: Raw parameters, in COLMAP's world.
@@ -51,7 +51,7 @@ def around(
     collection: bpy.types.Collection | None = None,
     parent: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
-    """Make a splat object of a mesh that has the attributes.
+    """Create a splat object from a mesh that has the attributes.
 
     Args:
         mesh: Lends its name.
@@ -97,7 +97,7 @@ def check_refreshable(ob: bpy.types.Object) -> None:
 
 
 def catch_up(ob: bpy.types.Object) -> None:
-    """Have an object's mesh hold what the object shows now: in a window it follows with a delay.
+    """Update an object's mesh to its displayed splats; in a window it follows with a delay.
 
     Whatever reads the splats of an object, or edits them, does this first.
 
@@ -154,7 +154,7 @@ def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
 
 
 def check_writable(ob: bpy.types.Object) -> None:
-    """Raise ValueError unless the points of the object's mesh can be written now."""
+    """Raise ValueError unless the points of the object's mesh are writable now."""
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are changed.")
     if ob.type != "MESH":
@@ -163,7 +163,7 @@ def check_writable(ob: bpy.types.Object) -> None:
 
 
 def is_splats(ob: bpy.types.Object | None) -> bool:
-    """Whether an object is a splat object of this add-on."""
+    """True if an object is a splat object of this add-on."""
     return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
 
 
@@ -188,7 +188,7 @@ def in_question(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
-    """An object, what it hangs from, and so on."""
+    """An object and its ancestors."""
     found = []
     while ob is not None:
         found.append(ob)
@@ -197,18 +197,18 @@ def chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
 
 
 def can_export(ob: bpy.types.Object | None) -> bool:
-    """Whether an object holds splats of its own: ours, or Blender's."""
+    """True if an object has splats: ours, or native ones."""
     return is_splats(ob) or is_native(ob)
 
 
 def is_native(ob: bpy.types.Object | None) -> bool:
-    """Whether an object is a point cloud with the attributes of Blender's own splats (5.3)."""
+    """True if an object is a point cloud with the attributes of native splats (5.3)."""
     cloud = ob is not None and ob.type == "POINTCLOUD" and "gs_kind" not in ob
     return cloud and attributes.BASE in ob.data.attributes
 
 
 def hide(ob: bpy.types.Object, scene: bpy.types.Scene, *, hidden: bool = True) -> None:
-    """Hide an object in all views of a scene that show it, or show it there again."""
+    """Hide or show an object in all view layers of a scene that contain it."""
     for layer in scene.view_layers:
         if layer.objects.get(ob.name) == ob:
             ob.hide_set(hidden, view_layer=layer)

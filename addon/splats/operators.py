@@ -26,7 +26,7 @@ class OnSplats(BaseOperator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object is a splat object."""
+        """True if the active object is a splat object."""
         if is_splats(meant(context)):
             return True
         cls.poll_message_set("Select a splat object: import a splat PLY or train one")
@@ -65,7 +65,7 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
     bl_label = "Make Scale Even"
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Those that are scaled anew."""
+        """The objects with a changed scale."""
         return uniform_scale.uneven(meant(context))
 
     def act(self, context: bpy.types.Context) -> str:
@@ -81,7 +81,7 @@ class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
     bl_label = "Restore Display"
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Build it where the file has none, then attach it."""
+        """Build the display if the file has none, then attach it."""
         ob = meant(context)
         name, uid = ob.name, ob.session_uid
         yield from settings.building()
@@ -102,18 +102,18 @@ class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object is a cloud of such splats."""
+        """True if the active object is a cloud of native splats."""
         if is_native(context.object):
             return True
         cls.poll_message_set("Select Gaussian splats that Blender imported (5.3 or later)")
         return False
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The scene, and the cloud, which is hidden."""
+        """The scene, and the cloud, which gets hidden."""
         return (context.scene, context.object)
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Make it."""
+        """Convert the splats."""
         made = yield from native_splats.taking(context.object)
         if context.mode == "OBJECT" and made.name in context.view_layer.objects:
             make_active(context, made)

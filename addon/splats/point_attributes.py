@@ -10,7 +10,7 @@ from ..attributes import BASE, FORMATS, POSITION, ROTATION, SCALE, SELECTION, SH
 GROUP = "GROUP"
 """Data type of columns of vertex groups: the weights of splats that are in one; NaN: it is not."""
 TEXT = "STRING"
-"""That of text: bytes."""
+"""Data type of string columns: bytes."""
 # As Blender keeps them: others it takes number by number, of a million splats in 0.1 s.
 _DTYPES = {
     "INT": np.int32,
@@ -22,13 +22,13 @@ _DTYPES = {
 }
 _HIDDEN = ".hide_vert"
 _GROUP_NAME = ".group:"
-"""Before the names of groups, so that they are no attributes' among columns."""
+"""Prefix of group names, to tell them from attribute names among columns."""
 _ENTRIES = np.dtype([("row", np.int32), ("weight", np.float32)])
 _TEXTS = np.dtype([("row", np.int32), ("text", np.object_)])
 _LACKING = {GROUP: np.nan, TEXT: b""}
-"""What points have of what their object lacks; else 0."""
+"""Non-zero defaults of attributes that an object lacks."""
 _BLOCK = 1 << 12
-"""Splats of a group, or with a text, that are handed over at once: a few milliseconds."""
+"""Splats of a group or string attribute per block: a few milliseconds."""
 
 
 class Column(NamedTuple):
@@ -82,7 +82,7 @@ def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
 
 
 def marks(mesh: Any) -> list[Column]:
-    """What is selected and hidden of a mesh of points, as far as anything is."""
+    """Selection and hiding of a mesh of points, if any."""
     found = []
     for name in (SELECTION, _HIDDEN):
         if name in mesh.attributes:
@@ -124,7 +124,7 @@ def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
 
 
 def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray]:
-    """The attributes of a table that `as_splats` takes, not copied; `rest` as `read`."""
+    """The splat attributes of a table for `as_splats`, not copied; `rest` as in `read`."""
     found = {column.name: column.values for column in table}
     harmonics = (f"{SH}{k}" for k in range(SH_COUNTS[-1] if rest else 0))
     wanted = [BASE, SCALE, ROTATION, POSITION, *takewhile(found.__contains__, harmonics)]
@@ -137,7 +137,7 @@ def without_selection(table: list[Column]) -> list[Column]:
 
 
 def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
-    """A table of those rows [K] alone."""
+    """The rows [K] of a table."""
     return [Column(name, kind, values.take(rows, axis=0)) for name, kind, values in table]
 
 

@@ -12,7 +12,7 @@ from .point_attributes import Column
 
 Rows = slice | np.ndarray
 _BLOCK = 1 << 12
-"""Splats turned at once: their coefficients fit a cache."""
+"""Splats per block: their coefficients fit the cache."""
 
 
 class _Linear(NamedTuple):
@@ -22,9 +22,9 @@ class _Linear(NamedTuple):
     quats: np.ndarray
     """[4, 4] float32"""
     factor: np.float32
-    """Of scales."""
+    """Factor of the scales."""
     harmonics: np.ndarray
-    """[K, K] float32, of coefficients."""
+    """[K, K] float32, matrix of SH coefficients."""
 
 
 def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[Column]:
@@ -61,7 +61,7 @@ def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[
 
 
 def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> list[Column]:
-    """Move, turn and scale the splats of a table in place; what was changed of it.
+    """Transform the splats of a table in place; returns the changed columns.
 
     Args:
         table: As `turned`.
@@ -86,7 +86,7 @@ def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> l
 
 
 def _linear(turn: np.ndarray, count: int) -> _Linear:
-    """Of a turn, for so many SH coefficients."""
+    """Matrices of a rotation, for a number of SH coefficients."""
     units = max(count, 4)
     matrix = np.eye(4)
     matrix[:3, :3] = turn
@@ -107,7 +107,7 @@ def _linear(turn: np.ndarray, count: int) -> _Linear:
 
 
 def _turn_harmonics(columns: list[np.ndarray], rows: np.ndarray, turn: np.ndarray) -> None:
-    """Turn coefficients [N, 3] in place, band by band: those of one do not become another's."""
+    """Rotate coefficients [N, 3] in place, band by band: bands do not mix."""
     band = 1
     while (end := (band + 1) ** 2 - 1) <= len(columns):
         own = slice(band * band - 1, end)
@@ -123,7 +123,7 @@ def _turn_band(columns: list[np.ndarray], rows: Rows, turn: np.ndarray) -> None:
 
 
 def _range(rows: np.ndarray) -> Rows:
-    """The same rows as a slice where they follow each other: it copies nothing."""
+    """The same rows as a slice if they are contiguous, which avoids a copy."""
     if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
         return slice(int(rows[0]), int(rows[-1]) + 1)
     return rows

@@ -25,18 +25,18 @@ _MODES = [
 
 
 Find = Callable[[dict[str, np.ndarray]], np.ndarray]
-"""[N] bool, which splats are meant, of copies of attributes; in a thread."""
+"""Selection mask [N] bool from copies of attributes; runs in a thread."""
 
 
 class _Choosing(Editing):
-    """Selects vertices and enters Edit Mode, where they are seen."""
+    """Base of operators that select vertices and enter Edit Mode to show them."""
 
     reads: ClassVar[tuple[str, ...]]
-    """Attributes that tell which."""
+    """Attributes that the mask needs."""
 
     @property
     def how(self) -> str:
-        """What becomes of the selection, as `choose.combined` takes it."""
+        """Mode of `selection_masks.combined`."""
         return selection_masks.SET
 
     def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
@@ -57,18 +57,18 @@ class _Choosing(Editing):
         return f"Selected splats: {int(chosen.sum()):,}."
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """What tells which are meant; `before` [N] are selected. ValueError as `edit`."""
+        """The mask function; `before` [N] are selected. ValueError as `edit`."""
         raise NotImplementedError
 
 
 class _Selecting(_Choosing):
-    """Adds to the selection, or takes away from it."""
+    """Base of operators that extend or subtract from the selection."""
 
     mode: EnumProperty(name="Mode", description="What becomes of the selection", items=_MODES)
 
     @property
     def how(self) -> str:
-        """As the property says."""
+        """Mode of the property."""
         return self.mode
 
 
@@ -89,7 +89,7 @@ class SelectSplats(_Choosing, bpy.types.Operator):
     )
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """As the filters say."""
+        """Mask of the filters."""
         limits, hidden = filters.filters_of(ob), self.which == "HIDDEN"
         return lambda columns: filters.passing(columns, limits) != hidden
 
@@ -127,7 +127,7 @@ class SelectByColor(_Selecting, bpy.types.Operator):
     )
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """By distance in sRGB values."""
+        """Mask by distance in sRGB values."""
         color, tolerance = np.array(self.color) if self.picked else None, self.tolerance
         if color is None:
             _need_seeds(before)
@@ -193,7 +193,7 @@ class SelectInCrop(_Selecting, bpy.types.Operator):
     reads = (attributes.POSITION,)
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """As the filters, without their other limits."""
+        """Mask of the crop, without the other filters."""
         if not filters.is_cropped(ob):
             raise ValueError(f"{ob.name} has no crop object: use Add Crop Box under Filters.")
         matrix = filters.crop_matrix(ob, ob.gscore.crop_object)
@@ -224,7 +224,7 @@ class SelectFlood(_Selecting, bpy.types.Operator):
     )
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """From the selected ones on."""
+        """Mask of splats connected to the selected ones."""
         _need_seeds(before)
         gap, tolerance = self.gap, self.tolerance
 
@@ -255,7 +255,7 @@ class SelectFloaters(_Selecting, bpy.types.Operator):
     )
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """As `gscore convert --min-cluster`."""
+        """Mask as in `gscore convert --min-cluster`."""
         gap, few = self.gap, self.few
         return lambda columns: selection_masks.floaters(attributes.as_splats(columns), gap, few)
 

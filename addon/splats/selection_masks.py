@@ -5,12 +5,12 @@ import numpy as np
 from ..core import Splats, cluster_sizes, reached_from, sh0_to_rgb
 
 _BLOCK = 1 << 14
-"""Splats that are looked at at once: what is computed of them stays in the cache."""
+"""Splats per block, so that intermediate results stay in the cache."""
 SET, ADD, TAKE, COMMON = "SET", "ADD", "TAKE", "COMMON"
 
 
 def combined(before: np.ndarray, found: np.ndarray, mode: str) -> np.ndarray:
-    """[N] bool: a selection [N] after what was found [N] is put to it.
+    """[N] bool: a selection [N] combined with a new mask [N].
 
     Args:
         before: What was selected.
@@ -25,13 +25,13 @@ def combined(before: np.ndarray, found: np.ndarray, mode: str) -> np.ndarray:
 
 
 def between(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """[N] bool: values [N] between two limits, which belong to it; `high` 0: no limit."""
+    """[N] bool: values [N] between two inclusive limits; `high` 0: no limit."""
     keep = values >= np.float32(low)
     return keep & (values <= np.float32(high)) if high > 0 else keep
 
 
 def similar_color(base: np.ndarray, color: np.ndarray, tolerance: float) -> np.ndarray:
-    """[N] bool: splats whose colour is near another.
+    """[N] bool: splats with a colour near the given one.
 
     Args:
         base: [N, 4] of `radiance:base`.
@@ -54,7 +54,7 @@ def colors(base: np.ndarray) -> np.ndarray:
 def flooded(
     means: np.ndarray, base: np.ndarray, seeds: np.ndarray, gap: float, tolerance: float
 ) -> np.ndarray:
-    """[N] bool: what hangs together with the seeds and has their colour.
+    """[N] bool: splats connected to the seeds, with similar colours.
 
     Args:
         means: [N, 3].

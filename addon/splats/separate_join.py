@@ -62,7 +62,7 @@ def _let_go(table: list[Column]) -> None:
 
 
 def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
-    """An object like another one, for a mesh with some of its splats."""
+    """A copy of an object, for a mesh with some of its splats."""
     other = ob.copy()
     attributes.copy_active(mesh, ob.data)
     with vertex_groups.settings_kept(other):
@@ -74,7 +74,7 @@ def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
 
 
 def kept(held: EditGuard, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.Object]:
-    """Delete the splats of an object but for some; all that these carry follows to the bit.
+    """Delete all splats of an object except some, whose attributes stay bit-identical.
 
     Args:
         held: It.
@@ -116,7 +116,7 @@ def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None
 
 
 def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]:
-    """Take the splats of other objects into one, where and as they are seen; the others go.
+    """Join the splats of other objects into one, as displayed; the others are removed.
 
     SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
     that name, they are 0. Vertex groups of one name become one. What is hidden stays so; what the
@@ -167,7 +167,7 @@ def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]
 def _together(
     tables: list[list[Column]], matrices: list[np.ndarray], names: list[str], check: Check
 ) -> Points:
-    """The points of all, those of all but the first moved in place."""
+    """Points of all objects, transformed in place except those of the first."""
     first, *others = tables
     for table, matrix, name in zip(others, matrices, names, strict=True):
         check()
