@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ..errors import BackendError
 
 _ERROR = ": error: "
-"""What stands before the message of a verb that failed."""
+"""Prefix of the message of a failed verb."""
 
 
 def run_child(arguments: Sequence[str], *, what: str) -> str:

@@ -29,7 +29,7 @@ write_capture(Path(sys.argv[1]), *map(int, sys.argv[2:]))
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryBench:
-    """A run, and what its memory is made of."""
+    """Memory of a run and its parts."""
 
     splats: int
     views: int

@@ -16,7 +16,7 @@ _COVERED = 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """A change against what it was compared with, over pairs of measurements."""
+    """Difference of a change to its baseline, over pairs of measurements."""
 
     median: float
     low: float

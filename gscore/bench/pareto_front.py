@@ -33,7 +33,7 @@ class Size:
 
 @dataclass(frozen=True, kw_only=True)
 class SizeOutcome:
-    """What a training of some size took and reached; medians over seeds."""
+    """Time and metrics of a training of one size; medians over seeds."""
 
     size: Size
     seconds: float

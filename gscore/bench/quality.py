@@ -26,7 +26,7 @@ class ScoredView:
 
     name: str
     psnr: float | None
-    """What a model is judged by: inside the masks where they hide pixels, dB."""
+    """Headline PSNR of a model: inside the masks if they hide pixels, dB."""
     psnr_cc: float | None
     """dB."""
     ssim: float | None
@@ -35,7 +35,7 @@ class ScoredView:
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """What one training reached."""
+    """Metrics of one training."""
 
     capture: str
     variant: str

@@ -13,7 +13,7 @@ from .training import Trained, train_measured
 
 @dataclass(frozen=True, kw_only=True)
 class SkipRow:
-    """A training with some skips switched off, beside the one with all of them."""
+    """A training with some skips disabled, compared with the one with all of them."""
 
     without: list[str]
     """Skips switched off; empty: the training as it is."""

@@ -13,7 +13,7 @@ from ..scene import Cameras, PointCloud, Scene
 from .raster import synthetic_scene
 
 _VIEWS = 6
-"""Places from which the cloud is seen."""
+"""Camera positions around the cloud."""
 _POINTS = 1000
 """Splats whose means become the points of a capture on disk."""
 _QUALITY = 90
@@ -45,7 +45,7 @@ class SyntheticPhotos:
         self._images = [self._photo(i, width, height) for i in self.train]
 
     def content_hash(self) -> str:
-        """The hash of what the pictures show."""
+        """The hash of the contents of the pictures."""
         return hashlib.sha256(b"".join(i.tobytes() for i in self._images)).hexdigest()[:16]
 
     def image(self, index: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from .training import Point, first_size, train_measured
 _POINTS = 12
 """Measurements along a training, evenly spread over the logarithm of the step."""
 _BELOW = (1.0, 0.5, 0.0)
-"""dB below the best final PSNR for which the table tells the time."""
+"""dB below the best final PSNR for which the table lists the time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """What one variant, or another program, reached when."""
+    """Quality over time of one variant or another program."""
 
     label: str
     width: int

@@ -34,11 +34,11 @@ class Point:
     seconds: float
     """Spent in steps so far, without evaluation."""
     splats: int
-    """0: another program did not tell."""
+    """0: unknown, for another program."""
     psnr: float
     """Mean over the held-out views, dB."""
     ssim: float
-    """Mean over the held-out views, zero padded; NaN: another program did not tell."""
+    """Mean over the held-out views, zero padded; NaN: unknown, for another program."""
 
 
 @dataclass(frozen=True, kw_only=True)

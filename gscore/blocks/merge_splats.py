@@ -15,7 +15,7 @@ from ..text_format import count_words, number
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedBlock:
-    """What came of a block."""
+    """Result of a block."""
 
     path: Path
     """Of the run, for messages."""

@@ -43,7 +43,7 @@ class EditViews:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """What one step did."""
+    """Result of one step."""
 
     name: str
     removed: int
@@ -126,12 +126,12 @@ class _Work:
         """[N] contributions of `splats`, once they are known."""
 
     def crop(self, request: EditRequest) -> None:
-        """Keep what lies in all shapes, or what does not."""
+        """Keep the splats inside all shapes, or outside."""
         if request.crops:
             self._keep("crop", lambda s: _inside(s.means, request, self._views) != request.outside)
 
     def clean(self, request: EditRequest) -> None:
-        """Remove what is faint, large, useless or alone."""
+        """Remove faint, large, non-contributing or isolated splats."""
         r = request
         if (least := r.min_opacity) is not None:
             self._keep("opacity", lambda s: at_least_opaque(sigmoid(s.opacities), least))
@@ -187,7 +187,7 @@ class _Work:
         return self._views.threads if self._views else 0
 
     def _keep(self, name: str, chosen: Callable[[Splats], np.ndarray]) -> None:
-        """Do a step that says which splats stay."""
+        """Run a step that selects the splats to keep."""
         keep = np.ones(0, bool)
 
         def reduced(splats: Splats) -> Splats:

@@ -19,13 +19,13 @@ class EditRequest:
     """
 
     box: Sequence[float] | None = None
-    """Keep what lies between two corners: x0 y0 z0 x1 y1 z1, world units."""
+    """Keep splats between two corners: x0 y0 z0 x1 y1 z1, world units."""
     sphere: Sequence[float] | None = None
-    """Keep what lies within: x y z radius, world units."""
+    """Keep splats inside a sphere: x y z radius, world units."""
     frustum: Sequence[int] = ()
-    """Keep what any of these cameras has in its picture; indices."""
+    """Keep splats visible in any of these cameras; indices."""
     outside: bool = False
-    """Keep what does not lie in all of these shapes instead."""
+    """Keep the splats outside these shapes instead."""
     min_opacity: float | None = None
     """Least opacity, in [0, 1]."""
     max_size: float | None = None

@@ -35,7 +35,7 @@ _UNRESERVED = frozenset(string.ascii_letters + string.digits + "-._~")
 
 
 class Gltf:
-    """A file that was read: its JSON, and its buffers when they are asked for."""
+    """A glTF file: its JSON, and its buffers, read on request."""
 
     def __init__(self, path: Path) -> None:
         """Read the JSON.
@@ -67,7 +67,7 @@ class Gltf:
         self._buffers: dict[int, memoryview] = {}
 
     def damaged(self, why: str) -> FormatError:
-        """The error for what the file should not hold."""
+        """The error for invalid contents of the file."""
         return FormatError(f"{self.path} is a damaged glTF file: {why}. {_ADVICE}")
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:

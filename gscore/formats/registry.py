@@ -76,7 +76,7 @@ def read_splats(path: str | Path) -> Splats:
 
 
 def read_decoded(path: str | Path) -> Decoded:
-    """As `read_splats`, with what the file says."""
+    """As `read_splats`, with the metadata of the file."""
     file = _file_of(Path(path))
     return _format_of(file).read(file)
 

@@ -138,7 +138,7 @@ def _decode(path: Path, raw: bytes, fetch: _Fetch) -> Decoded:
 
 
 class _Meta:
-    """A meta.json, whose values are checked when they are asked for."""
+    """A meta.json, whose values are checked on access."""
 
     def __init__(self, path: Path, raw: bytes) -> None:
         self.path = path

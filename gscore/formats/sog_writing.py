@@ -36,7 +36,7 @@ FIRST_TAG = 252
 ANTIALIASED = "antialiased"
 """What splat-transform writes as the model's kind; before, a SOG had `antialias`."""
 _FINE = 2.0**-11
-"""Step of positions that is fine enough, as `without_far` asks for it."""
+"""Step of positions that is fine enough, for `without_far`."""
 _LARGEST = {"scales": 80.0, "sh0": 16.0, "shN": 4.0}
 """Of log scales and SH coefficients: the codebooks of all splats grow coarse with their ends."""
 
@@ -67,7 +67,7 @@ def parts_in(meta: dict[str, Any]) -> list[str]:
 
 
 def _index(meta: dict[str, Any], names: dict[str, str], checks: dict[str, int]) -> bytes:
-    """The meta.json of textures that lie beside it under other names."""
+    """The meta.json for textures under other names in its folder."""
     for section in SECTIONS:
         if section in meta:
             meta[section]["files"] = [names[name] for name in meta[section]["files"]]
@@ -137,7 +137,7 @@ def _logs(means: np.ndarray) -> np.ndarray:
 
 
 def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
-    """Of positions in units, as `without_far` asks for it."""
+    """Step of positions in units, for `without_far`."""
     return float(((_logs(high) - _logs(low)) / 65535 * (np.abs(middle) + 1)).max())
 
 

@@ -24,7 +24,7 @@ _LARGEST = 1e6
 
 
 def _is_splat(path: Path, sample: FileSample) -> bool:
-    """By its name, or by what its first rows hold: it has no signature."""
+    """Detected by name or first rows, as the format has no signature."""
     if sample.size % _ROW.itemsize or not sample.size:
         return sample.ending == ".splat"
     if sample.ending == ".splat":

@@ -27,12 +27,12 @@ class Decoded:
     layout: str
     """Which of the layouts of its format the file has, for people."""
     antialiased: bool = False
-    """Whether the file says that its splats want the anti-aliasing compensation."""
+    """Whether the file marks its splats as trained with antialias compensation."""
     origin: np.ndarray | None = None
     """[3] float64, the local origin that means are about, as `Cameras.origin`, where the file
     states one."""
     comments: tuple[str, ...] = ()
-    """What else its header tells, line by line."""
+    """Further header lines."""
 
     def about(self, origin: np.ndarray | None) -> Self:
         """The same model with means about another local origin, [3]; computed in float64."""
@@ -69,7 +69,7 @@ class SplatFile(Decoded):
     storage_bytes: int
     """Bytes on the disk, of all files."""
     notes: tuple[str, ...]
-    """Sentences on what the file holds that the model does not: splats or coefficients left out."""
+    """Sentences on contents of the file that the model lacks: splats or coefficients left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class WrittenFile:
     storage_bytes: int
     """Bytes on the disk, of all files."""
     notes: tuple[str, ...]
-    """Sentences on what of the model the file does not hold."""
+    """Sentences on contents of the model that the file lacks."""
 
 
 ORIGIN = "origin"
@@ -151,7 +151,7 @@ class SplatFormat:
     endings: tuple[str, ...]
     """Of the names of its files, the usual one first; the longest that fits decides."""
     holds: Callable[[Path, FileSample], bool]
-    """Whether a file is of this format, by what it begins with."""
+    """Whether a file is of this format, by its first bytes."""
     read: Callable[[Path], Decoded]
     """Raises GsError."""
     write: Callable[[Path, Splats, WriteOptions], list[str]] | None
@@ -169,6 +169,6 @@ class SplatFormat:
     most_degree: int = 3
     """The highest SH degree that it holds."""
     keeps_antialiased: bool = True
-    """Whether it can say that splats want the compensation."""
+    """Whether it can mark splats as trained with antialias compensation."""
     keeps_origin: bool = True
     """Whether it can state the local origin that means are about."""

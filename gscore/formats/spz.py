@@ -43,9 +43,9 @@ _MOST_BITS = 23
 _MOST_PLACE = 2**23 - 1
 """The largest whole number of a position."""
 _FINE = 2.0**-13
-"""Step of positions that is fine enough, as `without_far` asks for it."""
+"""Step of positions that is fine enough, for `without_far`."""
 _MOST_EXTENSIONS = 1 << 20
-"""Bytes of extensions that are looked at."""
+"""Maximum bytes of extensions that are read."""
 _COLOR_SCALE = 0.15
 _BYTES = np.arange(256, dtype=np.float64)
 _COLOR = ((_BYTES / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
@@ -152,7 +152,7 @@ _Content = tuple[_Header, list[memoryview], np.ndarray | None]
 
 
 def _inflated(path: Path, raw: bytes | memoryview) -> _Content:
-    """What versions 2 and 3 hold."""
+    """Contents of versions 2 and 3."""
     what = f"{path} is a damaged SPZ file"
     header = _header(path, gunzip_exactly(what, raw, _HEADER.size, at_least=0))
     if header.version == 4:
@@ -171,7 +171,7 @@ def _inflated(path: Path, raw: bytes | memoryview) -> _Content:
 
 
 def _streams(path: Path, raw: bytes | memoryview) -> _Content:
-    """What version 4 holds, and 2 and 3 that somebody unpacked."""
+    """Contents of version 4, and of unpacked versions 2 and 3."""
     view = memoryview(raw)
     header = _header(path, view)
     if header.version < 4:
@@ -274,7 +274,7 @@ def _fraction_bits(means: np.ndarray) -> tuple[int, float]:
 
 
 def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
-    """Of positions in units, as `without_far` asks for it."""
+    """Step of positions in units, for `without_far`."""
     return 2.0 ** -_fraction_bits(np.stack([low, high]))[0]
 
 

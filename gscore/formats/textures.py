@@ -63,13 +63,13 @@ def encode_all(pictures: dict[str, np.ndarray]) -> dict[str, bytes]:
 
 
 def size_for(count: int) -> tuple[int, int]:
-    """Width and height of a texture for so many splats: about square, multiples of four."""
+    """Width and height of a texture by number of splats: about square, multiples of four."""
     width = max(4, -(-int(np.ceil(np.sqrt(count))) // 4) * 4)
     return width, max(4, -(-count // (width * 4)) * 4)
 
 
 def fits(count: int) -> bool:
-    """Whether a texture can hold so many splats."""
+    """Whether a texture can hold this number of splats."""
     return max(size_for(count)) <= _MOST_SIDE
 
 

@@ -59,7 +59,7 @@ def _read(path: Path) -> Decoded:
 
 
 def _in_child(path: Path, made: Path) -> dict[str, Any]:
-    """What `usd_reading` tells, once it has written the splats as a PLY."""
+    """Result of `usd_reading` after it has written the splats as a PLY."""
     command = [sys.executable, "-P", "-m", usd_reading.__name__, str(path.absolute()), str(made)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     size = path.stat().st_size

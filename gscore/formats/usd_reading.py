@@ -120,7 +120,7 @@ def _origin(path: Path, prim: Any) -> np.ndarray | None:
 
 
 def _reason(error: Exception) -> str:
-    """What the library says, which may be bytes of the file that are no text."""
+    """Message of the library, which may contain bytes of the file that are not text."""
     try:
         said = str(error).strip()
     except UnicodeDecodeError:

@@ -35,11 +35,11 @@ class ViewerClient:
         self._answered = threading.Event()
         self._picture = b""
         self.request: FrameRequest | None = None
-        """What waits for an answer."""
+        """Frame requests without an answer."""
         self.waits = False
         """Whether its last request has no answer yet."""
         self.trains, self.stays = True, False
-        """As its last request said."""
+        """From its last request."""
         self.asked_at = time.monotonic()
         """When that came, or else the viewer, seconds of the monotonic clock."""
 
@@ -62,7 +62,7 @@ class ViewerClient:
 
 
 class ViewerClients:
-    """All who watch. Without them, `answer` looks at one attribute."""
+    """All connected viewers. Without any, `answer` reads one attribute."""
 
     def __init__(self, *, why: str = "", after_the_end: bool = False) -> None:
         """`after_the_end`: they may look on when the last step is done."""
@@ -74,7 +74,7 @@ class ViewerClients:
         self._asked = threading.Event()
         self._rest = 0.0
         self.closed = False
-        """Nobody is answered any more."""
+        """Requests receive no answer any more."""
 
     def enter(self, most: int) -> ViewerClient | None:
         """Another one; None: there are as many as there may be, or it is over."""
@@ -90,7 +90,7 @@ class ViewerClients:
             self._all.remove(one)
 
     def wake(self) -> None:
-        """Somebody asks."""
+        """Signal that a frame request is waiting."""
         self._asked.set()
 
     def longest_silent(self, seconds: float) -> ViewerClient | None:

@@ -40,7 +40,7 @@ _SKEWED = 1e-2
 
 @dataclass(frozen=True, kw_only=True)
 class FrameRequest:
-    """What one viewer wants to see."""
+    """Frame request of one viewer."""
 
     width: int
     """px; 0: no picture."""
@@ -103,7 +103,7 @@ def parse(text: bytes) -> FrameRequest:
 
 
 def answer(picture: bytes, text: str) -> bytes:
-    """The bytes of an answer; `picture` is empty where none was asked for."""
+    """The bytes of an answer; `picture` is empty if not requested."""
     told = text.encode("utf-8", "replace")
     return picture + len(told).to_bytes(LENGTH, "little") + told
 

@@ -37,12 +37,12 @@ _PART = 1 << 17
 """Splats of the model that are in memory at once while it is read."""
 
 ToldShare = Callable[[str, float], object]
-"""Is told what is being done, and how much of it is done, 0 to 1."""
+"""Progress callback: the phase, and its finished share, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LodFacts:
-    """What the file says of the model besides its splats."""
+    """Metadata of the model in the file."""
 
     antialias: bool = False
     near: float | None = None
@@ -208,7 +208,7 @@ class _Building:
         index: LodIndex,
         measured: Callable[[Path, LodIndex], tuple[LodLevel, ...]] | None,
     ) -> LodIndex:
-        """Write the index, then the header that says where it is."""
+        """Write the index, then the header with its offset."""
         if measured is not None:
             self._file.flush()
             index = replace(index, levels=measured(Path(self._file.name), index))
@@ -249,7 +249,7 @@ def _coarser(splats: Splats, errors: np.ndarray) -> MergedSplats:
 
 
 class _Stats:
-    """What the index says of the chunks of a level, as they are written."""
+    """Index entries of the chunks of a level, as they are written."""
 
     def __init__(self) -> None:
         self._counts: list[int] = []

@@ -19,7 +19,7 @@ _STEPS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class ChosenChunks:
-    """What is drawn of a model from one camera."""
+    """Selection of chunks of a model for one camera."""
 
     chunks: tuple[tuple[int, int], ...]
     """Level and number of each chunk, finest first."""

@@ -5,7 +5,7 @@ import numpy as np
 from ..extras import need
 
 _NEIGHBOURS = 6
-"""Of which each splat's partner is chosen."""
+"""Number of neighbours among which each splat's partner is chosen."""
 _FEW = 30
 """Where less than one of so many finds a pair in a round, others need not wait for one."""
 _A_ROUND = 8

@@ -13,7 +13,7 @@ from ..splats import Splats
 from .chunk_selection import ChosenChunks, choose_chunks
 
 LOD_PX = 1.0
-"""Allowed error of what is drawn, px."""
+"""Allowed error of the picture, px."""
 _HIDDEN = np.float32(-100)
 """Logit of splats that are not drawn: where a chunk has fewer than there is room for."""
 
@@ -36,7 +36,7 @@ class LodModel:
         self._slots: dict[tuple[int, int], int] = {}
         self._arrays = empty_splats(0, self.index.sh_degree)
         self.chosen: ChosenChunks | None = None
-        """What the last picture was made of."""
+        """Selection of the last picture."""
 
     def __enter__(self) -> "LodModel":
         return self
@@ -51,7 +51,7 @@ class LodModel:
 
     @property
     def index(self) -> LodIndex:
-        """What the file holds."""
+        """Contents of the file."""
         return self._file.index
 
     @property
@@ -112,7 +112,7 @@ class LodModel:
         return Splats(**{name: array[:end] for name, array in self._arrays.items()})
 
     def _grow(self, slots: int) -> None:
-        """Make room for so many chunks."""
+        """Reserve space for this number of chunks."""
         have = len(self._arrays["means"])
         if have >= slots * self._room:
             return

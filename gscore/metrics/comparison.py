@@ -59,7 +59,7 @@ class RunComparison:
     options: Mapping[str, tuple[Any, Any]]
     """Options in which the runs differ: both values."""
     warnings: tuple[str, ...]
-    """Sentences on what makes the numbers less comparable."""
+    """Sentences on limits of the comparison."""
 
     def content(self) -> dict[str, Any]:
         """For JSON: a list of two where there is one for each run."""

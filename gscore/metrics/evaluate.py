@@ -23,7 +23,7 @@ _AVERAGED = tuple(metric.key for metric in NAMED_METRICS if metric.averaged)
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What the renders of some views reached."""
+    """Metrics of the renders of some views."""
 
     mean: dict[str, Any]
     """By the keys of NAMED_METRICS, and the key that names the net of LPIPS. A value that does not

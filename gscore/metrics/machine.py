@@ -49,7 +49,7 @@ def available_memory_bytes() -> int | None:
 
 
 def cpu_name() -> str:
-    """The processor's name as its maker writes it, as far as the system tells."""
+    """The processor's name by its maker, if the system provides it."""
     if sys.platform == "linux":
         try:
             lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -87,7 +87,7 @@ def version_of(distribution: str) -> str | None:
 
 
 def machine() -> dict[str, Any]:
-    """The machine in words and numbers, for metrics.json; what cannot be told is None."""
+    """The machine in words and numbers, for metrics.json; unknown values are None."""
     return {
         "cpu": cpu_name(),
         "cores": cores(),

@@ -11,7 +11,7 @@ from ..raster.request import Frustum, Settings
 from ..splats import Splats
 
 _LEAST = 1.0
-"""Weight, in pixels of all views, below which nothing is said of a splat."""
+"""Weight, in pixels of all views, below which a splat has no error."""
 
 
 class SplatErrors:

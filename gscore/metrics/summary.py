@@ -14,7 +14,7 @@ from .machine import machine, peak_memory_bytes
 
 _LISTS = frozenset({"views", "train_views", "test_views", "history", "evals", "decided"})
 _PARTS = ("models", "depth", "exposure", "poses", "ranks", "decided", "asked")
-"""Of a `Course`, what is left out where there is nothing to say."""
+"""Fields of a `Course` that are left out when empty."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class Course:
     depth: dict[str, Any] | None = None
     """Numbers of `DepthReport`; None: there were no maps."""
     exposure: dict[str, Any] | None = None
-    """How far photos lie apart in exposure; None: nobody asked."""
+    """Spread of the exposure of photos; None: not measured."""
     poses: dict[str, Any] | None = None
     """How far each training camera was moved, and why; None: none was."""
     ranks: dict[str, Any] | None = None
@@ -54,14 +54,14 @@ class Course:
 
     @classmethod
     def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
-        """What a training wrote into its metrics.json, as `read_metrics` gives it."""
+        """The metrics.json of a training, as returned by `read_metrics`."""
         names = (each.name for each in fields(cls))
         return cls(**{name: metrics[name] for name in names if metrics.get(name) is not None})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """What metrics.json says."""
+    """Contents of metrics.json."""
 
     evaluation: Evaluation
     split: str
@@ -80,7 +80,7 @@ class Metrics:
     storage_bytes: int
     """Size of the PLY."""
     isa: str
-    """What the rasterizer ran with."""
+    """Settings of the rasterizer."""
     threads: int
     course: Course = field(default_factory=Course)
     model: str = ""

@@ -45,7 +45,7 @@ _ENDS = (np.minimum, np.maximum)
 _STEPS = 0.004 * 1.15 ** np.arange(64)
 """Steps of the higher harmonics to choose from; with the last, next to nothing is left of them."""
 _SAMPLE = 256
-"""Blocks that the choice looks at first."""
+"""Blocks that the choice considers first."""
 _MOST = 127
 """Largest whole number of a higher coefficient."""
 

@@ -42,7 +42,7 @@ class PageCamera:
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """What a page shows."""
+    """Contents of a page."""
 
     title: str
     splats: Packed
@@ -100,7 +100,7 @@ def _asset(name: str) -> str:
 
 
 def _as_script(content: Any) -> str:
-    """JSON that cannot end the element it stands in."""
+    """JSON that cannot close the HTML element around it."""
     return json.dumps(content, allow_nan=False).replace("<", "\\u003c")
 
 

@@ -118,7 +118,7 @@ def _what_to_do() -> str:
 
 
 def _check_environment(lib: ct.CDLL) -> None:
-    """ConfigError where GSCORE_ISA or GSCORE_THREADS asks for what cannot be."""
+    """ConfigError for an invalid GSCORE_ISA or GSCORE_THREADS."""
     wanted, there = os.environ.get("GSCORE_ISA"), lib.gs_isas().decode().split(",")
     if wanted and wanted not in there:  # the library itself would pass over it
         raise ConfigError(
@@ -131,7 +131,7 @@ def _check_environment(lib: ct.CDLL) -> None:
 
 
 def _declare(lib: ct.CDLL) -> None:
-    """Tell ctypes what the functions take and give."""
+    """Declare argument and result types of the functions for ctypes."""
     for name in ("gs_last_error", "gs_isas", "gs_isa"):
         getattr(lib, name).restype = ct.c_char_p
     lib.gs_default_threads.restype = ct.c_int32
@@ -227,7 +227,7 @@ def library() -> ct.CDLL:
 
 
 def _unlock() -> None:
-    """In a forked process: whoever held the lock is not here to open it."""
+    """In a forked process: the thread that owned the lock does not exist here."""
     global _lock
     _lock = threading.Lock()
 
@@ -268,7 +268,7 @@ def set_isa(name: str) -> None:
 
 
 def default_threads() -> int:
-    """Threads used where none are asked for: GSCORE_THREADS, else one a usable core."""
+    """Default number of threads: GSCORE_THREADS, else one per usable core."""
     return library().gs_default_threads()
 
 
@@ -395,7 +395,7 @@ class RasterPool:
         self._free: deque[Raster] = deque(maxlen=8)
 
     def take(self) -> Raster:
-        """A workspace nobody else uses; give it back."""
+        """An unused workspace; must be returned after use."""
         try:
             return self._free.pop()
         except IndexError:

@@ -13,7 +13,7 @@ LAGS = header.ADAM_LAGS
 
 @dataclass
 class Skips:
-    """Which rows of a tensor skip steps, and what they have to make up for (gs_adam_tensor)."""
+    """Rows of a tensor that skip steps, and their pending steps (gs_adam_tensor)."""
 
     seen: Tensor
     """[N] uint8: 1 where a gradient has come since the row's last step."""
@@ -27,7 +27,7 @@ class Skips:
 
 @dataclass
 class Slot:
-    """A parameter and what Adam keeps for it: tensors [N, ...] float32, contiguous, CPU."""
+    """A parameter and its Adam moments: tensors [N, ...] float32, contiguous, CPU."""
 
     value: Tensor
     grad: Tensor

@@ -62,7 +62,7 @@ def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
 
 
 def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruct:
-    """gs_splats that tells only where raw splats are."""
+    """gs_splats with only the addresses of raw splats."""
     return header.SplatsStruct(
         count=count,
         means=address("means", means, (count, 3)),
@@ -133,7 +133,7 @@ def image(
 def image_grads(
     v_pictures: Mapping[str, Array | None], view: Frustum, outputs: int
 ) -> header.ImageGradsStruct:
-    """gs_image_grads by the names of its fields; what is missing or None counts as zero."""
+    """gs_image_grads by the names of its fields; missing fields and None count as zero."""
     size = (view.height, view.width)
     found = header.ImageGradsStruct(
         rgb=optional("v_rgb", v_pictures.get("rgb"), (*size, 3)),

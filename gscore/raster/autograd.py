@@ -35,9 +35,9 @@ class RasterOutput:
     alpha: Tensor
     """[H, W]."""
     inverse_depth: Tensor | None
-    """[H, W], sum of weight / z, not divided by alpha; None unless asked for."""
+    """[H, W], sum of weight / z, not divided by alpha; None unless requested."""
     depth: Tensor | None
-    """[H, W], sum of weight * z / sum of weight, 0 where nothing is; None unless asked for."""
+    """[H, W], sum of weight * z / sum of weight, 0 where alpha is 0; None unless requested."""
     median_depth: Tensor | None
     """[H, W], z at which transmittance falls to 0.5 or less, 0 where it never does; not
     differentiable; None unless asked for."""

@@ -11,7 +11,7 @@ from .buffers import Array
 from .request import Frustum, Settings
 
 GEOMETRY = PARAMETERS[:4]
-"""What of a splat its weights depend on."""
+"""Parameters that determine the blending weights."""
 
 
 def blending_weights(

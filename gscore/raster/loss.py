@@ -12,7 +12,7 @@ from .no_double_backward import no_double_backward
 
 @dataclass(frozen=True)
 class ImageLoss:
-    """The loss, and what it is made of."""
+    """The loss and its terms."""
 
     loss: Tensor
     """Scalar float32, differentiable in the image."""

@@ -52,7 +52,7 @@ class Settings:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """RGB behind the splats."""
     outputs: int = 0
-    """Bits of `header.OUT_*`: what is made besides RGB and alpha."""
+    """Bits of `header.OUT_*`: outputs besides RGB and alpha."""
     tiles: Array | None = None
     """[ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are 0 here;
     None: all are drawn."""

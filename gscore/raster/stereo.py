@@ -48,10 +48,10 @@ class StereoView:
 
 @dataclass(frozen=True)
 class Swept:
-    """What a sweep found at the pixels of its reference; all arrays [H, W] float32."""
+    """Result of a plane sweep at the pixels of its reference; all arrays [H, W] float32."""
 
     inverse_depth: np.ndarray
-    """1/world unit; 0 where no plane inside the range stands out."""
+    """1/world unit; 0 where no plane inside the range is distinct."""
     score: np.ndarray
     """Zero-mean normalised cross-correlation there, from -1 to 1."""
     rival: np.ndarray
@@ -129,7 +129,7 @@ def sweep(
 
 @dataclass(frozen=True)
 class Checked:
-    """What other views say to a depth map; all arrays [H, W]."""
+    """Consistency of a depth map with other views; all arrays [H, W]."""
 
     agree: np.ndarray
     """uint8, how many have the same surface there."""

@@ -16,7 +16,7 @@ from .request import Frustum, Settings
 
 @dataclass
 class Picture:
-    """A view; what is None was not asked for."""
+    """A rendered view; fields that were not requested are None."""
 
     rgb: Tensor
     """[H, W, 3]."""

@@ -34,7 +34,7 @@ _WORST_TO_BEST = ("#b2182b", "#e8884f", "#a9a9a9", "#5f9fd0", "#1f5fb0")
 
 @dataclass(frozen=True, kw_only=True)
 class CamerasSection:
-    """What the report shows of cameras."""
+    """Contents of the camera section of the report."""
 
     found: Mapping[str, Any] | None
     """The record of the search, sfm.json; None: somebody else found the cameras."""

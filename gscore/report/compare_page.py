@@ -69,7 +69,7 @@ def comparison_html(
 
 
 def names_of(comparison: RunComparison) -> dict[str, str]:
-    """What the numbers of a comparison are called."""
+    """Labels of the numbers of a comparison."""
     return {"psnr": comparison.psnr_name, "ssim": "SSIM", "lpips": "LPIPS"}
 
 

@@ -33,7 +33,7 @@ class DepthViewPictures:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthSection:
-    """What the report shows."""
+    """Contents of the report."""
 
     why: str
     """Whether depth was supervised and why."""

@@ -26,7 +26,7 @@ from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a report shows; what is empty is left out."""
+    """Contents of a report; empty parts are left out."""
 
     title: str
     """Usually the capture's name."""
@@ -41,7 +41,7 @@ class Report:
     command: str = ""
     """The same for a shell."""
     depth_command: str = ""
-    """What would make depth maps for it, for a shell."""
+    """Shell command that makes depth maps for it."""
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
     histograms: Sequence[Histogram] = ()
@@ -88,7 +88,7 @@ def report_html(report: Report) -> str:
 
 
 def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
-    """What each scored view is judged by, dB."""
+    """Headline PSNR of each scored view, dB."""
     return {view["name"]: headline_psnr(view) for view in metrics["views"]}
 
 

@@ -49,7 +49,7 @@ class PictureCollector:
     count: int
     """Number of views that will come; decides which get pictures and how large."""
     views: list[ViewPictures] = field(default_factory=list)
-    """What `write_report` shows, in the order of the views."""
+    """Input of `write_report`, in the order of the views."""
 
     def __call__(
         self,

@@ -38,7 +38,7 @@ SEEDS = range(8)
 def main() -> int:
     """Build, measure, print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--ply", type=Path, help="trained splats; default: a synthetic cloud")
+    parser.add_argument("--ply", type=Path, help="splat file; default: a synthetic cloud")
     parser.add_argument("--cameras", type=Path, help="the capture they were trained on")
     parser.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES))
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "kernel-error")

@@ -57,7 +57,7 @@ class ProjectedSplats(NamedTuple):
     conics: Tensor
     """[M, 3], inverse image covariance (xx, xy, yy)."""
     opacities: Tensor
-    """[M], activated, compensated if asked for."""
+    """[M], activated, compensated on request."""
     colors: Tensor
     """[M, 3], RGB."""
     depths: Tensor
