@@ -50,7 +50,7 @@ class _State:
 
     coming: _Coming | None = None
     refused: str = ""
-    """`FrameFile.label` of the last frame whose mesh did not fit into memory."""
+    """`FrameFile.label` of the last frame that could not be written to a mesh."""
     told: set[str] = field(default_factory=set)
     """Errors already printed to the console."""
     problems: dict[int, str] = field(default_factory=dict)
