@@ -68,8 +68,7 @@ def job_of(ob: bpy.types.Object) -> ErrorsJob | None:
 
 
 def remove(ob: bpy.types.Object) -> None:
-    """Take the map of an object's run away, show its splats again, and give cameras their colors
-    back."""
+    """Remove the error map of an object's run, show its splats, and restore camera colors."""
     splats, _ = siblings(ob)
     drop_maps(ob)
     root = root_of(splats[0]) if splats else None

@@ -57,7 +57,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
 def draw_import(
     layout: bpy.types.UILayout, context: bpy.types.Context, there: bpy.types.Object | None = None
 ) -> None:
-    """The button that brings cameras in, or those that are there up to date."""
+    """Draw the button that imports cameras or updates imported ones."""
     row = layout.row()
     if there is None:
         facts = found(context)
@@ -77,7 +77,7 @@ def draw_straightening(
     empty: bpy.types.Object,
     cameras: list[bpy.types.Object],
 ) -> None:
-    """How far the photos are straightened, where some are; else a button where some have to be."""
+    """Draw the progress of undistortion, or a button if undistorted photos are missing."""
     queue = undistort_jobs.QUEUE
     if queue.busy:
         row, total = layout.row(align=True), max(queue.total, 1)
@@ -96,7 +96,7 @@ def draw_straightening(
 def draw_mask(
     layout: bpy.types.UILayout, context: bpy.types.Context, camera: bpy.types.Object | None
 ) -> None:
-    """The button that paints a mask on the camera's photo, and what is painted and not saved."""
+    """Draw the button that paints a mask on the camera's photo, and unsaved masks."""
     row = layout.row(align=True)
     row.enabled = camera is not None
     row.operator("gscore.paint_mask", icon="BRUSH_DATA").camera = (
@@ -120,7 +120,7 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a capture in the scene."""
+        """The scene has an imported capture."""
         return root(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -141,7 +141,7 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
 
 
 def _aim(empty: bpy.types.Object, *buttons: bpy.types.OperatorProperties) -> None:
-    """Have operators work on the panel's capture, whatever object is active."""
+    """Set operators to the panel's capture, independent of the active object."""
     for button in buttons:
         button.capture = empty.name
 

@@ -71,7 +71,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
 
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: ShownFacts) -> None:
-    """The button that finds cameras; or why that is not possible yet."""
+    """Draw the button that finds cameras, or the reason why that is not possible yet."""
     job = find_cameras.job_of(context.scene)
     if job is not None and job.busy:
         layout.label(text="Finding cameras; see Progress", icon="TIME")

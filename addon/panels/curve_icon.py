@@ -13,7 +13,7 @@ _COLORS = {LOSS: LOSS_COLOR, PSNR: PSNR_COLOR}
 
 
 class CurveIcons(PictureIcons):
-    """One for each training, and one for each color."""
+    """Icons: one for each training, and one for each color."""
 
     def update(self, job: Job) -> int:
         """The icon of a job's curve, drawn anew if there are more points; 0 without a window."""

@@ -42,7 +42,7 @@ class DepthPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: ShownFacts) -> None:
-    """How far a prediction is, or what can be started."""
+    """Draw the progress of a prediction, or the buttons that start one."""
     job = predict_depth.job_of(context.scene)
     if job is not None and not job.ended:
         row = layout.row(align=True)
@@ -68,7 +68,7 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
 
 
 def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
-    """The chosen network: its file, or its size, licence and download; whether it is here."""
+    """Draw the chosen network: its file, or its size, licence and installation."""
     network = networks.chosen()
     if network is None:
         layout.prop(preferences.get(), "depth_model", text="File")
@@ -91,7 +91,7 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
 
 
 def draw_predict(layout: bpy.types.UILayout, facts: ShownFacts) -> None:
-    """Buttons that predict the maps that are missing, or all."""
+    """Draw the buttons that predict missing maps, or all."""
     row = layout.row(align=True)
     if facts.depths < facts.photos:
         text = "Predict Rest" if facts.depths else "Predict Depth Maps"
@@ -102,7 +102,7 @@ def draw_predict(layout: bpy.types.UILayout, facts: ShownFacts) -> None:
 
 
 def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The table, and the switch of the cameras' colors."""
+    """Draw the table, and the switch of the cameras' colors."""
     scene = context.scene
     problem = predict_depth.run_report(scene)[1]
     if problem:
@@ -129,7 +129,7 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def bar_text(job: DepthJob) -> str:
-    """What stands in the progress bar."""
+    """Text of the progress bar."""
     told = job.progress
     if job.status == verb_job.STOPPING:
         return "Ending"

@@ -108,7 +108,7 @@ class GSCORE_UL_depth(bpy.types.UIList):  # noqa: N801 Blender's rule
 
 
 def cells_of(row: DepthRow, *, wide: bool) -> list[str]:
-    """What stands beside the name of a view."""
+    """Cells next to the name of a view."""
     inliers = "-" if row.inliers is None else f"{row.inliers:.0%}"
     return (
         [row.fit, inliers]
@@ -166,7 +166,7 @@ def table_of(context: bpy.types.Context) -> DepthTable | None:
 
 
 def fill() -> bool:
-    """Bring the tables of all windows' scenes up to date; whether anything changed."""
+    """Update the tables of all windows' scenes; return whether anything changed."""
     manager = bpy.context.window_manager
     changed = False
     for scene in {window.scene for window in manager.windows} or {bpy.context.scene}:
@@ -213,13 +213,13 @@ _FOLLOWER = poll_timer.Poller(fill)
 
 
 def on_register() -> None:
-    """Make room for tables, and fill them."""
+    """Add the tables' property, and fill them."""
     bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
     poll_timer.FOLLOWERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
-    """Take them back."""
+    """Remove them."""
     poll_timer.FOLLOWERS.remove(_FOLLOWER)
     _filled.clear()
     del bpy.types.WindowManager.gscore_depth

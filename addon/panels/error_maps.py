@@ -57,7 +57,7 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: ErrorsJob) -> None:
-    """How a measuring ended, and what the colors stand for."""
+    """Draw the end of a measurement, and the meaning of the colors."""
     if job.wanted:
         layout.label(text="Importing the splats...", icon="TIME")
     if job.sentence:
@@ -77,7 +77,7 @@ def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Errors
 def draw_switches(
     layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures | None
 ) -> None:
-    """Which of the colors are shown."""
+    """Draw the switches of the colors."""
     root, maps = root_of(ob), measure_errors.siblings(ob)[1]
     colored = root is not None and colors.shown(root)
     if not maps and not colored and figures is None:
@@ -96,7 +96,7 @@ def draw_switches(
 
 
 def draw_worst(layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures) -> None:
-    """The worst photos, with a look through their cameras and the comparison."""
+    """Draw the worst photos, with buttons for their camera views and the comparison."""
     root = root_of(ob)
     cameras = {} if root is None else {c.get("gs_image"): c.name for c in cameras_of(root)}
     column = layout.column(align=True)

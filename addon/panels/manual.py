@@ -36,7 +36,7 @@ def page() -> Path:
     """The manual's file.
 
     Raises:
-        ValueError: it is gone.
+        ValueError: it is missing.
     """
     found = next((place for place in _PLACES if place.is_file()), None)
     if found is None:
@@ -45,7 +45,7 @@ def page() -> Path:
 
 
 def manual_map() -> tuple[str, list[tuple[str, str]]]:
-    """The manual's address, and where in it each operator and setting of the add-on stands."""
+    """The manual's address, and the anchor of each operator and setting of the add-on."""
     own, found = __package__.removesuffix("panels"), []
     for kind in (*bpy.types.Operator.__subclasses__(), *bpy.types.PropertyGroup.__subclasses__()):
         if not kind.__module__.startswith(own):
@@ -59,7 +59,7 @@ def manual_map() -> tuple[str, list[tuple[str, str]]]:
 
 
 def draw_help(layout: bpy.types.UILayout) -> None:
-    """The button, for the header of a panel."""
+    """Draw the help button in the header of a panel."""
     layout.operator(OpenManual.bl_idname, text="", icon="HELP", emboss=False)
 
 
@@ -85,10 +85,10 @@ CLASSES = (OpenManual,)
 
 
 def on_register() -> None:
-    """Answer Online Manual."""
+    """Register the map for *Online Manual*."""
     bpy.utils.register_manual_map(manual_map)
 
 
 def on_unregister() -> None:
-    """Answer no more."""
+    """Unregister the map."""
     bpy.utils.unregister_manual_map(manual_map)

@@ -35,7 +35,7 @@ class PaintPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_brush(layout: bpy.types.UILayout, brush: BrushSettings) -> None:
-    """What the brush does, and the settings that this has."""
+    """Draw the effect of the brush and its settings."""
     row = layout.row(align=True)
     row.use_property_split = False  # else the names have no room
     row.prop(brush, "does", expand=True)

@@ -68,10 +68,10 @@ class PaintTool(bpy.types.WorkSpaceTool):
 
 
 def on_register() -> None:
-    """Put it after Blender's own tools."""
+    """Add the tool after Blender's own tools."""
     bpy.utils.register_tool(PaintTool, separator=True)
 
 
 def on_unregister() -> None:
-    """Take it away."""
+    """Remove the tool."""
     bpy.utils.unregister_tool(PaintTool)

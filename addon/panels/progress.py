@@ -75,7 +75,7 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: SearchJob) -> None:
-    """A search for cameras: its bar with *Cancel*, and how it ended."""
+    """Draw an SfM job: its bar with *Cancel*, and its end."""
     if not search.ended:
         row = layout.row(align=True)
         row.progress(factor=search.share, text=search_text(search))
@@ -89,7 +89,7 @@ def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: 
 
 
 def search_text(search: SearchJob) -> str:
-    """What stands in the bar of a search."""
+    """Text of the progress bar of an SfM job."""
     if search.status == verb_job.STOPPING:
         return "Ending"
     if search.progress is None:
@@ -99,7 +99,7 @@ def search_text(search: SearchJob) -> str:
 
 
 def search_numbers(search: SearchJob) -> list[tuple[str, str]]:
-    """Labels and values of a search."""
+    """Labels and values of an SfM job."""
     told, pairs = search.progress, []
     if told is not None and told.total:
         pairs.append(("Done", f"{told.done:,} / {told.total:,}"))
@@ -109,7 +109,7 @@ def search_numbers(search: SearchJob) -> list[tuple[str, str]]:
 
 
 def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
-    """The curve beside the numbers, and which of its lines goes from where to where."""
+    """Draw the curve next to the figures, and the range of each line."""
     state, curve = current.state, current.state.curve
     if state.started is None:
         if not state.ended:
@@ -128,7 +128,7 @@ def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
 
 
 def lines(curve: Curve) -> dict[str, str]:
-    """What each line of a curve shows, and from where to where."""
+    """Name and range of each line of a curve."""
     losses, psnrs = curve.losses, curve.psnrs
     return {
         curve_icon.LOSS: f"Loss, {min(losses):.3g} to {max(losses):.3g} (logarithmic)",
@@ -137,7 +137,7 @@ def lines(curve: Curve) -> dict[str, str]:
 
 
 def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current: Job) -> None:
-    """What can be asked of the training now."""
+    """Draw the buttons for the current state of the training."""
     status = current.state.status
     if status in (run_state.RUNNING, run_state.STARTING, run_state.PAUSED):
         row = layout.row(align=True)
@@ -161,7 +161,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context, current
 
 
 def bar_text(state: run_state.RunState) -> str:
-    """What stands in the progress bar."""
+    """Text of the progress bar."""
     if state.status in (run_state.PAUSED, run_state.STOPPING):
         return state.status.capitalize()
     if not state.iterations or state.started is None:
@@ -186,7 +186,7 @@ def numbers(state: run_state.RunState) -> list[tuple[str, str]]:
 
 
 def clock(seconds: float) -> str:
-    """1:02:03 or 2:03; a dash if it is not known."""
+    """1:02:03 or 2:03; a dash if unknown."""
     if not 0 <= seconds < sys.maxsize:
         return "-"
     minutes, rest = divmod(round(seconds), 60)

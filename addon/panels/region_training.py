@@ -49,7 +49,7 @@ class RegionPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: RegionJob) -> None:
-    """How far a training is, or how it ended."""
+    """Draw the progress of a training, or its end."""
     if not job.ended:
         row = layout.row(align=True)
         row.progress(factor=job.share, text=bar_text(job))
@@ -66,7 +66,7 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Region
 
 
 def bar_text(job: RegionJob) -> str:
-    """What stands in the bar."""
+    """Text of the progress bar."""
     if job.start is not None:
         return "Writing the splats"
     told = job.progress

@@ -52,7 +52,7 @@ class RenderPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Setting splats among meshes up, and taking it down; why it rests."""
+    """Draw the buttons that add and remove compositing, or why it is disabled."""
     scene = context.scene
     there = combine_node(scene) is not None
     if there and scene.render.engine == NAME:

@@ -74,7 +74,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What can be done with splats that Blender imported."""
+    """Draw the buttons for splats that Blender imported."""
     ob = context.object
     layout.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
     rows(layout, [("Splats", f"{len(ob.data.points):,}")])
@@ -85,7 +85,7 @@ def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def draw_outdated(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What Apply or Join of Blender has left behind in the selected splats, and what mends it."""
+    """Draw leftovers of Blender's Apply or Join in the selected splats, and the repair button."""
     found = mending.behind(context)
     problems = {ob.name: mending.problem(ob) for ob in found}
     for text in dict.fromkeys(problems.values()):
@@ -172,7 +172,7 @@ def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
 
 
 def draw_handles(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The switch of the same histograms in the view, where they can be dragged on."""
+    """Draw the switch of the histograms in the view, with handles to drag."""
     switch = context.window_manager
     layout.prop(switch, "gscore_histograms", icon="ARROW_LEFTRIGHT")
     if switch.gscore_histograms and (text := gizmos.problem(context, _main_region(context))):
@@ -184,7 +184,7 @@ def _main_region(context: bpy.types.Context) -> bpy.types.Region:
 
 
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Why splats are not drawn live, or how many are."""
+    """Draw the reason why splats are not drawn live, or their number."""
     if problem := handler.problem_of(_main_region(context)):
         sentence(layout, context, problem, icon="ERROR")
     elif not live.SESSION.works:
@@ -209,7 +209,7 @@ def draw_seen_from(
 def draw_counts(
     layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
 ) -> None:
-    """How many splats there are, and how many the filters show."""
+    """Draw the number of splats, and of those that the filters show."""
     try:
         counts = edit.stats(ob, context.evaluated_depsgraph_get())
     except ValueError as error:

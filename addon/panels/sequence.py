@@ -50,7 +50,7 @@ class SequencePanel(TabPanel, bpy.types.Panel):
 def draw_frames(
     layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
 ) -> None:
-    """How many frames there are, which of them shows, and why another does not."""
+    """Draw the number of frames, the shown one, and the reason why another is not shown."""
     series, problem = series_of(ob)
     if series is None:
         text = problem or "Looking for the frames"

@@ -118,7 +118,7 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
 
 
 def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
-    """What the chosen preset is for, and the size at which it trains."""
+    """Purpose of the chosen preset, and its photo size."""
     text = f"{purpose_of(settings.preset)}."
     if settings.resolution == AS_PRESET:
         width = PRESETS[settings.preset](Path())[0].max_width
@@ -127,7 +127,7 @@ def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
 
 
 def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What the training would take, and what to do where it does not fit."""
+    """Draw the forecast of the training, and the remedy if it does not fit."""
     scene = context.scene
     known, problem = facts.forecast_of(scene)
     if problem:
@@ -153,7 +153,7 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
 
 
 def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Where results will go, if the scene does not say so."""
+    """Draw the default output folder, if the scene has none."""
     settings = context.scene.gscore
     if settings.output_path.strip() or not settings.capture_path.strip():
         return
@@ -166,7 +166,7 @@ def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Train, or what to do about the run that is there; or why training is not possible yet."""
+    """Draw Train, or the choices for an existing run, or why training is not possible yet."""
     running = job(context)
     if running is not None and not running.state.ended:
         layout.label(text="Training; see Progress", icon="TIME")
@@ -204,7 +204,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def draw_missing(
     layout: bpy.types.UILayout, context: bpy.types.Context, before: EarlierRun
 ) -> None:
-    """A button that brings the splats of a run, where the scene shows none or earlier ones."""
+    """Draw the import button of a run's splats, if the scene shows none or earlier ones."""
     ob = context.scene.gscore.result
     shown = ob is not None and results.is_of_run(ob, before.info.path)
     if shown and results.is_outdated(ob, before):
@@ -216,7 +216,7 @@ def draw_missing(
 
 
 def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
-    """Whether a run has, or is asked for, steps that are left to take."""
+    """Whether a run has steps left, or the settings request more."""
     if info.checkpoint is None or info.problem:
         return False
     try:
@@ -227,7 +227,7 @@ def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
 
 
 def run_sentence(info: RunInfo) -> str:
-    """What the output folder holds already."""
+    """Sentence on the run in the output folder."""
     if info.problem:
         return f"The output folder holds a run that cannot go on: {info.problem}"
     if info.checkpoint is None:

@@ -48,7 +48,7 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
 def draw_guides(
     layout: bpy.types.UILayout, context: bpy.types.Context, frames: list[SequenceFrame]
 ) -> None:
-    """What of the scene guides a sequence: meshes do, once the cameras are there."""
+    """Draw the guide meshes of a sequence, used once the cameras are imported."""
     scene = context.scene
     own, within = scene.gscore_train_sequence, scene.gscore.train_within
     if within is not None:
@@ -71,7 +71,7 @@ def draw_guides(
 def draw_state(
     layout: bpy.types.UILayout, context: bpy.types.Context, frames: list[SequenceFrame]
 ) -> None:
-    """The bar of a training, or the buttons that begin one; and what has been trained."""
+    """Draw the bar of a training, or the buttons that start one, and the trained frames."""
     job = train_sequence.job_of(context.scene)
     if job is not None:
         draw_job(layout, context, job)
@@ -102,7 +102,7 @@ def draw_state(
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: SequenceJob) -> None:
-    """How far a training is, or how it ended."""
+    """Draw the progress of a training, or its end."""
     if not job.ended:
         row = layout.row(align=True)
         row.progress(factor=job.share, text=bar_text(job))
@@ -115,7 +115,7 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Sequen
 
 
 def bar_text(job: SequenceJob) -> str:
-    """What stands in the bar."""
+    """Text of the progress bar."""
     if job.status == verb_job.STOPPING:
         return "Writing a checkpoint"
     if job.frame is None:

@@ -51,7 +51,7 @@ def limit(layout: bpy.types.UILayout, owner: bpy.types.PropertyGroup, name: str)
 
 
 def found(context: bpy.types.Context) -> ShownFacts | None:
-    """What is known of the scene's capture by now."""
+    """The loaded facts of the scene's capture."""
     return facts.capture(context.scene)[0]
 
 
@@ -66,8 +66,8 @@ def job(context: bpy.types.Context) -> Job | None:
 
 
 def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
-    """Whether the preferences name a Python that trains; else what is wrong is drawn, with a button
-    that leads there."""
+    """Whether the preferences have a Python that trains; else draw the problem and a button to the
+    preferences."""
     try:
         setup.trainer_python(preferences.get())
     except ValueError as error:

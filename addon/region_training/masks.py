@@ -139,8 +139,7 @@ def _pack(image: bpy.types.Image, png: bytes) -> None:
 
 
 def _mark(image: bpy.types.Image) -> str:
-    """What changes where an image, or the mask's file, becomes another: undo of a save brings the
-    image back, not the file."""
+    """Fingerprint of an image and its mask file: undo of a save restores the image alone."""
     packed, file = image.packed_file, Path(str(image.get(_FILE, "")))
     written = file.stat().st_mtime_ns if file.is_file() else 0
     return "" if packed is None else f"{packed.size} {written}"

@@ -157,7 +157,7 @@ class Setup:
         return task.result
 
     def collect(self, prefs: Any) -> bool:
-        """Take in what has ended; whether anything did. Called in Blender's main thread."""
+        """Collect finished tasks; return whether there were any. For the main thread."""
         changed = False
         if self._checking is not None and not self._checking.running:
             task, self._checking, changed = self._checking, None, True

@@ -14,7 +14,7 @@ from ..splats.filters import crop_matrix
 
 
 def problem(settings: Any) -> str:
-    """What a scene's settings ask for that cannot be had together, a sentence; else empty."""
+    """A sentence on settings of a scene that exclude each other; else empty."""
     ob = settings.train_within
     if ob is None:
         return ""
@@ -32,7 +32,7 @@ def problem(settings: Any) -> str:
 
 
 def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
-    """Write the box of a scene's object for a training into `output`; the option that tells it.
+    """Write the box of a scene's object into `output`; return the trainer's option for it.
 
     The file is named by what it holds, so that one of an earlier run stays as it is.
 

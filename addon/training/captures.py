@@ -16,7 +16,7 @@ from ..run_links import holders
 
 
 def known(scene: bpy.types.Scene) -> list[Path]:
-    """Folders of the captures that a scene has chosen or imported, by name, none twice."""
+    """Folders of the captures that a scene has chosen or imported, unique and sorted by name."""
     found: list[Path] = []
     # A folder comes before those in it.
     for path in sorted(_all(scene), key=lambda path: len(path.parts)):

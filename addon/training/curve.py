@@ -36,7 +36,7 @@ class Curve:
         return curve
 
     def add(self, step: int, loss: float, psnr: float) -> None:
-        """Take both of a step; where either is no finite number, it is left out.
+        """Take both of a step; non-finite values are skipped.
 
         A step that is not later than the last one means that the run went back: what came after
         it is forgotten.
@@ -96,7 +96,7 @@ def _halved(values: Sequence[float]) -> list[float]:
 def _line(
     x: np.ndarray, values: np.ndarray, least: float, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A line through points as it lies in a picture.
+    """A line through points, rasterized.
 
     Args:
         x: Columns of the points, rising.

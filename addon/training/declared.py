@@ -17,13 +17,13 @@ _STEP = 0.01
 
 
 def declared(config: Config, name: str, label: str, **facts: Any) -> Any:
-    """The property of an option.
+    """The Blender property of a training option.
 
     Args:
         config: Whose values are the defaults.
         name: Of the option.
-        label: Its name in the panel.
-        **facts: What else `bpy.props` takes, or takes otherwise; `items` of choices.
+        label: Its label in the panel.
+        **facts: Other arguments of `bpy.props`, or overrides; `items` of choices.
     """
     LABELS[name] = label
     CHOICES.update({(name, item[0]): item[1] for item in facts.get("items", ())})

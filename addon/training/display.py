@@ -41,7 +41,7 @@ def place_of(job: Job) -> Place | None:
 
 
 def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
-    """Whether a holder's results are those of a job."""
+    """Whether a holder's output folder is that of a job."""
     try:
         if holder == scene.gscore:
             folder = output_folder(scene, preferences.get().output_folder)
@@ -54,7 +54,7 @@ def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
 
 
 def waits(job: Job) -> bool:
-    """Whether there is something to wait for: a running trainer, or splats to be shown here."""
+    """Whether work is pending: a running trainer, or splats to show here."""
     if not job.state.ended or job.loader.busy:
         return True
     return job.result_wanted and place_of(job) is not None
@@ -105,7 +105,7 @@ def show_picture(holder: Any, path: Path, name: str) -> bpy.types.Image:
 
 
 def _remove_discarded(job: Job, place: Place) -> bool:
-    """Take back the live splats of a run that was discarded; whether there were any."""
+    """Remove the live splats of a discarded run; return whether there were any."""
     ob = shown_object(place.holder, job.output, job.sources)
     over = job.state.status == run_state.DISCARDED and not job.resumed
     if not over or ob is None or not is_own(ob, job) or ob.mode != "OBJECT":
@@ -121,7 +121,7 @@ def _remove_discarded(job: Job, place: Place) -> bool:
 
 
 def _update_splats(job: Job, place: Place) -> bool:
-    """Do the next step on the way of splats from a file to the scene; whether there was one."""
+    """Do the next step of importing splats into the scene; return whether there was one."""
     result = job.state.result
     if job.result_wanted and not job.result_requested and result is not None:
         job.result_requested = True
@@ -172,7 +172,7 @@ def _update_splats(job: Job, place: Place) -> bool:
 
 
 def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
-    """Say why splats are not shown; a result is not tried again."""
+    """Report why splats are not shown; a final result is not tried again."""
     job.state.warn(problem)
     if loaded.final:
         job.result_wanted = False

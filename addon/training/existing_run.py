@@ -17,24 +17,24 @@ class EarlierRun:
     """A run on the disk."""
 
     info: RunInfo
-    """Its problem is in the words of panels."""
+    """Its problem is phrased with panel labels."""
     trained: float
     """When its newest file was written, seconds since the epoch."""
     content: str
     """`content` of its splats; empty where there are none."""
     foreign: bool
-    """Whether it is known to be of another capture than the one that is chosen."""
+    """Whether it certainly belongs to another capture than the chosen one."""
 
     @property
     def words(self) -> str:
-        """Folder, steps and date."""
+        """A sentence with folder, steps and date."""
         steps = f"{self.info.steps:,} steps" if self.info.checkpoint else "no checkpoint"
         date = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.trained))
         return f"{self.info.path} ({steps}, written {date})"
 
     @property
     def foreign_words(self) -> str:
-        """Why a run of another capture is left alone, and what to do."""
+        """Message for a run of another capture: why it is not changed, and what to do."""
         whose = "" if self.info.data is None else f", {self.info.data.source}"
         return (
             f"The output folder holds the run of another capture{whose}: {self.words}. Choose that "
@@ -43,11 +43,11 @@ class EarlierRun:
 
 
 def read_existing_run(folder: Path, capture: Path | None) -> EarlierRun | None:
-    """What an output folder holds, or None if no training has written there.
+    """The run in an output folder, or None if no training has written there.
 
     Args:
         folder: The output folder.
-        capture: The path that is chosen for the capture; None: none is.
+        capture: The chosen capture path; None: no choice.
     """
     info = read_run(folder)
     if info is None:
@@ -61,7 +61,7 @@ def read_existing_run(folder: Path, capture: Path | None) -> EarlierRun | None:
 
 
 def content(path: Path) -> str:
-    """Tells a file of splats from another, by its size and its beginning; empty if there is none.
+    """Fingerprint of a splat file from its size and first bytes; empty if there is none.
 
     Copies of a folder keep it, unlike dates.
     """

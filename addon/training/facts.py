@@ -13,7 +13,7 @@ from .existing_run import EarlierRun
 
 
 def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
-    """What the scene's capture holds, and a problem; (None, "") while it is looked up."""
+    """Facts of the scene's capture, and an error message; (None, "") while unknown."""
     settings = scene.gscore
     if not settings.capture_path.strip():
         return None, ""
@@ -27,13 +27,13 @@ def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
 
 
 def refresh(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
-    """As `capture`, but looks now and waits; for scripts and before a training."""
+    """As `capture`, but reads the disk now and waits; for scripts and before a training."""
     path = absolute(scene.gscore.capture_path, "Capture")
     return lookups.captures.wait((str(path), scene.gscore.images))
 
 
 def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
-    """What the training that the settings ask for would take; (None, "") while not known."""
+    """Forecast of a training with the scene's settings; (None, "") while unknown."""
     found = capture(scene)[0]
     if found is None or not found.can_train:
         return None, ""

@@ -19,7 +19,7 @@ from .options import AS_PRESET, BY_WIDTH, Settings
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What is asked; equal ones have the same answer as long as as much memory is free."""
+    """Input of a forecast; equal inputs have the same result while the free memory is the same."""
 
     train: TrainConfig
     sizes: tuple[tuple[tuple[int, int], int], ...]
@@ -32,7 +32,7 @@ class Question:
 
 
 def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Question:
-    """What the scene's settings ask of its capture."""
+    """The forecast input for the scene's settings and capture."""
     data, train = PRESETS[settings.preset](Path())
     resolution = data.resolution
     if settings.resolution == BY_WIDTH:
@@ -76,7 +76,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
 
 
 def answer(asked: Question) -> Estimate:
-    """What it takes. The first answer of a session draws some pictures to time this machine.
+    """The forecast. The first answer of a session draws some pictures to time this machine.
 
     Raises:
         GsError: the native library is missing.
@@ -93,13 +93,13 @@ def answer(asked: Question) -> Estimate:
 
 
 def words(found: Estimate) -> str:
-    """Time and memory as a sentence or two."""
+    """Sentences with time and memory."""
     text = f"About {duration(found.seconds)} of training and {memory(found.peak_bytes)} of memory."
     return text if found.photos_kept else text + " Photos are read again and again to save some."
 
 
 def warning(found: Estimate) -> str:
-    """Why it will not run, and what would; empty where it fits."""
+    """Why the training does not fit into memory, and what would; empty if it fits."""
     if found.fits or found.free_bytes is None:
         return ""
     ways = []

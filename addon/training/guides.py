@@ -26,7 +26,7 @@ ROLES = {"surface": "guide_surface", "free": "guide_free"}
 
 
 def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
-    """Write the guides of a scene for a training into `output`; options that tell it of them.
+    """Write the guide meshes of a scene into `output`; return the trainer's options for them.
 
     Files are named by what they hold, so that those of an earlier run stay as they are.
 
@@ -45,12 +45,12 @@ def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
 
 
 def digest(found: Triangles) -> str:
-    """Eight letters, others for another mesh."""
+    """Eight-letter hash of a mesh."""
     return hashlib.sha256(found.vertices.tobytes() + found.triangles.tobytes()).hexdigest()[:8]
 
 
 def left_out(scene: bpy.types.Scene) -> list[str]:
-    """Sentences on objects in the collections of guides that guide nothing."""
+    """Sentences on objects in the guide collections that are not used."""
     lines = []
     for _, collection in chosen(scene):
         hidden = [ob.name for ob in collection.all_objects if not ob.visible_get()]
@@ -128,7 +128,7 @@ _MOST_LISTED = 5
 
 
 def chosen(scene: bpy.types.Scene) -> Iterator[tuple[str, bpy.types.Collection]]:
-    """Each role for which a collection is chosen, and that."""
+    """The chosen collections by role."""
     for role, setting in ROLES.items():
         collection = getattr(scene.gscore, setting)
         if collection is not None:

@@ -20,11 +20,11 @@ _BEAT = 0.02
 
 
 def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> JobT:
-    """Start a job.
+    """Start a job in the background.
 
     Args:
-        make: Starts it with the Python that it is given; raises OSError where that cannot be run.
-        python: The Python that works; None: as the preferences say.
+        make: Starts it with a given Python; raises OSError if that cannot be run.
+        python: The Python to run; None: that of the preferences.
 
     Raises:
         ValueError: there is no such Python, or it cannot be run; the message says what to do.
@@ -34,10 +34,10 @@ def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> Job
 
 
 def begin(program: str | Path, start: Callable[[], JobT]) -> JobT:
-    """Call what starts a process.
+    """Call a function that starts a process.
 
     Raises:
-        ValueError: OSError came of it; the message says that `program` is why, and what to do.
+        ValueError: OSError was raised; the message names `program`, and what to do.
     """
     try:
         return start()
@@ -49,7 +49,7 @@ def begin(program: str | Path, start: Callable[[], JobT]) -> JobT:
 
 
 def follow(waits: Callable[[], bool]) -> None:
-    """Do what a beat does until nothing is waited for; without a window nothing else would."""
+    """Run the poll timer's work until nothing is pending; needed without a window."""
     while waits():
         poll_timer.poll()
         time.sleep(_BEAT)
@@ -63,14 +63,14 @@ def following_verb(
     wanted: Callable[[VerbJobT], bool] | None = None,
     hurries: Callable[[VerbJobT], bool] | None = None,
 ) -> "Following":
-    """What follows the jobs of a verb.
+    """The poller of the jobs of a verb.
 
     Args:
         jobs: Of this Blender session.
-        ended: Is called when one has ended: what was looked up before may differ.
-        bring_in: What else a beat does for a job that told nothing; whether panels changed.
-        wanted: Whether a job that ended is still to be brought in; None: never.
-        hurries: Whether it is on its way in, so that the next beat should come soon; None: never.
+        ended: Called when a job has ended, as cached lookups may be outdated.
+        bring_in: Called in a poll for a job without new events; returns whether panels changed.
+        wanted: Whether the result of an ended job is still to be imported; None: never.
+        hurries: Whether its import is running, so that the next poll is due soon; None: never.
     """
 
     def collect() -> bool:
@@ -94,26 +94,26 @@ def following_verb(
 
 
 class Following:
-    """A room's part of the beat, and the end of its jobs with the end of Blender."""
+    """Registration of a folder's pollers, and the end of its jobs when Blender quits."""
 
     def __init__(
         self, followers: Sequence[poll_timer.Poller], leave_all: Callable[[], object]
     ) -> None:
-        """Nothing is followed before `on_register`.
+        """Store the pollers; `on_register` starts them.
 
         Args:
-            followers: What is done at a beat, in order.
-            leave_all: Lets go of all jobs, each of which then ends by itself.
+            followers: Pollers, in order.
+            leave_all: Releases all jobs, which then end by themselves.
         """
         self._followers, self._leave_all = tuple(followers), leave_all
 
     def on_register(self) -> None:
-        """Follow them."""
+        """Start the pollers."""
         poll_timer.FOLLOWERS.extend(self._followers)
         atexit.register(self._leave_all)
 
     def on_unregister(self) -> None:
-        """Let go of them."""
+        """Stop the pollers and release the jobs."""
         for follower in self._followers:
             poll_timer.FOLLOWERS.remove(follower)
         atexit.unregister(self._leave_all)

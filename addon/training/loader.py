@@ -21,7 +21,7 @@ _GROUND_POINTS = 20_000
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """A file that was read, or why it was not."""
+    """A loaded splat file, or the reason of a failure."""
 
     path: Path
     final: bool
@@ -38,13 +38,13 @@ class Loaded:
     typical_size: float = 0.0
     """Median of the largest standard deviations, world units."""
     upright: np.ndarray | None = None
-    """[4, 4] that puts up and ground right, found from the cameras of the run; None: not known."""
+    """[4, 4] that aligns up and ground, from the cameras of the run; None: unknown."""
     moves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Degrees and world units that the run moved its cameras, by image name; of a result."""
 
 
 class Loader:
-    """Reads one file after the other; of the snapshots that wait only the latest counts."""
+    """Reads one file after the other; of pending snapshots only the latest is read."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[Path, int, bool]] = deque(maxlen=1)
@@ -54,7 +54,7 @@ class Loader:
 
     @property
     def busy(self) -> bool:
-        """Whether a file is being read or waits to be."""
+        """Whether a file is being read or is queued."""
         with self._lock:
             return self._busy
 
@@ -75,7 +75,7 @@ class Loader:
         threads.start(self._work, "gscore-loader")
 
     def take(self) -> Loaded | None:
-        """The last file that was read since the last call."""
+        """The latest file loaded since the last call."""
         with self._lock:
             return self._ready.popleft() if self._ready else None
 
@@ -117,7 +117,7 @@ def _load(path: Path, most: int, final: bool) -> Loaded:
 
 
 def _upright(path: Path, splats: Splats, origin: np.ndarray | None) -> np.ndarray | None:
-    """By the cameras.json of the run that a PLY belongs to, if it can be read."""
+    """Alignment from the cameras.json of a PLY's run, if it can be read."""
     for folder in (path.parent, path.parent.parent):
         if (folder / "cameras.json").is_file():
             try:

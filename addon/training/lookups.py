@@ -45,10 +45,10 @@ _ALL = (captures, runs, depth_runs, figures, forecasts, networks)
 
 
 def collect() -> bool:
-    """Take in what was found; whether that was anything new."""
+    """Collect finished lookups; return whether there were any."""
     return sum(found.collect() for found in _ALL) > 0  # any() would stop at the first
 
 
 def busy() -> bool:
-    """Whether something is being looked up."""
+    """Whether a lookup is running."""
     return any(found.busy for found in _ALL)

@@ -14,7 +14,7 @@ _TIMEOUT = 60.0
 
 
 def networks_here(python: str) -> frozenset[str]:
-    """Names of those that need no download; for a thread.
+    """Names of the installed networks; for a thread.
 
     Raises:
         ValueError: the Python gave no answer; the message says what to do.

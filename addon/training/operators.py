@@ -32,7 +32,7 @@ class _OnJob(BaseOperator):
         return False
 
     def job(self, context: bpy.types.Context) -> Job | None:
-        """The training that is meant."""
+        """The training to work on."""
         return registry.by_id(self.job_id) if self.job_id else start_training.job_of(context.scene)
 
     def act(self, context: bpy.types.Context) -> str:
@@ -68,7 +68,7 @@ class Train(ConfirmMixin, OnScene, bpy.types.Operator):
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name what an earlier run loses, and what the training would not see."""
+        """List what is overwritten, and what the training would not use."""
         lines = start_training.replaced(context.scene) if self.overwrite else []
         self.confirm = "Start Over" if lines else "Train Without"
         return lines + start_training.unsaved(context.scene)
@@ -136,7 +136,7 @@ class PauseTraining(_OnJob, bpy.types.Operator):
     allowed = (run_state.STARTING, run_state.RUNNING)
 
     def ask(self, job: Job) -> None:
-        """Ask."""
+        """Send the command."""
         job.pause()
 
 
@@ -148,7 +148,7 @@ class ContinueTraining(_OnJob, bpy.types.Operator):
     allowed = (run_state.PAUSED,)
 
     def ask(self, job: Job) -> None:
-        """Ask."""
+        """Send the command."""
         job.unpause()
 
 
@@ -159,7 +159,7 @@ class StopTraining(_OnJob, bpy.types.Operator):
     bl_label = "Stop"
 
     def ask(self, job: Job) -> None:
-        """Ask."""
+        """Send the command."""
         job.stop()
 
 
@@ -191,7 +191,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
     confirm = "Discard"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name the run, because nothing brings it back."""
+        """Name the run, as it cannot be restored."""
         job = self.job(context)
         if job is None:
             return []
@@ -211,7 +211,7 @@ class UpdateSplats(_OnJob, bpy.types.Operator):
     allowed = (run_state.RUNNING, run_state.PAUSED)
 
     def ask(self, job: Job) -> None:
-        """Ask for them."""
+        """Request a snapshot."""
         job.snapshot()
 
 
@@ -262,7 +262,7 @@ class ShowReport(BaseOperator, bpy.types.Operator):
 
 
 def _told(job: Job) -> str:
-    """How a training that was waited for has ended; nothing of one that goes on.
+    """Message on the end of an awaited training; empty while it is running.
 
     Raises:
         ValueError: it failed.

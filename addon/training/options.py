@@ -14,7 +14,7 @@ AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"
 
 
 class Settings(Protocol):
-    """What of the scene's settings goes to the trainer; `properties.SceneSettings` has it."""
+    """Scene settings for the trainer; `properties.SceneSettings` has them."""
 
     preset: str
     iterations: int
@@ -43,7 +43,7 @@ class Settings(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """What the preferences say about this computer."""
+    """Preferences for this computer."""
 
     threads: int = 0
     """CPU threads; 0: all."""
@@ -107,7 +107,7 @@ def new_run(
 
 
 def continuation(settings: Settings, info: RunInfo) -> dict[str, float]:
-    """Options in which a run goes on differently from how it began, because more is asked for now.
+    """Options that differ from those of the start of a resumed run, because the limits were raised.
 
     Raises:
         ValueError: it has nothing left to do; the message says what to ask for.
@@ -146,7 +146,7 @@ def resumed_run(
     machine: Machine,
     changes: Mapping[str, float] = MappingProxyType({}),
 ) -> list[str]:
-    """Arguments that go on with the run in `output`, with the options it was started with.
+    """Arguments that resume the run in `output`, with the options it was started with.
 
     Args:
         source: Where the capture lies now; None: where it was.
@@ -214,7 +214,7 @@ def search(settings: Settings, *, source: Path, capture: Path, threads: int) -> 
 
 
 def _masks(settings: Settings, usual: str) -> list[str]:
-    """Options that say what masks mean, where that is not the `usual` mode."""
+    """Options for the mask mode, if it is not the `usual` mode."""
     mask_mode = settings.mask_mode if settings.use_masks else "none"
     arguments = [] if mask_mode == usual else ["--mask-mode", mask_mode]
     if settings.use_masks and settings.invert_masks:

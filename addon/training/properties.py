@@ -75,7 +75,7 @@ def _items(kinds: Any, texts: dict[Any, tuple[str, str]]) -> list[tuple[str, str
 
 
 def apply_preset(settings: "SceneSettings") -> None:
-    """Fill in the numbers of the chosen preset."""
+    """Set the values of the chosen preset."""
     _, train = PRESETS[settings.preset](Path())
     settings.iterations = train.iterations
     settings.max_splats = train.max_splats
@@ -90,7 +90,7 @@ def _capture_chosen(settings: "SceneSettings", context: bpy.types.Context) -> No
 
 
 def _capture_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
-    """Look into the capture, so that the panel knows when it draws."""
+    """Start the lookup of the capture's facts for the panel."""
     facts.capture(settings.id_data)
 
 

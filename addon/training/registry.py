@@ -36,7 +36,7 @@ def by_output(output: Path) -> Job | None:
 
 
 def leave_all() -> None:
-    """Let go of all: each writes a checkpoint and ends."""
+    """Release all jobs: each writes a checkpoint and ends."""
     for job in jobs():
         job.leave()
     _jobs.clear()

@@ -111,7 +111,7 @@ def unsaved(scene: bpy.types.Scene) -> list[str]:
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
-    """Go on with the run in the scene's output folder, from its last checkpoint.
+    """Resume the run in the scene's output folder from its last checkpoint.
 
     With more steps, or a longer time budget, in the settings than the run was asked for, it is
     trained up to those.
@@ -157,7 +157,7 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
 
 
 def follow(scene: bpy.types.Scene, job: Job) -> None:
-    """Let a scene show a training that another scene or file has begun."""
+    """Show a training of another scene or file in a scene."""
     scene.gscore.capture_path = relative(job.source)
     scene.gscore.output_path = relative(job.output)
 
@@ -187,7 +187,7 @@ def wait_for(
 
 
 def discard(job: Job) -> None:
-    """End a training at once and remove what it wrote, its live splats included.
+    """End a training at once and remove its files and live splats.
 
     A run that began earlier goes back to its last checkpoint instead.
     """
@@ -208,7 +208,7 @@ def report_of(scene: bpy.types.Scene) -> Path:
 
 
 def machine() -> options.Machine:
-    """What the preferences say about this computer.
+    """Preferences for this computer.
 
     Raises:
         ValueError: the LPIPS network is not there.
@@ -260,7 +260,7 @@ def _chosen_capture(scene: bpy.types.Scene) -> Path | None:
 
 
 def check_capture(scene: bpy.types.Scene) -> ShownFacts:
-    """What the scene's capture holds; ValueError unless it can be trained."""
+    """Facts of the scene's capture; ValueError unless it can be trained."""
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
         found, problem = facts.refresh(scene)  # it may have been mended

@@ -20,7 +20,7 @@ SILENT = 20.0
 
 
 class Job:
-    """One run of the trainer."""
+    """One training: the trainer's process and its state."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Job:
             source: Folder of the capture.
             output: Folder of the results.
             resumed: Whether the run began earlier; then its folder is never removed.
-            replaces: Whether it was asked to take the place of an earlier run there.
+            replaces: Whether it replaces an earlier run there.
             earlier_source: Folder that the capture had when a resumed run began.
             scene_uid: Session number of the scene that it was started from.
 
@@ -59,7 +59,7 @@ class Job:
         self.scene_uid = scene_uid
         self.state = run_state.RunState()
         self.live_seconds = 0.0
-        """Seconds between two snapshots that are asked for; 0: none."""
+        """Seconds between two requested snapshots; 0: none."""
         self.live_most = 0
         """Splats of a snapshot that are kept at most; 0: all."""
         self.loader = Loader()
@@ -68,12 +68,12 @@ class Job:
         self.result_requested = False
         """Whether the result is being read in order to be shown."""
         self.filling: Any = None
-        """Splats on their way into the open file; `display` puts it here."""
+        """The running import of splats; set by `display`."""
         self.chores: list[Callable[[], Any]] = []
-        """What is to be made ready in the open file, one at a beat; `training` puts it here."""
+        """Preparations of the import that remain, one per poll; set by `results`."""
         self.preview_shown = ""
         self.told = False
-        """Whether the last beat took in what the trainer told; `follow` says so."""
+        """Whether the last poll received events; set by `training_poller`."""
         self._discarding = False
         self._clearer: threading.Thread | None = None
         self._asked_for_live = time.monotonic()
@@ -87,27 +87,27 @@ class Job:
 
     @property
     def antialias(self) -> bool:
-        """Whether opacities were compensated in training, so that renders have to do it too."""
+        """Whether the run was trained with antialiasing, which renders must use too."""
         started = self.state.started
         train = started.config.get("train") if started else None
         return isinstance(train, dict) and train.get("antialias") is True
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last sign of life, of a trainer that should give one."""
+        """Seconds since the last event of a trainer that should send events."""
         if self.state.ended or self.state.status == run_state.PAUSED:
             return 0.0
         return time.monotonic() - self._process.last_line_at
 
     @property
     def silence(self) -> str:
-        """A sentence about a trainer that says nothing, or nothing."""
+        """A sentence on a trainer without events for long; else empty."""
         if self.silent_s < SILENT:
             return ""
         return f"No sign of life for {self.silent_s:.0f} s"
 
     def poll(self, budget: float = run_state.BUDGET) -> bool:
-        """Take in what the trainer told since the last call.
+        """Process the trainer's events since the last call.
 
         Args:
             budget: Seconds to spend at most; what is left is taken by the next call.
@@ -133,30 +133,30 @@ class Job:
         return changed
 
     def take_loaded(self) -> Loaded | None:
-        """A snapshot or the result that was read since the last call."""
+        """The snapshot or result loaded since the last call."""
         return self.loader.take()
 
     def pause(self) -> None:
-        """Ask the trainer to wait; it keeps its memory and holds no core."""
+        """Pause the trainer; it keeps its memory and uses no core."""
         self._process.send("pause")
 
     def unpause(self) -> None:
-        """Ask a waiting trainer to go on."""
+        """Continue a paused trainer."""
         self._process.send("resume")
 
     def snapshot(self) -> None:
-        """Ask for the splats as they are now."""
+        """Request a snapshot of the current splats."""
         self._live_underway, self._asked_for_live = True, time.monotonic()
         self._process.send("snapshot")
 
     def stop(self) -> None:
-        """Ask the trainer to write a checkpoint and its results, and to end."""
+        """Stop the trainer after it writes a checkpoint and its results."""
         if not self.state.ended:
             self.state.status = run_state.STOPPING
             self._process.send("stop")
 
     def leave(self) -> None:
-        """Let go because Blender ends: the trainer writes a checkpoint and ends by itself."""
+        """Release the job because Blender quits: the trainer writes a checkpoint and ends."""
         self._process.end_input()
 
     def kill(self) -> None:
@@ -164,12 +164,12 @@ class Job:
         self._process.kill()
 
     def discard(self) -> None:
-        """End the trainer at once and remove what this run wrote, unless it began earlier."""
+        """End the trainer at once and remove the files of this run, unless it was resumed."""
         self._discarding, self.result_wanted = True, False
         self._process.kill()
 
     def wait(self, timeout: float) -> bool:
-        """Wait for the process alone, without taking in what it tells; whether it is gone."""
+        """Wait for the process without reading its events; return whether it has ended."""
         return self._process.wait(timeout)
 
     def _end(self) -> None:

@@ -6,10 +6,10 @@ from .launch import Following
 
 
 def _collect() -> bool:
-    """A beat does one thing that may take milliseconds: read lines, show a picture, hand splats.
+    """Do one task of milliseconds per poll: read events, show a picture, import splats.
 
-    Both get their turn, for a view that is redrawn all the time leaves so few beats that each finds
-    lines of the trainer.
+    Reading and display alternate, as continuous redraws leave so few polls that each finds new
+    events.
     """
     stale = False
     for job in registry.jobs():

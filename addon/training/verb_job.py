@@ -25,12 +25,12 @@ RUNNING, STOPPING, FINISHED, CANCELLED, FAILED = (
 
 
 class VerbJob:
-    """One run of a verb; those of one kind say what its events mean."""
+    """One run of a verb; subclasses interpret its events."""
 
     kept = ""
-    """The sentence of work that was cancelled."""
+    """Message after a cancelled job."""
     less = ""
-    """What to do where memory ran out."""
+    """Advice after an out-of-memory error."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class VerbJob:
         self.status = RUNNING
         self.warnings: list[str] = []
         self.sentence = ""
-        """How it ended, for people; empty before the end."""
+        """Message on the end; empty before it."""
         self._failure: Failed | None = None
         self._stopped_at = 0.0
         self._command = [str(python), "-u", "-m", "gscore", *arguments]
@@ -77,16 +77,16 @@ class VerbJob:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing will change any more."""
+        """Whether the job has ended."""
         return self.status in (FINISHED, CANCELLED, FAILED)
 
     @property
     def busy(self) -> bool:
-        """Whether it is under way and was not asked to end."""
+        """Whether it is running and was not cancelled."""
         return not self.ended and self.status != STOPPING
 
     def poll(self, budget: float = run_state.BUDGET) -> bool:
-        """Take in what it told since the last call; whether something changed."""
+        """Process events since the last call; return whether something changed."""
         if self._after is not None:
             return self._poll_before(self._after, budget)
         if self.ended or self._process is None:
@@ -108,7 +108,7 @@ class VerbJob:
         return changed
 
     def cancel(self) -> None:
-        """Ask it to end."""
+        """Cancel the job."""
         if self.status != RUNNING:
             return
         if self._process is None and self._after is None:
@@ -119,37 +119,37 @@ class VerbJob:
             self._process.send("stop")
 
     def leave(self) -> None:
-        """Let go because Blender ends: it ends by itself soon."""
+        """Release the job because Blender quits: the process ends by itself soon."""
         if self._after is not None:
             self._after.leave()
         if self._process is not None:
             self._process.end_input()
 
     def kill(self, *, wait: float = 0.0) -> None:
-        """End it at once."""
+        """Kill the process."""
         if self._after is not None:
             self._after.kill(wait=wait)
         if self._process is not None:
             self._process.kill(wait=wait)
 
     def take(self, event: Event) -> None:
-        """Take note of an event of its own."""
+        """Process an event of this verb."""
         raise NotImplementedError
 
     def takes(self, other: "VerbJob") -> bool:
-        """Whether what the job before has done after all is what this one was to do; taken then."""
+        """Whether the result of the job before is the result of this one, which then adopts it."""
         return False
 
     def finish(self) -> str:
-        """The sentence of work that came to its end; empty: it did not.
+        """Message on a finished job; empty: it did not finish.
 
         Raises:
-            ValueError: what it told makes no sense.
+            ValueError: its result is invalid.
         """
         raise NotImplementedError
 
     def _poll_before(self, other: "VerbJob", budget: float) -> bool:
-        """Wait for the end of the job before; whether something changed."""
+        """Poll the job before until it ends; return whether something changed."""
         other.poll(budget)
         if not other.ended:
             return False

@@ -29,11 +29,11 @@ class VerbJobs(Generic[JobT]):
         return next((job for job in self._jobs if same_folder(job.source, source)), None)
 
     def waits(self) -> bool:
-        """Whether any is under way."""
+        """Whether any is running."""
         return any(not job.ended for job in self._jobs)
 
     def leave_all(self) -> None:
-        """Let go of all: they end by themselves soon."""
+        """Release all jobs: they end by themselves soon."""
         for job in self._jobs:
             job.leave()
         self._jobs.clear()

@@ -8,13 +8,13 @@ from .verb_job import VerbJob
 
 
 class Cancelling(BaseOperator):
-    """Mixed in before bpy.types.Operator: asks the scene's job of a verb to end."""
+    """Mixin before bpy.types.Operator that cancels the scene's job of a verb."""
 
     none = ""
-    """The sentence where there is nothing to cancel."""
+    """Message if there is nothing to cancel."""
 
     def act(self, context: bpy.types.Context) -> str:
-        """Ask it to end."""
+        """Cancel the job."""
         job = self.job_of(context.scene)
         if job is None or job.ended:
             raise ValueError(self.none)
