@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..datasets.folder import same_name
 from ..errors import BackendError, DatasetError, FormatError
 from ..extras import need
 from ..io.files import check_regular, read_bytes
@@ -59,7 +60,7 @@ class MapFolder:
                 hidden = name.startswith(".") or name == SHEET or name.endswith(CONFIDENCE)
                 if not hidden and Path(name).suffix.lower() in ENDINGS:
                     path = Path(folder) / name
-                    self._files[path.relative_to(root).as_posix().lower()] = path
+                    self._files[_key(path.relative_to(root).as_posix())] = path
 
     def __len__(self) -> int:
         return len(self._files)
@@ -68,10 +69,14 @@ class MapFolder:
         """The map of a view: its name with another ending, or with one more."""
         for base in (stem(view), view):
             for ending in ENDINGS:
-                found = self._files.get(f"{base}{ending}".lower())
+                found = self._files.get(_key(f"{base}{ending}"))
                 if found is not None:
                     return found
         return None
+
+
+def _key(path: str) -> str:
+    return same_name(path).lower()
 
 
 def stem(view: str) -> str:

@@ -1,6 +1,7 @@
 """Depth maps read from every kind of file, and files that are none."""
 
 import sys
+import unicodedata
 
 import numpy as np
 import OpenEXR
@@ -232,3 +233,11 @@ def test_advice_about_a_broken_map_is_not_about_photos(tmp_path):
     with pytest.raises(FormatError, match=r"Copy the file again") as told:
         read_map(tmp_path / "a.png")
     assert "photo" not in str(told.value)
+
+
+@pytest.mark.parametrize(("file", "view"), [("NFD", "NFC"), ("NFC", "NFD")])
+def test_accented_names_are_compared_in_nfc(tmp_path, file, view):
+    """Oracle: the one file that is there, named as macOS or as Linux writes é."""
+    path = tmp_path / (unicodedata.normalize(file, "caf\u00e9") + ".png")
+    path.touch()
+    assert MapFolder(tmp_path).find(unicodedata.normalize(view, "caf\u00e9") + ".jpg") == path
