@@ -9,9 +9,9 @@ from ..text_format import count_words, number
 from .capture import listing
 
 _STRAY = 100.0
-"""Distance from the middle of the cameras, as a multiple of the median, that is told."""
+"""Reported distance from the middle of the cameras, as a multiple of the median."""
 _OFF_AXIS = 10.0
-"""Distance of the principal point from the middle, in sizes of the picture, that is told."""
+"""Reported distance of the principal point from the image centre, in image sizes."""
 
 
 def position_warnings(scene: Scene) -> Iterator[str]:

@@ -72,7 +72,7 @@ def split_views(
 
 
 def is_chosen(config: DataConfig, *, stated: Collection[str] = ()) -> bool:
-    """Whether test views are chosen by counting, not stated; arguments as of `split_views`."""
+    """True if test views are every n-th, not listed; arguments as of `split_views`."""
     by_count = config.test_list is None and not (config.test_first or config.test_last)
     return by_count and not (stated and config.test_offset is None)
 

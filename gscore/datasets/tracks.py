@@ -20,15 +20,15 @@ captures have a hundred thousand."""
 
 @dataclass(frozen=True, kw_only=True)
 class Tracks:
-    """The points that structure from motion found, and where it saw them: in each view 2,000 at
-    most, those seen in most other views."""
+    """SfM points and their observations: in each view at most 2,000, those with the longest
+    tracks."""
 
     points: np.ndarray
     """[P, 3] float64, world units."""
     seen: list[np.ndarray]
-    """By view: [M] int64, rows of `points` that were seen there."""
+    """By view: [M] int64, rows of the observed `points`."""
     rays: list[np.ndarray]
-    """By view: [M, 2] float64, x / z and y / z of the rays along which they were seen."""
+    """By view: [M, 2] float64, x / z and y / z of the observation rays."""
 
 
 def tracks_of(dataset: Dataset) -> Tracks | None:

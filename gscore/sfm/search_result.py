@@ -141,9 +141,9 @@ def focal_text(cameras: list[tuple[float, bool]]) -> str:
     shown = f"{lengths[0]} px" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} px"
     whence = "stated" if all(stated for _, stated in cameras) else "that of a usual lens"
     return (
-        "The photos do not tell the focal length: another one fits as well, as where the camera "
-        f"only moves ahead. It is taken as {shown}, {whence}; if you know it better, give it with "
-        "--focal-length."
+        "The photos do not constrain the focal length: others fit as well, for example if the "
+        f"camera only moves ahead. It is set to {shown}, {whence}; if you know it "
+        "better, give it with --focal-length."
     )
 
 
@@ -173,7 +173,7 @@ def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
     if gps.metres is not None and gps.up is None:
         off = "by any angle" if gps.tilt > 45 else f"by {gps.tilt:.0f} degrees"
         sentences.append(
-            "GPS in EXIF tells the size of the capture but not what is up: it may be off "
+            "GPS in EXIF gives the size of the capture but not its up direction: it may be off "
             f"{off}, because the photos lie near one line or GPS is too coarse for a capture so "
             "small. Up is taken from the cameras, as people hold them."
         )

@@ -10,24 +10,24 @@ from ..raster.stereo import MOST_PLANES, StereoView
 from ..scene import Cameras
 
 SOURCES = 4
-"""Photos that one is compared with."""
+"""Source views of each photo."""
 WITNESSES = 8
-"""Depth maps that judge one; its sources are among them."""
+"""Views of the consistency check of a depth map, sources included."""
 _BEST_ANGLE = 9.0
 """Degrees between the rays of two photos to a point at which they serve best: less tells depths
 worse, more makes surfaces look different."""
 _NARROWER, _WIDER = 4.0, 9.0
 """Deviations from it, in degrees, at which a point counts 0.6."""
 _POINTS = 4000
-"""Points that stand for all when photos are chosen."""
+"""Sample of the points for the view selection."""
 _FEWEST_SHARED = 1e-3
-"""Least sum of a pair's weights to be compared at all."""
+"""Minimum sum of weights of a matched pair."""
 _ENDS = (0.01, 0.99)
 """Quantiles of the inverse depths of a view's points."""
 _FARTHER, _NEARER = 0.5, 1.3
 """The range goes beyond them by these factors."""
 _FEWEST_POINTS = 8
-"""Points that a view must see for them to tell its range."""
+"""Minimum number of visible points for the depth range of a view."""
 _AROUND = (0.4, 2.5)
 """Inverse depths of what stands where the axes of all views meet, in those of that place."""
 _BEHIND = 0.01
@@ -41,12 +41,12 @@ PLANES = 128
 
 @dataclass(frozen=True, kw_only=True)
 class ViewPlan:
-    """How the depth of one view is found. Views are counted among those that take part."""
+    """Plane sweep settings of one view. Indices count the participating views."""
 
     sources: tuple[int, ...]
-    """Those it is compared with, best first."""
+    """Source views, best first."""
     witnesses: tuple[int, ...]
-    """Those whose depth judges its own, best first."""
+    """Views of the consistency check, best first."""
     farthest: float
     """Inverse depth of the first plane, 1/world unit."""
     nearest: float
@@ -121,7 +121,7 @@ def planes_of(plan: ViewPlan, views: Sequence[StereoView]) -> int:
 
 
 def _seen(tracks: SeenPoints, used: Sequence[int]) -> np.ndarray:
-    """[V, P] bool of some points, evenly chosen: whether a view sees a point."""
+    """[V, P] bool: visibility of an even sample of the points."""
     stride = max(1, len(tracks.points) // _POINTS)
     out = np.zeros((len(used), len(tracks.points[::stride])), bool)
     for place, index in enumerate(used):
@@ -131,7 +131,7 @@ def _seen(tracks: SeenPoints, used: Sequence[int]) -> np.ndarray:
 
 
 def _shared(tracks: SeenPoints, seen: np.ndarray, centers: np.ndarray, place: int) -> np.ndarray:
-    """[V] how much the points that a view shares with each other one are worth."""
+    """[V] sum of the weights of the points shared with each other view."""
     stride = max(1, len(tracks.points) // _POINTS)
     mine = np.flatnonzero(seen[place])
     rays = tracks.points[mine * stride][None] - centers[:, None]
