@@ -10,21 +10,21 @@ from .process_group import ProcessGroup
 
 
 def fail(team: ProcessGroup, error: GsError) -> None:
-    """Tell the others that this rank's photo cannot be had."""
-    _told(team, [1.0, 0.0, 0.0, 0.0, 0.0], [0] * team.size)
+    """Notify the other ranks that this rank cannot read its photo."""
+    _gather(team, [1.0, 0.0, 0.0, 0.0, 0.0], [0] * team.size)
     team.texts(str(error))
     team.told = True
 
 
 class BatchLosses(NamedTuple):
-    """What all ranks know of a batch."""
+    """Losses and costs of a batch, equal on all ranks."""
 
     values: list[float]
     """The loss of each photo, in the order of the ranks."""
     errors: list[float]
     """Their mean squared errors."""
     costs: list[float]
-    """What drawing them took."""
+    """Rendering costs."""
     sizes: np.ndarray
     """[size, size] the `sizes` of each rank."""
 
@@ -39,22 +39,22 @@ def of_all(
     mark: float,
     sizes: Sequence[int],
 ) -> BatchLosses:
-    """Compare what the ranks found in their photos of a batch.
+    """Exchange the losses of a batch between ranks.
 
     Args:
-        team: All take part.
+        team: Process group; all ranks must call this.
         value: The loss of this rank's photo.
         mse: Its mean squared error.
-        cost: What drawing it took, in any unit; the same whoever draws it.
-        photos: How many there are in this batch.
+        cost: Rendering cost in any unit, equal on any machine.
+        photos: Number of photos in this batch.
         mark: A number that must be the same on all ranks.
-        sizes: How many rows of gradients this rank will give each rank.
+        sizes: Rows of gradients that this rank will send to each rank.
 
     Raises:
-        DatasetError: a rank cannot have its photo, see `fail`.
+        DatasetError: a rank cannot read its photo, see `fail`.
         GsError: the marks differ.
     """
-    found, told = _told(team, [0.0, value, mse, cost, mark], sizes)
+    found, all_sizes = _gather(team, [0.0, value, mse, cost, mark], sizes)
     missing, values, errors, costs, marks = found.T
     if missing.any():
         rank, texts = int(missing.argmax()), team.texts("")
@@ -72,14 +72,14 @@ def of_all(
         values=values[:photos].tolist(),
         errors=errors[:photos].tolist(),
         costs=costs[:photos].tolist(),
-        sizes=told,
+        sizes=all_sizes,
     )
 
 
-def _told(
+def _gather(
     team: ProcessGroup, mine: Sequence[float], sizes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of each rank [size, 5] `mine` and [size, size] `sizes`; the team keeps their accounts."""
+    """Gather [size, 5] `mine` and [size, size] `sizes` of all ranks; updates `team.accounts`."""
     found = team.all_gather([*mine, *sizes, *team.account])
-    told, sized, team.accounts = np.split(found, [len(mine), len(mine) + team.size], axis=1)
-    return told, sized
+    values, sized, team.accounts = np.split(found, [len(mine), len(mine) + team.size], axis=1)
+    return values, sized

@@ -16,7 +16,7 @@ from .process_group import ProcessGroup
 
 
 def versions() -> dict[str, Any]:
-    """What decides about the last bits of a step on this machine, by name."""
+    """Versions and instruction sets that determine the bits of a step, by name."""
     return {
         "gscore": __version__,
         "torch": torch.__version__,
@@ -27,12 +27,12 @@ def versions() -> dict[str, Any]:
 
 
 def check_equal(team: ProcessGroup, mine: Mapping[str, Any]) -> None:
-    """Compare facts, JSON values by name.
+    """Compare JSON values by name between ranks.
 
     Raises:
-        ConfigError: some rank has others than rank 0; on all ranks.
+        ConfigError: a rank differs from rank 0; raised on all ranks.
     """
-    first, *others = _told(team, {"facts": dict(mine)})
+    first, *others = _all_facts(team, {"facts": dict(mine)})
     for rank, other in enumerate(others, 1):
         ours, theirs = first["facts"], other["facts"]
         for name in sorted(ours.keys() | theirs.keys()):
@@ -46,28 +46,30 @@ def check_equal(team: ProcessGroup, mine: Mapping[str, Any]) -> None:
 
 
 def check_ready(team: ProcessGroup, error: Exception | None) -> None:
-    """Hear whether all ranks are ready for the first step.
+    """Check that all ranks are ready for the first step.
 
     Args:
-        team: All take part.
-        error: Why this one is not.
+        team: Process group; all ranks must call this.
+        error: Failure of this rank; None: ready.
 
     Raises:
-        DatasetError: rank 0 is ready, and the first other that is not is named.
+        DatasetError: another rank failed; names the first one.
         Exception: `error`.
     """
-    told = _told(team, {"error": "" if error is None else str(error) or type(error).__name__})
+    all_facts = _all_facts(
+        team, {"error": "" if error is None else str(error) or type(error).__name__}
+    )
     if error is not None:
         team.told = True
         raise error
-    for rank, other in enumerate(told):
+    for rank, other in enumerate(all_facts):
         if other["error"]:
             team.told = True
             raise DatasetError(f"{_name(team, rank)}: {other['error']}")
 
 
 def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
-    """A number that changes with any bit of them."""
+    """CRC-32 of all tensors."""
     found = 0
     for name in sorted(tensors):
         data = tensors[name].detach().contiguous()
@@ -75,7 +77,7 @@ def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
     return found
 
 
-def _told(team: ProcessGroup, mine: dict[str, Any]) -> list[dict[str, Any]]:
+def _all_facts(team: ProcessGroup, mine: dict[str, Any]) -> list[dict[str, Any]]:
     return [parse_json(found) for found in team.texts(json.dumps(mine, default=str))]
 
 

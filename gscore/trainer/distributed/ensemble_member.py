@@ -12,23 +12,23 @@ from .batch_gradients import BatchGradients, gathered_of
 from .process_group import ProcessGroup
 
 _PLACE = re.compile(r"([1-9])/")
-"""What the names of all models but the first begin with in a checkpoint."""
+"""Prefix of the names of all models but the first in a checkpoint."""
 
 
 class EnsembleMember:
-    """A model with what is kept for its steps. Where there is one, it is all that is trained."""
+    """One model of an ensemble with the state of its steps; a single model is a sole member."""
 
     def __init__(self, place: int, model: Model, team: ProcessGroup | None) -> None:
-        """`place` is its place among those trained side by side; `team` takes its steps."""
+        """`place` is its index in the ensemble, from 0; `team` is the process group."""
         self.place = place
         self.model = model
         self.batch = BatchGradients(team) if team else None
-        """The gradients of a batch; None: one process trains alone."""
+        """Gradients of a batch; None: one process."""
         self.pruned = 0
-        """Splats taken out so far because there were to be fewer."""
+        """Splats removed so far for their low contribution."""
 
     def of(self, stored: Mapping[str, Any]) -> dict[str, Any]:
-        """What is this member's of the tensors, or of the state, of a checkpoint."""
+        """This member's entries of the tensors, or of the state, of a checkpoint."""
         if self.place == 0:
             return {key: value for key, value in stored.items() if _PLACE.match(key) is None}
         name = self._name("")
@@ -36,7 +36,7 @@ class EnsembleMember:
         return {key.removeprefix(name): value for key, value in found.items()}
 
     def state(self) -> dict[str, Any]:
-        """What is not a tensor, as JSON values."""
+        """State other than tensors, as JSON values."""
         model = self.model
         found = {
             "adam_steps": {name: model.steps(name) for name in model.params},
@@ -56,7 +56,7 @@ class EnsembleMember:
         return {self._name(key): tensor for key, tensor in out.items()}
 
     def check(self, tensors: Mapping[str, torch.Tensor], like: Model) -> None:
-        """ValueError or KeyError unless those of a checkpoint fit each other and `like`."""
+        """ValueError or KeyError unless its tensors in a checkpoint fit each other and `like`."""
         check_tensors(self.of(tensors), like)
 
     def restore(
@@ -67,11 +67,11 @@ class EnsembleMember:
         rank: int = 0,
         size: int = 1,
     ) -> None:
-        """Go on from what `state` and `tensors` of a checkpoint hold of it, as one of `size` ranks;
-        the tensors are taken over.
+        """Restore this member from `state` and `tensors` of a checkpoint, as one of `size` ranks;
+        takes ownership of the tensors.
 
         Raises:
-            ValueError, KeyError: they are not what those return.
+            ValueError, KeyError: `state` or `tensors` are invalid.
         """
         mine, stated = self.of(tensors), self.of(state)
         steps = stated["adam_steps"]
@@ -98,5 +98,5 @@ class EnsembleMember:
 
 
 def count_members(tensors: Mapping[str, Any]) -> int:
-    """How many models the tensors of a checkpoint are of."""
+    """Number of models in the tensors of a checkpoint."""
     return 1 + max((int(found[1]) for key in tensors if (found := _PLACE.match(key))), default=0)

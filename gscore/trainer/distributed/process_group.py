@@ -1,7 +1,7 @@
 """Process group of one training, started by torchrun: the only module that communicates.
 
-What is said are numbers and JSON, never objects. A process that is gone is noticed by its closed
-connection; how long one may take is left to the user, as a pause is.
+Messages are numbers and JSON, never pickled objects. A lost process is detected by its closed
+connection; there is no timeout between steps, because rank 0 may be paused.
 """
 
 import json
@@ -28,13 +28,13 @@ from .scratch_buffer import ScratchBuffer
 _PATIENCE = timedelta(days=7)
 """Rank 0 may be paused, or measure, while the others wait."""
 _MEETING = timedelta(minutes=10)
-"""For ranks to meet: those of a start come together, and who does not come has failed."""
+"""Timeout of the rendezvous at the start, after which a missing rank has failed."""
 _DTYPES = {
     str(dtype): dtype
     for dtype in (torch.float32, torch.float64, torch.int64, torch.int32, torch.uint8)
 }
 _LETTER = 120
-"""Bytes that go with their number; orders of a step are shorter, so ranks meet once for them."""
+"""Bytes sent along with the length; step commands are shorter, so they need one broadcast."""
 _WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
 _ENDED = "gscore ended"
 _RESTARTS = "TORCHELASTIC_RESTART_COUNT"
@@ -46,21 +46,21 @@ class RankLostError(GsError):
 
 
 def world_size() -> int:
-    """How many processes train together: what torchrun says in the environment; 1: this one alone.
+    """Number of processes of the training, from torchrun's environment variables; 1 without them.
 
     Raises:
-        ConfigError: it says something else than numbers.
+        ConfigError: a variable is not a number.
     """
     return _number(_WORLD, 1) if _RANK in os.environ else 1
 
 
 def restarted() -> bool:
-    """Whether torchrun started this again because a process was lost."""
+    """Whether torchrun restarted this process because another one was lost."""
     return world_size() >= 1 and _number(_RESTARTS, 0) > 0
 
 
 def threads_of_rank(cores: int) -> int:
-    """CPU threads for each of the processes of this machine, which has so many cores."""
+    """CPU threads for each process of this machine with `cores` cores."""
     return max(1, cores // _number(_LOCAL, 1))
 
 
@@ -72,44 +72,44 @@ def _number(name: str, default: int) -> int:
 
 
 class ProcessGroup:
-    """All ranks of a training, as one of them sees them. A context: at its end they part."""
+    """All ranks of a training, from the view of one. A context that leaves the group at its end."""
 
     def __init__(self) -> None:
-        """Meet the others.
+        """Join the group.
 
         Raises:
-            ConfigError: the environment says something else than numbers.
-            GsError: they cannot be reached.
+            ConfigError: an environment variable is not a number.
+            GsError: the other ranks cannot be reached.
         """
         import torch.distributed as dist
 
         self.rank = _number(_RANK, 0)
         """Number of this process, from 0."""
         self.size = world_size()
-        """How many there are."""
+        """Number of processes."""
         self.sent = 0
         """Bytes of rows that this process has sent to others."""
         self._waited = 0.0
         self.batches = 0
-        """Steps that this process has taken with the others."""
+        """Steps that this process has completed with the others."""
         self.account = (0.0, 0.0, 0.0)
-        """What this process did in all steps but one that is under way: bytes it has sent, seconds
-        it has worked, and seconds it has sent and waited for others."""
+        """Totals of this process over completed steps: bytes sent, seconds of work, and seconds of
+        communication and waiting."""
         self.accounts = np.zeros((self.size, 3))
         """[size, 3] `account` of each rank, before the last step."""
         self.in_step = False
-        """Whether the others may be waiting for numbers of this one."""
+        """Whether the others may be waiting for data of this rank."""
         self.told = False
-        """Whether the others know that nothing follows."""
+        """Whether the others have been notified of the end."""
         self._dist = dist
         try:
             # torch documents both names, but does not list them as exported.
             meeting = dist.rendezvous("env://", timeout=_MEETING)  # pyright: ignore[reportPrivateImportUsage]
             self._kept = store = next(meeting)[0]
             self.ended = store.check([_ENDED])
-            """Whether the work was ended before torchrun started this again: a rank was lost on
-            its way out."""
-            # torchrun keeps the addresses of ranks that died; each start has a room of its own.
+            """Whether the work was complete before torchrun restarted: a rank was lost while it
+            exited."""
+            # torchrun keeps the addresses of dead ranks, so each restart uses its own prefix.
             room = f"gscore {_number(_RESTARTS, 0)}"
             store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
             self._store = store
@@ -140,12 +140,12 @@ class ProcessGroup:
 
     @property
     def is_rank0(self) -> bool:
-        """Whether this is rank 0, which decides, writes and tells."""
+        """Whether this is rank 0, which decides, writes files and emits events."""
         return self.rank == 0
 
     @contextmanager
     def stepping(self) -> Iterator[None]:
-        """A piece of work in which all ranks wait for each other."""
+        """Context of a step, in which all ranks wait for each other."""
         self.in_step = True
         sent, waited, began = self.sent, self._waited, time.perf_counter()
         yield
@@ -157,30 +157,30 @@ class ProcessGroup:
         self.account = (before[0] + self.sent - sent, before[1] + worked, before[2] + waited)
 
     def take_turn(self) -> int:
-        """A number that no other rank gets: 0, 1 and so on, in the order in which ranks ask.
+        """A number unique among ranks: 0, 1 and so on, in the order of the calls.
 
         Raises:
-            RankLostError: nobody counts any more.
+            RankLostError: the shared counter is gone.
         """
         return self._together(lambda: self._store.add("turn", 1)) - 1
 
     def note_end(self) -> None:
-        """Let those that torchrun may start again know that nothing is left to do."""
+        """Record for restarted processes that the work is complete."""
         self._together(lambda: self._kept.set(_ENDED, "1"))
 
     def broadcast(self, order: Mapping[str, Any]) -> None:
-        """Rank 0 tells the others what comes next, as JSON values; of others, nothing is done."""
+        """Send a command from rank 0 to the others, as JSON values; no effect on other ranks."""
         if self.is_rank0:
             self._broadcast(json.dumps(order).encode())
 
     def shutdown(self, *, failed: bool = False) -> None:
-        """Rank 0 tells the others that it needs them no more, if they do not know that."""
+        """Send the end command from rank 0, unless the others have been notified."""
         if not (self.told or self.in_step):
             self.told = True
             self.broadcast(rank_commands.end(failed=failed))
 
     def receive(self) -> dict[str, Any]:
-        """What rank 0 said; the others wait for it."""
+        """Wait for a command of rank 0."""
         return parse_json(self._broadcast(b""))
 
     def all_gather(self, mine: Sequence[float]) -> np.ndarray:
@@ -198,8 +198,8 @@ class ProcessGroup:
     def rows(
         self, mine: Tensor, room: ScratchBuffer, *, told: np.ndarray | None = None
     ) -> list[Tensor]:
-        """The rows of each rank: `mine` is [M, K] int32, M may differ. Those of others lie in
-        `room`; `told` as in `swap`."""
+        """The rows of each rank: `mine` is [M, K] int32, M may differ. Rows of others are stored
+        in `room`; `told` as in `all_to_all`."""
         others = [0 if rank == self.rank else 1 for rank in range(self.size)]
         copies = mine if self.size == 2 else mine.repeat(self.size - 1, 1)
         found = self.all_to_all(copies, [len(mine) * other for other in others], room, told=told)
@@ -213,10 +213,10 @@ class ProcessGroup:
         *,
         told: np.ndarray | None = None,
     ) -> list[Tensor]:
-        """Give rank r its `sizes[r]` rows of `mine`, [M, K] int32, those of rank 0 first; what each
-        rank gave to this one, in `room`.
+        """Send `sizes[r]` rows of `mine`, [M, K] int32, to each rank r, in the order of the ranks;
+        returns the rows received from each rank, stored in `room`.
 
-        `told`: [size, size] `sizes` of each rank, where they know them; None: they are asked.
+        `told`: [size, size] `sizes` of each rank, if known; None: they are exchanged first.
         """
         told = self.all_gather(sizes) if told is None else told
         counts = told[:, self.rank].astype(int).tolist()
@@ -226,14 +226,14 @@ class ProcessGroup:
         return list(found.split(counts))
 
     def to_first(self, mine: Tensor) -> list[Tensor]:
-        """On rank 0 the tensors of the others, as large as its own; on these, nothing."""
+        """Gather on rank 0: the tensors of the others, shaped as its own; empty on other ranks."""
         found = [torch.empty_like(mine) for _ in range(self.size)] if self.is_rank0 else None
         if mine.numel():
             self._together(lambda: self._dist.gather(mine.contiguous(), found, dst=0))
         return found[1:] if found else []
 
     def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
-        """The tensors of rank 0 by name; the others give None."""
+        """Broadcast the tensors of rank 0 by name; other ranks pass None."""
         if tensors is not None:
             tensors = {name: t.contiguous() for name, t in tensors.items()}
             head = {name: [str(t.dtype), list(t.shape)] for name, t in tensors.items()}
@@ -253,7 +253,7 @@ class ProcessGroup:
         return found
 
     def _broadcast(self, data: bytes) -> bytes:
-        """What rank 0 gives to all: its length and first bytes at once, then what is left."""
+        """Broadcast bytes of rank 0: first the length and the first bytes, then the rest."""
         letter = bytearray(struct.pack("<q", len(data)) + data[:_LETTER]).ljust(8 + _LETTER)
         first = torch.frombuffer(letter, dtype=torch.uint8)
         self._together(lambda: self._dist.broadcast(first, src=0))
@@ -265,10 +265,10 @@ class ProcessGroup:
         return bytes(letter[8 : 8 + length] + rest)
 
     def _together(self, call: Callable[[], _Found]) -> _Found:
-        """What `call` returns once the others have done their part.
+        """Result of `call`, a collective operation.
 
         Raises:
-            RankLostError: the others cannot be heard any more.
+            RankLostError: another rank is gone.
         """
         began = time.perf_counter()
         try:

@@ -7,25 +7,25 @@ COLLECT = "collect"
 
 
 def begin(facts: dict[str, Any], config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
-    """Read the photos and make a trainer with these options, for a run that begins like this."""
+    """Read the photos and create a trainer with these options, for a run with these facts."""
     return {"do": BEGIN, "facts": facts, "config": config, "data": data}
 
 
 def take_step(iterations: int, rate_factor: float) -> dict[str, Any]:
-    """A step of a run of this length, all learning rates multiplied."""
+    """Run a step of a run of this length, with all learning rates scaled."""
     return {"do": STEP, "iterations": iterations, "rate_factor": rate_factor}
 
 
 def restore(state: dict[str, Any]) -> dict[str, Any]:
-    """Go on from the state of a trainer, whose tensors follow."""
+    """Restore the state of a trainer, whose tensors follow."""
     return {"do": RESTORE, "state": state}
 
 
 def collect() -> dict[str, Any]:
-    """Give rank 0 what it needs for a checkpoint."""
+    """Send rank 0 the state that a checkpoint needs."""
     return {"do": COLLECT}
 
 
 def end(*, failed: bool) -> dict[str, Any]:
-    """Nothing is left to do, or rank 0 cannot go on and has said why."""
+    """End: the run is complete, or rank 0 failed and reported the error."""
     return {"do": END, "failed": failed}

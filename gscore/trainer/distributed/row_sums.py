@@ -1,8 +1,8 @@
 """Row sums over ranks: sparse rows added in the order of the ranks.
 
-Row i belongs to rank i modulo the number of ranks: it adds up what the ranks found for it, first
-that of rank 0, so that the same ranks give the same bits, and gives the sum to all. Two ranks just
-give each other all they have, which is no more. Rows that no rank has are not sent.
+Row i belongs to rank i modulo the number of ranks: that rank adds the values of all ranks, starting
+with rank 0, so that the same ranks give the same bits, and sends the sum to all. Two ranks exchange
+all their rows instead, which is no more traffic. Rows that no rank has are not sent.
 """
 
 from collections.abc import Sequence
@@ -22,13 +22,13 @@ class SortedRows(NamedTuple):
     """Rows of a rank."""
 
     rows: Tensor
-    """[M] int64; for more than two ranks, first those that rank 0 adds up."""
+    """[M] int64; for more than two ranks, sorted by the rank that adds them."""
     sizes: list[int]
-    """How many each rank is given."""
+    """Number of rows sent to each rank."""
 
 
 class RowSums:
-    """Adds up rows of large tables of which every rank has some; keeps its memory between calls."""
+    """Sums of sparse rows of large tables over ranks; keeps its memory between calls."""
 
     def __init__(self, team: ProcessGroup) -> None:
         self._team = team
@@ -37,7 +37,7 @@ class RowSums:
         )
 
     def sorted(self, rows: Tensor) -> "SortedRows":
-        """The rows that this rank has, [M] int64, none twice, by those who add them up."""
+        """Sort this rank's rows, [M] int64 and unique, by the rank that adds them."""
         rank, size = self._team.rank, self._team.size
         if size == 2:
             return SortedRows(rows, [0 if other == rank else len(rows) for other in range(size)])
@@ -53,19 +53,18 @@ class RowSums:
         told: np.ndarray | None = None,
         threads: int = 0,
     ) -> list[Tensor]:
-        """Add up with all others.
+        """Sum the rows over all ranks.
 
         Args:
-            mine: Which rows this rank has.
-            tables: K numbers a row in all; those with a divisor are divided by it first.
-            told: [size, size] `sizes` of what each rank has, where all know them already; None:
-                the ranks meet for it.
+            mine: Rows of this rank.
+            tables: K numbers per row in total; tables with a divisor are divided by it first.
+            told: [size, size] `sizes` of each rank, if known; None: the ranks exchange them.
             threads: 0: all cores.
 
         Returns:
-            Pieces, [R, 1 + K] int32, of rows that some rank has, as `raster.packing.unpack_rows`
-            takes them: added up one after the other they are the sums. Equal on all ranks, and good
-            until the next call.
+            Parts, [R, 1 + K] int32, of rows that some rank has, in the format of
+            `raster.packing.unpack_rows`: added in order they are the sums. Equal on all ranks, and
+            valid until the next call.
         """
         team, size = self._team, self._team.size
         width = 1 + widths_of([table.data for table in tables])
@@ -75,7 +74,7 @@ class RowSums:
             return team.rows(packed, self._given, told=told)
         given = team.all_to_all(packed, mine.sizes, self._given, told=told)
         places = [part[:, 0] // size for part in given]
-        # Rows need not ascend: the largest may stand anywhere.
+        # Rows need not be sorted.
         count = max((int(at.max()) + 1 for at in places if len(at)), default=0)
         sums = self._sums.of(count, width - 1).view(torch.float32).zero_()
         had = zeros(count, dtype=torch.bool)

@@ -16,22 +16,22 @@ from .consistency import check_ready
 from .process_group import ProcessGroup, restarted
 
 _PATIENCE = 10.0
-"""Seconds after which a file that another machine wrote is not there: network folders lag."""
+"""Seconds to wait for a file that another machine wrote: network folders lag."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkQueue:
-    """Where a team works, and for whom."""
+    """Shared job queue of a process group."""
 
     team: ProcessGroup
     output: Path
     """A folder that all ranks reach."""
     agent: str
-    """Of the torchrun that starts the team again where a process is lost."""
+    """Identifier of the torchrun that restarts lost processes."""
 
     @property
     def has_started(self) -> bool:
-        """Whether this torchrun has begun the work and not ended it, so that it is gone on with."""
+        """Whether this torchrun began the work and did not complete it, so that it is resumed."""
         return restarted() and _is_of(self.output, self.agent)
 
     def work(
@@ -42,20 +42,19 @@ class WorkQueue:
         resume: bool,
         close: Callable[[], None] = lambda: None,
     ) -> str:
-        """Do what this rank gets of it, and hear how the others ended.
+        """Run jobs on this rank until none are left, and wait for the other ranks.
 
-        A rank whose piece fails takes no other; the others go on until nothing is left.
+        A rank whose job fails takes no further job; the others continue.
 
         Args:
-            count: Pieces there are.
-            work: Does the pieces of an iterator, numbers from 0, which goes on only where it is
-                asked to; gets too what rank 0 says of going on. Returns `finished`, or why it was
-                stopped.
-            resume: On rank 0: whether what lies in the folder is gone on with.
+            count: Number of jobs.
+            work: Runs the jobs of a lazy iterator of numbers from 0; its second argument is rank
+                0's `resume`. Returns `finished`, or the reason of a stop.
+            resume: On rank 0: whether to resume the results in the folder.
             close: Called on every rank once no rank writes any more.
 
         Returns:
-            `finished`, or why the first rank that was stopped was.
+            `finished`, or the reason of the first stopped rank.
 
         Raises:
             GsError: this rank's error, that of rank 0, or on rank 0 that of another, with its name.
@@ -77,10 +76,10 @@ class WorkQueue:
             except GsError as error:
                 failure = failure or error
             check_ready(team, failure)
-            if team.is_rank0 and all(told == FINISHED for told in reasons):
+            if team.is_rank0 and all(each == FINISHED for each in reasons):
                 team.note_end()
             keep.ended = True
-        return next((told for told in reasons if told != FINISHED), FINISHED)
+        return next((each for each in reasons if each != FINISHED), FINISHED)
 
     def _turns(self, count: int) -> Iterator[int]:
         while (turn := self.team.take_turn()) < count:
@@ -88,7 +87,7 @@ class WorkQueue:
 
     @contextmanager
     def _kept(self) -> Iterator["_Keep"]:
-        """Say in the folder whose work it is, until that has ended or left nothing."""
+        """Keep the torchrun identifier in the folder until the work has ended or left no files."""
         keep, failure = _Keep(), None
         try:
             if self.team.is_rank0:
@@ -106,7 +105,7 @@ class WorkQueue:
                     self.output.rmdir()  # only an empty folder can be removed
 
     def _check_seen(self) -> None:
-        """Raise ConfigError unless all have the folder of rank 0; it is named who has not."""
+        """Raise ConfigError naming a rank that does not see the folder of rank 0."""
         agents, failure = self.team.texts(self.agent), None
         if not self._appears(agents[0]):
             failure = ConfigError(

@@ -7,21 +7,21 @@ from ..depth.targets import DepthTargets
 
 
 class GuideLoss:
-    """The depth loss of a guide, at one weight from the first step to the last.
+    """Depth loss of a surface mesh, with a constant weight.
 
-    It counts on both sides of the surface. A loss that left alone what is nearer, as it may stand
-    before the mesh, was tried: splats close to cameras then make up for what is missing behind
-    them, and nothing pulls them back.
+    It acts on both sides of the surface. A loss without a term for splats in front of the mesh was
+    tried: splats close to cameras then compensate for missing opacity behind them, and no gradient
+    pulls them back.
     """
 
     def __init__(self, targets: DepthTargets, *, weight: float, scale: float) -> None:
-        """`scale`: training units a world unit."""
+        """`scale`: training units per world unit."""
         self.targets = targets
         self._weight = weight
         self._unit = targets.unit / scale
 
     def weight(self, index: int) -> float:
-        """What the loss of view `index` is multiplied by; 0: no inverse depth is needed."""
+        """Weight of the loss of view `index`; 0: no inverse depth is needed."""
         return self._weight if index in self.targets else 0.0
 
     def __call__(

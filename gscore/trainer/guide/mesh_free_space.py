@@ -11,27 +11,27 @@ from ...transforms import Similarity
 from .mesh_views import MeshView
 
 _SIDE = 400
-"""Cells along the longer side of a photo in which it is looked up where a mesh begins."""
+"""Cells of the depth grid along the longer side of a photo."""
 _MARGIN = 0.05
-"""Share of the depth of a mesh, before it, that still counts as its surface."""
+"""Share of the mesh depth, in front of the mesh, that still counts as its surface."""
 
 
 class _View(NamedTuple):
-    """Where a mesh begins before one camera, training world."""
+    """Depth grid of a mesh in one camera, training frame."""
 
     projection: torch.Tensor
     """[3, 4] float32, K times the upper rows of the view matrix, in cells."""
     begins: torch.Tensor
-    """[H', W'] float32, depth from which on something may stand; 0: from the camera on."""
+    """[H', W'] float32, depth at which the free space ends; 0: no free space."""
 
 
 class MeshFreeSpace:
-    """The space between training cameras and a mesh, training world."""
+    """Free space between training cameras and a mesh, training frame."""
 
     def __init__(
         self, views: Sequence[MeshView | None], cameras: Cameras, similarity: Similarity
     ) -> None:
-        """Of `views`, by index of `cameras` [C], both in the world of the capture."""
+        """`views`, by index of `cameras` [C], and the cameras are in COLMAP world."""
         moved = similarity.cameras_to_training(cameras)
         self._views = [
             _of_view(view.inverse_depth, moved.Ks[i] @ moved.viewmats[i, :3], similarity.scale)
@@ -40,7 +40,7 @@ class MeshFreeSpace:
         ]
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: which of `means` [N, 3] lie in it, as seen from at least one camera."""
+        """[N] bool: the `means` [N, 3] in the free space of at least one camera."""
         inside = means.new_zeros(len(means), dtype=torch.bool)
         for view in self._views:
             inside |= _before(view, means)
@@ -48,8 +48,8 @@ class MeshFreeSpace:
 
 
 def _of_view(inverse_depth: np.ndarray, projection: np.ndarray, scale: float) -> _View:
-    """A view [H, W] in cells: each is free up to the nearest that the mesh comes in it and around
-    it, where the mesh covers all of that."""
+    """Depth grid of a view [H, W]: a cell is free up to the nearest mesh depth in it and its eight
+    neighbours, if the mesh covers all of them."""
     cell = -(-max(inverse_depth.shape) // _SIDE)
     rows, columns = (-(-side // cell) for side in inverse_depth.shape)
     padded = np.zeros((rows * cell, columns * cell), np.float32)
@@ -67,7 +67,7 @@ def _of_view(inverse_depth: np.ndarray, projection: np.ndarray, scale: float) ->
 
 
 def _before(view: _View, means: torch.Tensor) -> torch.Tensor:
-    """[N] bool: which of `means` [N, 3] lie before the mesh of a view."""
+    """[N] bool: the `means` [N, 3] in front of the mesh of a view."""
     x, y, z = torch.addmm(view.projection[:, 3], means, view.projection[:, :3].T).T
     height, width = view.begins.shape
     u, v = x / z, y / z

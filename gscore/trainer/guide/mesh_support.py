@@ -10,19 +10,19 @@ from ...datasets.tracks import tracks_of
 from .mesh_views import MeshView
 
 ON_MESH = 0.05
-"""Relative difference of depth up to which a point lies on a mesh."""
+"""Relative depth difference up to which a point counts as on the mesh."""
 FEW = 50
-"""MeshSightings of points below which nothing is said of them."""
+"""Fewest observations for a statement on the mesh."""
 _JUDGES, _REACH = 3, 0.1
-"""A pixel is judged by so many sightings at most, those nearest to it in the photo and within this
-share of its longer side."""
+"""Most observations that weight a pixel, and their largest distance in the photo as a share of its
+longer side."""
 _COLUMNS = 400
-"""Of the grid on which pixels are judged."""
+"""Columns of the grid on which weights are computed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSupport:
-    """The points that one photo saw where it sees the mesh."""
+    """Observations of SfM points in one photo where it shows the mesh."""
 
     pixels: np.ndarray
     """[M, 2] float64."""
@@ -31,13 +31,13 @@ class MeshSupport:
 
     @property
     def on(self) -> np.ndarray:
-        """[M] bool: which lie on the mesh."""
+        """[M] bool: the observations on the mesh."""
         return np.abs(self.ratios - 1) <= ON_MESH
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSupportTotals:
-    """How many sightings in all photos lie where."""
+    """Counts of observations in all photos: on, in front of and behind the mesh."""
 
     on: int
     before: int
@@ -45,7 +45,7 @@ class MeshSupportTotals:
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Number of observations."""
         return self.on + self.before + self.behind
 
     def __str__(self) -> str:
@@ -61,10 +61,10 @@ class MeshSupportTotals:
 def measure_mesh_support(
     views: Sequence[MeshView | None], photos: Dataset
 ) -> list[MeshSupport | None]:
-    """Compare a mesh with the points that each photo saw, by index of the view.
+    """Compare a mesh with the points observed in each photo, by index of the view.
 
-    None where a photo does not see the mesh, and throughout where the capture does not say which
-    points its photos saw: others may be hidden by the mesh.
+    None where a photo does not show the mesh, and for all photos of a capture without tracks:
+    points without an observation may be hidden by the mesh.
     """
     known, cameras = tracks_of(photos), photos.scene.cameras
     found: list[MeshSupport | None] = [None] * len(views)
@@ -84,7 +84,7 @@ def measure_mesh_support(
 
 
 def total_support(found: Sequence[MeshSupport | None]) -> MeshSupportTotals:
-    """Of all photos together."""
+    """Totals over all photos."""
     known = [one for one in found if one is not None]
     ratios = np.concatenate([one.ratios for one in known]) if known else np.zeros(0)
     return MeshSupportTotals(
@@ -97,15 +97,15 @@ def total_support(found: Sequence[MeshSupport | None]) -> MeshSupportTotals:
 def weighted_views(
     views: Sequence[MeshView | None], found: Sequence[MeshSupport | None]
 ) -> list[MeshView | None]:
-    """The views, trusted as far as sightings have it: a pixel counts by the share of those around
-    it that lie on the mesh.
+    """The views with their confidence weighted by the support of the mesh: the share of the
+    observations around a pixel that are on the mesh.
 
-    What stands before a mesh, and what is seen through it, is known by its points, so that a floor
-    needs no hole where a vase stands on it. Where there are none a mesh counts by how seldom it
-    hides points in all photos together, so that one in the wrong place does less harm.
+    Objects in front of a mesh or visible through it are known by their points, so a floor mesh
+    needs no hole where a vase is on it. Without observations nearby, the weight is the share of
+    points that the mesh does not hide in all photos, so that a misplaced mesh does less harm.
     """
-    said = total_support(found)
-    elsewhere = said.on / (said.on + said.behind) if said.on + said.behind >= FEW else 1.0
+    total = total_support(found)
+    elsewhere = total.on / (total.on + total.behind) if total.on + total.behind >= FEW else 1.0
     out: list[MeshView | None] = []
     for view, one in zip(views, found, strict=True):
         if view is not None and one is not None:
@@ -116,8 +116,8 @@ def weighted_views(
 
 
 def _shares(shape: tuple[int, ...], found: MeshSupport, elsewhere: float) -> np.ndarray:
-    """[H, W] float32: of the sightings that judge a pixel, the share that lies on the mesh, and
-    `elsewhere` without any."""
+    """[H, W] float32: share of the observations near a pixel that are on the mesh; `elsewhere`
+    without any."""
     from scipy.spatial import KDTree
 
     if len(found.ratios) == 0:
@@ -133,7 +133,7 @@ def _shares(shape: tuple[int, ...], found: MeshSupport, elsewhere: float) -> np.
     )
     near = np.isfinite(distances).reshape(-1, count)
     on = np.append(found.on, False)[at].reshape(-1, count) & near
-    heard = near.sum(axis=1)
-    share = np.where(heard > 0, on.sum(axis=1) / np.maximum(heard, 1), elsewhere)
+    observed = near.sum(axis=1)
+    share = np.where(observed > 0, on.sum(axis=1) / np.maximum(observed, 1), elsewhere)
     grid = share.astype(np.float32).reshape(v.shape).repeat(step, axis=0).repeat(step, axis=1)
     return grid[:height, :width]

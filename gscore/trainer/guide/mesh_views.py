@@ -12,20 +12,20 @@ from ...io.mesh.triangles import TriangleMesh
 from ...raster.mesh import mesh_depth
 
 _BEND = 0.02
-"""Bend of inverse depth from pixel to pixel, relative to it, at which a pixel counts half: folds of
-a surface are less, its outlines before something else of the mesh more."""
+"""Relative second difference of inverse depth between pixels at which the confidence is one half:
+folds of a surface are below it, silhouettes in front of other parts of the mesh above it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshView:
-    """A mesh as one photo sees it; a prior as `DepthTargets` takes them."""
+    """Inverse depth of a mesh in one photo; a prior for `DepthTargets`."""
 
     inverse_depth: np.ndarray
-    """[H, W] float32, 1/world unit; 0 where the mesh is not."""
+    """[H, W] float32, 1/world unit; 0 without mesh."""
     confidence: np.ndarray
-    """[H, W] float32 in [0, 1]; 0 where the mesh is not, at its outline and where masks hide."""
+    """[H, W] float32 in [0, 1]; 0 without mesh, at silhouettes and in masked pixels."""
     aligned: bool = True
-    """It has the scale of the capture."""
+    """Whether it has the scale of the capture."""
 
 
 def mesh_views(
@@ -35,14 +35,14 @@ def mesh_views(
     threads: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[MeshView | None]:
-    """What each photo sees of a mesh, at training resolution, by index of the view.
+    """Views of a mesh at training resolution, by index of the view.
 
-    Held-out views, and those that see nothing of it, are None.
+    Held-out views, and views that do not show the mesh, are None.
 
     Args:
-        mesh: In the world of the capture.
+        mesh: Mesh in COLMAP world.
         photos: The capture.
-        threads: Views taken at once; 0: as many as there are cores.
+        threads: Views processed in parallel; 0: one per core.
         on_progress: Called with (done, total) after each training view; may raise to stop.
     """
     cameras, train = photos.scene.cameras, list(photos.train)

@@ -26,24 +26,24 @@ from .mesh_support import (
 from .mesh_views import MeshView, mesh_views
 
 _BEHIND = 0.3
-"""Share of the points seen that a mesh would hide, from which on it is told that it may be wrong:
-a tenth is what outliers and rough proxies come to."""
+"""Share of observed points that a mesh would hide above which a warning is given: outliers and
+rough proxies reach a tenth."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GuideSetup:
-    """The guides of a run."""
+    """Guide meshes of a run."""
 
     surface: DepthTargets | None = None
-    """Depths of the mesh on which splats lie; None: there is none."""
+    """Depth targets of the surface mesh; None: no surface mesh."""
     free: Sequence[MeshView | None] = ()
-    """Views of the mesh before which nothing stands; empty: there is none."""
+    """Views of the free-space mesh; empty: no free-space mesh."""
     digest: str = ""
-    """Changes with any of the meshes; empty: there are none."""
+    """Hash of the meshes; empty: none."""
     why: str = ""
-    """Sentences on what the meshes are seen to be."""
+    """Messages on the coverage and the support of the meshes."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Warnings for the user."""
 
 
 def prepare_guide(
@@ -52,11 +52,11 @@ def prepare_guide(
     *,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> GuideSetup:
-    """Read the meshes that `config` names and look at them from the training photos.
+    """Read the meshes of `config` and render them in the training photos.
 
     Raises:
-        DatasetError, FormatError: a file is missing or holds no mesh.
-        ConfigError: no training photo sees a mesh.
+        DatasetError, FormatError: a file is missing or contains no mesh.
+        ConfigError: no training photo shows a mesh.
     """
     found: dict[str, Sequence[MeshView | None]] = {}
     digest, words, warnings = hashlib.sha256(), [], []
@@ -71,9 +71,9 @@ def prepare_guide(
         if not any(view is not None for view in views):
             raise ConfigError(_unseen(path, mesh, photos))
         sightings = measure_mesh_support(views, photos)
-        said = total_support(sightings)
-        words.append(_words(role, path, views, said))
-        warnings += _doubts(path, said)
+        support = total_support(sightings)
+        words.append(_words(role, path, views, support))
+        warnings += _doubts(path, support)
         found[role] = weighted_views(views, sightings) if role == "surface" else views
     if not found:
         return GuideSetup()
@@ -90,30 +90,33 @@ def prepare_guide(
     )
 
 
-def _words(role: str, path: Path, views: Sequence[MeshView | None], said: MeshSupportTotals) -> str:
+def _words(
+    role: str, path: Path, views: Sequence[MeshView | None], support: MeshSupportTotals
+) -> str:
     seen = [view for view in views if view is not None]
     pixels = sum(view.inverse_depth.size for view in seen)
     covered = sum(int((view.inverse_depth > 0).sum()) for view in seen)
     what = "Splats are to lie on" if role == "surface" else "Nothing is to stand before"
     return (
         f"{what} {path.name}, which {count_words(len(seen), 'training photo')} see in "
-        f"{covered / pixels:.0%} of their pixels; {said}."
+        f"{covered / pixels:.0%} of their pixels; {support}."
     )
 
 
-def _doubts(path: Path, said: MeshSupportTotals) -> list[str]:
-    """A sentence where points say that a mesh is not where it stands."""
-    if said.total < FEW or said.behind <= _BEHIND * said.total:
+def _doubts(path: Path, support: MeshSupportTotals) -> list[str]:
+    """A warning where the points contradict the place of a mesh."""
+    if support.total < FEW or support.behind <= _BEHIND * support.total:
         return []
+    hidden = f"{support.behind / support.total:.0%}"
     return [
-        f"{path} stands before {said.behind / said.total:.0%} of the points that photos see where "
+        f"{path} stands before {hidden} of the points that photos see where "
         "it is, and would hide them. It may be in the wrong place or of the wrong size: it must be "
         "in the world of the capture, in its unit."
     ]
 
 
 def _unseen(path: Path, mesh: TriangleMesh, photos: Dataset) -> str:
-    """Why a mesh is no use, and where it and the cameras are."""
+    """Error text for a mesh that no photo shows, with the bounds of mesh and cameras."""
     corners = mesh.vertices[np.unique(mesh.triangles)]
     cameras = photos.scene.cameras
     z = [corners @ cameras.viewmats[i, 2, :3] + cameras.viewmats[i, 2, 3] for i in photos.train]
