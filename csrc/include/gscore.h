@@ -115,7 +115,7 @@ typedef struct gs_options {
                                 others; null, or NaN at a pixel: all are */
 } gs_options;
 
-/* Where gs_raster_forward writes. Pointers of outputs that were not asked for are ignored. */
+/* Outputs of gs_raster_forward. Pointers of outputs that were not requested are ignored. */
 typedef struct gs_image {
     float *rgb;           /* [H, W, 3], background included */
     float *alpha;         /* [H, W]; with an inverse depth or depth output the sum of weights, else 1 - transmittance: the
@@ -174,15 +174,15 @@ GS_API const char *gs_isas(void);
 GS_API const char *gs_isa(void);
 /* Use another one from now on (not while another thread rasterizes). GS_UNSUPPORTED if it is not available. */
 GS_API gs_status gs_set_isa(const char *name);
-/* Threads used where 0 is asked for: the environment variable GSCORE_THREADS as it was when first looked at, or where
+/* Threads used for an option of 0: the environment variable GSCORE_THREADS as it was when first read, or where
  * that is not set, empty or 0 the number of usable cores. Where it is set to anything but a whole number up to
  * GS_THREADS_MAX, this returns 0 with a message in gs_last_error(), and calls that ask for 0 threads are refused. */
 GS_API int32_t gs_default_threads(void);
 
-/* A workspace. Its buffers grow to what a call needs and are kept. */
+/* A workspace. Its buffers grow to the size that a call needs and are reused. */
 GS_API gs_status gs_raster_create(gs_raster **out);
 GS_API void gs_raster_destroy(gs_raster *raster);
-/* Draw. Keeps what gs_raster_backward needs until the next forward call. */
+/* Render. Keeps the state for gs_raster_backward until the next forward call. */
 GS_API gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
                                    const gs_options *options, const gs_image *image);
 /* Gradients of the last forward call; `splats` must hold the same values as then. GS_UNSUPPORTED after an orthographic
@@ -207,7 +207,7 @@ enum {
 /* loss = (1 - ssim_weight) * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y)), with x the image, y the target.
  * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel.
  * With a gain, x is the image times it: a neutral picture as the photo was exposed. Where the photo is white (255) such
- * a picture may be brighter than that: it counts as white there, and teaches nothing. */
+ * a picture may be brighter than that: it counts as white there, and receives no gradient. */
 typedef struct gs_loss_args {
     int32_t width, height;
     const float *image;    /* [H, W, 3] */
@@ -241,7 +241,7 @@ typedef struct gs_row_table {
     float *data;     /* [N, width] */
     int32_t width;   /* floats a row, 1 to GS_ROW_WIDTH_MAX */
     int32_t adds;    /* gs_unpack_rows adds to the rows that are there; 0: it replaces them */
-    float divisor;   /* what gs_pack_rows divides rows by, in the table too, before it copies them; not 0 */
+    float divisor;   /* gs_pack_rows divides rows by this, in the table too, before it copies them; not 0 */
 } gs_row_table;
 
 /* `packed` is [count, 1 + the widths of all tables], 4 bytes each. The first of each row is an int32 that says which row
@@ -312,8 +312,8 @@ GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats 
 /* Largest side of its photos, px. */
 #define GS_STEREO_SIDE_MAX 8192
 
-/* A point that the reference shows at pixel (x, y) with inverse depth d is seen by another camera at (u, v):
- * (u w, v w, w) = rotation (x, y, 1) + d translation, where it lies 1 / d * w in front of it. */
+/* Projection of pixel (x, y) of the reference, with inverse depth d, to (u, v) of another camera:
+ * (u w, v w, w) = rotation (x, y, 1) + d translation, with depth 1 / d * w there. */
 typedef struct gs_stereo_warp {
     float rotation[9];    /* K_other R K_reference^-1, row-major */
     float translation[3]; /* K_other t */
@@ -333,7 +333,7 @@ typedef struct gs_stereo_sweep_args {
     float farthest, nearest; /* inverse depths of the first and the last plane, 0 <= farthest < nearest */
     int32_t planes; /* GS_STEREO_PLANES_MIN to GS_STEREO_PLANES_MAX, evenly spaced in inverse depth */
     int32_t radius; /* windows are 2 radius + 1 px wide and high, 1 to GS_STEREO_RADIUS_MAX */
-    int32_t best;   /* 1 or 2: a plane's score is the mean over so many sources, those that agree best */
+    int32_t best;   /* 1 or 2: a plane's score is the mean over this number of sources, the best ones */
     float noise;    /* standard deviation of grey values that counts as noise: scores in flat windows sink */
     int32_t threads;
     const volatile int32_t *cancel; /* may be null; polled between bands of rows */
@@ -344,14 +344,14 @@ typedef struct gs_stereo_sweep_args {
 typedef struct gs_stereo_found {
     float *inverse_depth; /* [H, W], 1/world unit; between planes by a parabola */
     float *score;         /* [H, W] zero-mean normalised cross-correlation at the highest peak, up to 1 */
-    float *rival;         /* [H, W] that of the second highest peak, more than 2 planes away; -1 where there is none */
+    float *rival;         /* [H, W] score of the second best peak, more than 2 planes away; -1 where there is none */
     float *contrast;      /* [H, W] standard deviation of the grey values in the window */
 } gs_stereo_found;
 
 /* Numbers of the planes are floats in the order of the sweep, so results do not depend on threads. */
 GS_API gs_status gs_stereo_sweep(const gs_stereo_sweep_args *args, const gs_stereo_found *found);
 
-/* A view whose depth map judges that of the reference. */
+/* A neighbour view whose depth map is compared with that of the reference. */
 typedef struct gs_stereo_witness {
     int32_t width, height;
     const float *inverse_depth; /* [height, width]; 0: unknown */
@@ -364,14 +364,14 @@ typedef struct gs_stereo_check_args {
     const float *inverse_depth; /* [H, W] of the reference; 0: unknown */
     int32_t witness_count;      /* 0 to 255 */
     const gs_stereo_witness *witnesses;
-    float pixels;   /* a witness agrees where its own depth leads back to within so many pixels of the reference, */
+    float pixels;   /* a neighbour view agrees where its depth projects back to within `pixels` of the reference, */
     float relative; /* and to within this share of the reference's inverse depth */
-    float passed;   /* it contradicts where its own surface lies this share farther than the point it looks through */
+    float passed;   /* it contradicts where its own surface is this share farther than the projected point */
     int32_t threads;
 } gs_stereo_check_args;
 
-/* How many witnesses agree with each pixel of the reference, how many contradict it, and the mean inverse depth of the
- * reference and of those that agree. Pixels of unknown depth get 0. */
+/* Counts of neighbour views that agree with each pixel of the reference and that contradict it, and the mean inverse
+ * depth of the reference and of the views that agree. Pixels of unknown depth get 0. */
 GS_API gs_status gs_stereo_check(const gs_stereo_check_args *args, uint8_t *agree, uint8_t *contradict,
                                  float *inverse_depth);
 

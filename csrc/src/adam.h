@@ -5,9 +5,9 @@
 
 namespace gs {
 
-// Steps a row may be behind: what its counter, a byte, can hold.
+// Most steps that a row may skip: the limit of its counter, a byte.
 constexpr int kMaxLag = GS_ADAM_LAGS - 1;
-// Larger gradients count as this, so that their squares stay finite.
+// Gradients are clamped to this, so that their squares stay finite.
 constexpr float kGradientMax = 1e18f;
 
 // Returns the number of rows whose gradients were not finite.

@@ -1,11 +1,11 @@
 // Lazy Adam kernel (Kingma and Ba 2015): rows skip steps without gradient and catch up later.
 //
-// A row without gradient for k steps after step t would have moved, at its j-th step, by
+// A row that receives no gradient for k steps after step t would have moved, at its j-th step, by
 //   lr sqrt(1 - beta2^(t+j)) / (1 - beta1^(t+j)) (beta1 / sqrt(beta2))^j m / (sqrt(v) + eps),
 // where m and v are those of step t: the sum over j is m / (sqrt(v) + eps) times a number that all rows of a tensor
 // share, tabulated by k. Only eps, which should shrink with the bias correction and grow with j, is approximated.
-// It stands for 1e-15 beside roots of second moments: 1 / (sqrt(v) + eps) is computed as 1 / sqrt(v + eps^2), which
-// differs where gradients are as small as that, and takes neither a division nor a root.
+// eps is 1e-15, far below the roots of second moments: 1 / (sqrt(v) + eps) is computed as 1 / sqrt(v + eps^2), which
+// differs only for gradients that small, and needs neither a division nor a root.
 #pragma once
 
 #include "adam.h"

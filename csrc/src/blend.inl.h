@@ -1,8 +1,8 @@
 // Blending kernel: alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
-// A tile belongs to one thread. Its pixels are kept in blocks of 4 x 4, of which a splat's ellipse wastes fewer than of
-// rows. Splats are taken in batches, whose exponentials are computed several at a time, for their chains are long.
-// Forward, block follows block: one's pixels stay in registers while all splats of the batch that reach it pass.
-// Backward, splat follows splat: its sums over pixels stay there, and the exponentials of all its blocks come before.
+// A tile belongs to one thread. Its pixels are stored in blocks of 4 x 4, which fit the ellipse of a splat better than
+// rows. Splats are processed in batches, several exponentials at a time, because their dependency chains are long.
+// Forward loops over blocks: the pixels of a block stay in registers for all splats of the batch that reach it.
+// Backward loops over splats: the sums of a splat stay in registers, after the exponentials of all its blocks.
 #pragma once
 
 #include "simd.h"

@@ -6,8 +6,8 @@
 
 namespace gs {
 
-// Memory aligned to 64 bytes at least, large pieces on huge pages where the system has them: splats are looked up in no
-// order of memory, and on small pages every other look-up waits for its address. Throws std::bad_alloc.
+// Memory aligned to 64 bytes at least, large blocks on huge pages where the system has them: splats are accessed in
+// random order, and with small pages every second access misses the TLB. Throws std::bad_alloc.
 void *allocate_pages(size_t bytes);
 void free_pages(void *p, size_t bytes);
 

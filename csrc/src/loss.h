@@ -7,13 +7,13 @@ namespace gs {
 
 constexpr int kWindow = 11;
 constexpr int kReach = kWindow / 2;
-// Rows that are filtered together: as many as the window reaches, so that each stage is a group behind the one before.
+// Rows that are filtered together, equal to the reach of the window, so that each stage is one group later.
 constexpr int kLossGroup = kReach;
 // Groups of rows that the windows over a group of rows touch.
 constexpr int kLossRing = 3;
-// Floats beside a tile, or between two stages of it, that hold what the window reaches along a row.
+// Floats next to a tile, or between two of its stages, for the reach of the window along a row.
 constexpr int kLossMargin = 16;
-// Maps that SSIM is made of, and derivatives with respect to them that its gradient is made of.
+// Maps of SSIM, and the derivatives with respect to them for its gradient.
 constexpr int kLossMaps = 4, kLossDerivatives = 3;
 // Sums of a tile: L1, SSIM, squares, and by channel the derivative in ln gain.
 constexpr int kLossSums = 6;

@@ -1,8 +1,8 @@
 // Loss kernel: fused L1 + SSIM of one tile and its gradient (Wang et al. 2004; zero padding as in 3DGS).
-// Gaussian windows are separable: what is filtered lies in rings of rows, is combined downwards, five rows at once, which
-// reads each row three times instead of eleven, and then along the rows. The gradient filters the derivatives once more,
-// five rows behind, from rings of its own: nothing as large as the image is written but the gradient itself.
-// Rows hold red, green and blue side by side, as pictures do, so a tap along them is three floats wide.
+// Gaussian windows are separable: maps are stored in ring buffers of rows and filtered vertically, five rows at once,
+// which reads each row three times instead of eleven, then horizontally. The gradient filters the derivatives again,
+// five rows later, in its own ring buffers: only the gradient itself is as large as the image.
+// Rows are interleaved RGB, as in pictures, so a tap along them is three floats wide.
 // SSIM is computed from d = x - y: with D = E[d] and V = Var(d),
 //   SSIM = (1 - D^2 / (mx^2 + my^2 + C1)) (1 - V / (sx^2 + sy^2 + C2)),
 // the usual formula rearranged. Its variances would cancel in bright flat regions; here the small quantities D and V are

@@ -9,7 +9,7 @@ namespace gs {
 
 namespace {
 
-// Descriptors as the kernels take them, with room for what they find.
+// Descriptors in the layout of the kernels, with their results.
 class Side {
   public:
     Side(const gs_descriptors &d, int step)

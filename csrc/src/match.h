@@ -9,7 +9,7 @@ namespace gs {
 constexpr int kMatchRows = 6;
 // Rows of the second photo come in vectors of any instruction set, two at a time.
 constexpr int kMatchColumns = 32;
-// Closeness of what is not there; that of any two descriptors is far above.
+// Closeness without a descriptor; that of any two descriptors is far above.
 constexpr int32_t kNoCloseness = -(1 << 30);
 
 void match_descriptors(const gs_descriptors &first, const gs_descriptors &second, double max_distance, double max_ratio,

@@ -8,7 +8,7 @@ namespace gs {
 // Largest magnitude of a corner's numbers: products of three of them stay far from overflow.
 constexpr double kMeshLargest = 1e50;
 
-// Of a mesh whose numbers and indices were looked at.
+// Expects a mesh whose numbers and indices are checked.
 void mesh_depth(const gs_mesh &mesh, int32_t width, int32_t height, float *inverse_depth);
 
 } // namespace gs

@@ -5,7 +5,7 @@
 
 namespace gs {
 
-// Both leave out what is for no row of tables of `rows`, and return the first of these; -1: there is none.
+// Both skip entries outside the `rows` of the tables, and return the index of the first of these, or -1.
 
 int64_t pack_rows(const gs_row_table *tables, int table_count, int64_t rows, const int64_t *places, float *packed,
                   int64_t count, int threads);

@@ -5,16 +5,16 @@
 
 namespace gs {
 
-// Rows that a thread sweeps at once: what is remembered of their pixels stays in the second cache.
+// Rows per band, swept by one thread: the maps of their pixels fit into the L2 cache.
 constexpr int kStereoRows = 24;
 // Floats that a vector may reach beyond a row.
 constexpr int kStereoMargin = 16;
-// Scores of the planes before the first and behind the last.
+// Scores of the planes before the first and after the last.
 constexpr float kNoScore = -1.0f, kOutside = -2.0f;
-// Planes around the highest peak in which another one is no rival.
+// Planes around the highest peak within which another peak is not the second best.
 constexpr float kStereoNear = 2.0f;
 
-// How the rows of a band lie in memory.
+// Memory layout of the rows of a band.
 struct StereoBand {
     int radius, window;
     int64_t stride; // floats of a row

@@ -82,17 +82,17 @@ class StereoSweep {
         fill(kLast, kOutside);
         fill(kBest, kNoScore);
         fill(kIndex, kNoScore);
-        fill(kRival, kNoScore);
+        fill(kSecondBest, kNoScore);
         for (int plane = 0; plane < in_.planes; ++plane) {
             fill(kFirst, kNoScore);
             fill(kSecond, kNoScore);
             for (int s = 0; s < in_.source_count; ++s)
                 compare(a_.sources[s], in_.farthest + step_ * float(plane));
-            take_note(float(plane - 1));
+            update_peaks(float(plane - 1));
         }
         fill(kFirst, kOutside);
         fill(kSecond, kOutside);
-        take_note(float(in_.planes - 1));
+        update_peaks(float(in_.planes - 1));
         for (int y = 0; y < rows_; ++y)
             write(y);
     }
@@ -100,8 +100,8 @@ class StereoSweep {
   private:
     // Of each pixel of the band: the mean of its window and what its covariances are multiplied by; the two best scores
     // of the plane; the scores of the two planes before; the highest peak, its plane, its neighbours; the second peak.
-    enum Map { kMean, kScale, kFirst, kSecond, kBefore, kLast, kBest, kIndex, kLeft, kRight, kRival };
-    static_assert(kRival + 1 == StereoBand::kMaps);
+    enum Map { kMean, kScale, kFirst, kSecond, kBefore, kLast, kBest, kIndex, kLeft, kRight, kSecondBest };
+    static_assert(kSecondBest + 1 == StereoBand::kMaps);
 
     float *row(int map, int y) const { return maps_[map] + int64_t(y) * stride_; }
     // A row of the reference, counted from the first that windows of the band reach; above that there are zeros.
@@ -204,34 +204,35 @@ class StereoSweep {
             const Vec sum = along(0, x);
             const Vec spread = max(fnma(sum * (1.0f / count_), sum, along(1, x)), Vec{});
             const Vec covariance = fnma(load(mean + x), sum, along(2, x));
-            const Vec likeness = quotient(covariance * load(scale + x), sqrt(spread + floor_));
-            const Vec value = max(likeness + load(penalty + x), set1(kNoScore));
+            const Vec similarity = quotient(covariance * load(scale + x), sqrt(spread + floor_));
+            const Vec value = max(similarity + load(penalty + x), set1(kNoScore));
             const Vec top = load(first + x);
             store(first + x, max(top, value));
             store(second + x, max(load(second + x), min(top, value)));
         }
     }
 
-    // Looks at the plane `index` when the score of the one behind it is known: whether it is a peak, and how high.
-    void take_note(float index) {
+    // Updates the peaks with plane `index`, once the score of the plane after it is known.
+    void update_peaks(float index) {
         for (int y = 0; y < rows_; ++y)
             for (int x = 0; x < in_.width; x += kLanes)
-                take_note(index, y, x);
+                update_peaks(index, y, x);
     }
 
-    void take_note(float index, int y, int x) {
+    void update_peaks(float index, int y, int x) {
         const Vec first = load(row(kFirst, y) + x);
         const Vec now = in_.best == 1 ? first : 0.5f * (first + load(row(kSecond, y) + x));
         const Vec before = load(row(kBefore, y) + x), last = load(row(kLast, y) + x);
-        const Vec best = load(row(kBest, y) + x), at = load(row(kIndex, y) + x), rival = load(row(kRival, y) + x);
+        const Vec best = load(row(kBest, y) + x), at = load(row(kIndex, y) + x);
+        const Vec second_best = load(row(kSecondBest, y) + x);
         store(row(kBefore, y) + x, last);
         store(row(kLast, y) + x, now);
         const Mask peak = both(ge(last, before), gt(last, now));
         const Mask higher = both(peak, gt(last, best));
-        // A peak far from the highest one is a rival of it, and so is the highest one of a higher peak far away.
+        // The second best is a peak far from the highest one, or the former highest one below a far, higher peak.
         const Mask far = gt(set1(index) - at, set1(kStereoNear));
         const Vec lower = select(higher, best, last);
-        store(row(kRival, y) + x, select(both(peak, far), max(rival, lower), rival));
+        store(row(kSecondBest, y) + x, select(both(peak, far), max(second_best, lower), second_best));
         store(row(kBest, y) + x, select(higher, last, best));
         store(row(kIndex, y) + x, select(higher, set1(index), at));
         store(row(kLeft, y) + x, select(higher, before, load(row(kLeft, y) + x)));
@@ -246,19 +247,19 @@ class StereoSweep {
             const Vec best = load(row(kBest, y) + x), at = load(row(kIndex, y) + x);
             const Vec left = load(row(kLeft, y) + x), right = load(row(kRight, y) + x);
             const Vec bend = max(2.0f * best - left - right, set1(1e-12f));
-            const Vec aside = min(max(quotient(0.5f * (right - left), bend), set1(-0.5f)), set1(0.5f));
+            const Vec offset = min(max(quotient(0.5f * (right - left), bend), set1(-0.5f)), set1(0.5f));
             const Vec column = iota() + float(x);
             const Mask in_row = both(ge(column, set1(float(layout_.radius))),
                                      gt(set1(float(in_.width - layout_.radius)), column));
             // The first plane and the last are no peaks: beyond them the score may rise on.
             const Mask within = both(gt(at, Vec{}), gt(set1(float(in_.planes - 1)), at));
             const Mask known = both(both(in_row, within), gt(set1(in_rows ? 1.0f : 0.0f), Vec{}));
-            write_row(a_.found.inverse_depth, y, x, keep(known, fma(at + aside, step_, set1(in_.farthest))));
+            write_row(a_.found.inverse_depth, y, x, keep(known, fma(at + offset, step_, set1(in_.farthest))));
             // A parabola may rise above what a correlation can be, and rounding too.
-            const Vec top = min(fma(0.25f * (right - left), aside, best), set1(1.0f));
-            const Vec rival = min(load(row(kRival, y) + x), set1(1.0f));
+            const Vec top = min(fma(0.25f * (right - left), offset, best), set1(1.0f));
+            const Vec second_best = min(load(row(kSecondBest, y) + x), set1(1.0f));
             write_row(a_.found.score, y, x, select(known, top, set1(kNoScore)));
-            write_row(a_.found.rival, y, x, select(known, rival, set1(kNoScore)));
+            write_row(a_.found.rival, y, x, select(known, second_best, set1(kNoScore)));
         }
     }
 

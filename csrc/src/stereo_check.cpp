@@ -10,13 +10,13 @@ namespace gs {
 
 namespace {
 
-struct Seen {
+struct Projection {
     float x, y, inverse_depth;
     bool in_front;
 };
 
-// Where another camera sees what lies at (x, y), and at which inverse depth.
-Seen seen_at(const gs_stereo_warp &warp, float x, float y, float inverse_depth) {
+// Projects pixel (x, y) with its inverse depth into another view.
+Projection project_at(const gs_stereo_warp &warp, float x, float y, float inverse_depth) {
     float p[3];
     for (int i = 0; i < 3; ++i) {
         const float *const r = warp.rotation + 3 * i;
@@ -29,23 +29,23 @@ Seen seen_at(const gs_stereo_warp &warp, float x, float y, float inverse_depth) 
 
 enum class Verdict { kNone, kAgrees, kContradicts };
 
-struct Answer {
+struct Vote {
     Verdict verdict;
-    float inverse_depth; // of the reference, as the witness has it where it agrees
+    float inverse_depth; // of the reference, according to the neighbour view if it agrees
 };
 
-Answer ask(const gs_stereo_check_args &a, const gs_stereo_witness &witness, float x, float y, float inverse_depth) {
-    const Seen there = seen_at(witness.warp, x, y, inverse_depth);
+Vote vote_of(const gs_stereo_check_args &a, const gs_stereo_witness &neighbour, float x, float y, float inverse_depth) {
+    const Projection there = project_at(neighbour.warp, x, y, inverse_depth);
     // Written so that NaN is outside.
-    const bool inside = there.in_front && there.x >= 0 && there.y >= 0 && there.x < float(witness.width) &&
-                        there.y < float(witness.height);
+    const bool inside = there.in_front && there.x >= 0 && there.y >= 0 && there.x < float(neighbour.width) &&
+                        there.y < float(neighbour.height);
     if (!inside)
         return {Verdict::kNone, 0};
     const int column = int(there.x), line = int(there.y);
-    const float known = witness.inverse_depth[int64_t(line) * witness.width + column];
+    const float known = neighbour.inverse_depth[int64_t(line) * neighbour.width + column];
     if (!(known > 0 && std::isfinite(known)))
         return {Verdict::kNone, 0};
-    const Seen here = seen_at(witness.back, float(column) + 0.5f, float(line) + 0.5f, known);
+    const Projection here = project_at(neighbour.back, float(column) + 0.5f, float(line) + 0.5f, known);
     const float dx = here.x - x, dy = here.y - y;
     if (here.in_front && dx * dx + dy * dy <= a.pixels * a.pixels &&
         std::fabs(here.inverse_depth - inverse_depth) <= a.relative * inverse_depth)
@@ -67,10 +67,10 @@ void stereo_check(const gs_stereo_check_args &a, uint8_t *agree, uint8_t *contra
                 continue;
             float sum = own;
             for (int32_t i = 0; i < a.witness_count; ++i) {
-                const Answer answer = ask(a, a.witnesses[i], float(column) + 0.5f, float(line) + 0.5f, own);
-                agree[at] += answer.verdict == Verdict::kAgrees;
-                contradict[at] += answer.verdict == Verdict::kContradicts;
-                sum += answer.inverse_depth;
+                const Vote vote = vote_of(a, a.witnesses[i], float(column) + 0.5f, float(line) + 0.5f, own);
+                agree[at] += vote.verdict == Verdict::kAgrees;
+                contradict[at] += vote.verdict == Verdict::kContradicts;
+                sum += vote.inverse_depth;
             }
             inverse_depth[at] = sum / float(agree[at] + 1);
         }

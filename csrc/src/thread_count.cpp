@@ -24,7 +24,7 @@ int cores() {
     return int(std::clamp(std::thread::hardware_concurrency(), 1u, unsigned(GS_THREADS_MAX)));
 }
 
-// The number that `text` is, from 0 to GS_THREADS_MAX; -1: it is none.
+// The number in `text`, from 0 to GS_THREADS_MAX; -1: no number.
 int number(const char *text) {
     int n = 0;
     for (; *text; ++text) {
@@ -37,8 +37,8 @@ int number(const char *text) {
     return n;
 }
 
-// Asked for once, because a host may change its environment while another thread reads it; and without a lock, which a
-// fork at the wrong moment would leave closed.
+// Read once, because a host may change its environment while another thread reads it; and without a lock, which a fork
+// at the wrong moment would leave locked.
 std::atomic<int> found{0};
 
 } // namespace

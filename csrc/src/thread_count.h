@@ -7,7 +7,7 @@ namespace gs {
 // a whole number up to GS_THREADS_MAX.
 int default_threads();
 
-// Threads to use where `wanted` were asked for; 0: all.
-inline int threads_of(int wanted) { return wanted > 0 ? wanted : default_threads(); }
+// Threads of a call with the option `requested`; 0: all.
+inline int threads_of(int requested) { return requested > 0 ? requested : default_threads(); }
 
 } // namespace gs

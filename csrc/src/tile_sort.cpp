@@ -1,7 +1,7 @@
 // Tile sort: radix sort of a tile's list by depth.
-// A tile's list mostly fits into the nearest caches, where a sort over all splats waits for memory, and whoever takes them
-// in its order even more. Sixteen bits of the depths of a tile, counted from the nearest to the farthest, tell almost all
-// of its splats apart; neighbours that they do not tell apart are put right afterwards.
+// A tile's list mostly fits into the L1 and L2 caches, whereas a sort over all splats, and reading them in that order,
+// waits for memory. Sixteen bits of depth, relative to the depth range of the tile, distinguish almost all of its
+// splats; neighbours with equal bits are sorted by insertion afterwards.
 #include "tile_sort.h"
 
 #include <algorithm>

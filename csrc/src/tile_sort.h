@@ -6,10 +6,10 @@
 
 namespace gs {
 
-// Sorts lists one after the other; one for each thread.
+// Sorts the lists of a thread; one object per thread.
 class TileSort {
   public:
-    // Takes the memory that `run` needs for lists up to this long; throws std::bad_alloc.
+    // Allocates the memory that `run` needs for lists up to this length; throws std::bad_alloc.
     void reserve(uint32_t longest);
     // By key; entries of the same key keep their order.
     void run(Entry *entries, uint32_t count);

@@ -25,7 +25,7 @@ constexpr float kAlphaMax = GS_ALPHA_MAX;
 constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
 constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)
 constexpr float kQuatMin = 1e-8f;
-// A splat brighter than this is broken: its light would drown in rounding, or overflow, all gradients around it.
+// Brighter splats are culled as invalid: they would round away, or overflow, the gradients of all splats around them.
 constexpr float kColorMax = 1e9f;
 // Gaussian exponent -d/2 in base 2: exp(-d / 2) = exp2(-kHalfLog2E * d).
 constexpr float kHalfLog2E = 0.72134752044448170f;
@@ -36,7 +36,7 @@ constexpr int64_t chunks_of(int64_t rows) { return (rows + kChunk - 1) / kChunk;
 
 constexpr int kChannelInvZ = 3, kChannelZ = 4;
 
-// What the blend loops read of a projected splat: one cache line.
+// A projected splat as the blend loops read it: one cache line.
 // With d = pixel - mean: alpha = exp2(log2_opacity - u^2 - v^2), u = ua * dx + ub * dy, v = vc * dy. This factored
 // form of the conic keeps needles accurate, where A dx^2 + 2 B dx dy + C dy^2 would cancel.
 struct alignas(64) Projected {
@@ -44,7 +44,7 @@ struct alignas(64) Projected {
     float ua, ub, vc;
     float log2_opacity;
     float channel[5]; // colour, 1 / z, z
-    // What binning reads of the ellipse alpha >= 1/255: half-sides of its box in px, the slope of the line that halves
+    // The ellipse alpha >= 1/255 for binning: half-sides of its box in px, the slope of the line that halves
     // its vertical chords, and the half-length of the chord at distance x: half_chord * sqrt(extent_x^2 - x^2).
     float extent_x, extent_y, slope, half_chord;
     uint32_t id;
@@ -55,9 +55,9 @@ static_assert(sizeof(Projected) == 64 && offsetof(Projected, vc) == 16 && offset
 // A splat in a tile's list.
 struct Entry {
     uint32_t slot;   // index into Projected
-    uint32_t blocks; // those that it reaches, a bit each
-    uint32_t moment; // index into the moments, where all entries of a splat lie together
-    uint32_t key;    // which sorts by depth
+    uint32_t blocks; // bit mask of the blocks that it reaches
+    uint32_t moment; // index into the moments, where all entries of a splat are contiguous
+    uint32_t key;    // sorts by depth
 };
 
 // The same before it is sorted into its tile, slot by slot of a chunk.
@@ -117,7 +117,7 @@ struct BlendArgs {
 };
 
 struct PairCount {
-    int64_t evaluated, useful; // useful: counted where asked for
+    int64_t evaluated, useful; // useful: counted on request
 };
 
 struct BlendBackwardArgs {
@@ -179,14 +179,14 @@ struct StereoArgs {
     gs_stereo_found found;
 };
 
-// Of each descriptor the nearest of the other photo. What is compared is twice the product less the other's squared
-// length: it grows where the squared distance falls, by as much.
+// Nearest descriptors of the other photo. The closeness is twice the dot product minus the other's squared length: it
+// rises as the squared distance falls.
 struct Nearest {
     int32_t *closeness, *second; // [padded], at least kNoCloseness
     int32_t *row;                // [padded]
 };
 
-// Descriptors of a photo, with zeros behind them whose squared length puts them out of reach.
+// Descriptors of a photo, padded with zeros whose squared length excludes them.
 struct MatchSide {
     int64_t padded;
     const int16_t *values;          // [padded, GS_DESCRIPTOR_SIZE]

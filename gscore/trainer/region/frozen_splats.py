@@ -21,11 +21,11 @@ from .region_box import RegionBox
 
 
 class FrozenSplats:
-    """Splats around a region, in COLMAP world as they were given and in the training world."""
+    """Frozen splats around a region, in COLMAP world as given, and in the training frame."""
 
     def __init__(self, world: Splats, similarity: Similarity) -> None:
         self.world = world
-        """As they were given: what is written is this."""
+        """The splats as given, COLMAP world; written unchanged."""
         self._tensors = tensors_from_splats(similarity.splats_to_training(world))
         self._joined: dict[str, Tensor] = {}
 
@@ -33,15 +33,15 @@ class FrozenSplats:
         return len(self.world)
 
     def content_hash(self) -> str:
-        """Short hash of all their numbers."""
+        """Short hash of all parameters."""
         digest = hashlib.sha256()
         for name in PARAMETERS:
             digest.update(np.ascontiguousarray(getattr(self.world, name)).data)
         return digest.hexdigest()[:16]
 
     def parts(self, rows: int, sh_degree: int) -> Iterator[Splats]:
-        """They as they were given, at most `rows` at a time, with the coefficients of `sh_degree`,
-        of which those that they do not have are zero."""
+        """The splats as given, in parts of at most `rows`, with the coefficients of `sh_degree`;
+        missing ones are zero."""
         count = SH_REST_BY_DEGREE[sh_degree]
         for at in range(0, len(self), rows):
             part = {name: getattr(self.world, name)[at : at + rows] for name in PARAMETERS}
@@ -50,8 +50,8 @@ class FrozenSplats:
             yield Splats(**part)
 
     def before(self, params: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """All splats of a picture, those that stand still first, then raw `params`; in memory that
-        the next call overwrites."""
+        """All splats of a picture, frozen ones first, then raw `params`; valid until the next
+        call."""
         return {name: self._with(name, p.detach()) for name, p in params.items()}
 
     def _with(self, name: str, trained: Tensor) -> Tensor:
@@ -62,7 +62,7 @@ class FrozenSplats:
             still = self._tensors[name]
             found[: len(self)] = 0
             if still.numel():
-                # Bands that they do not have stay zero.
+                # SH bands that the frozen splats lack stay zero.
                 found[: len(self)][tuple(slice(n) for n in still.shape)] = still
         found[len(self) :] = trained
         return found
@@ -71,11 +71,12 @@ class FrozenSplats:
 def split_frozen(
     start: Splats, box: RegionBox, config: TrainConfig, frame: TrainingFrame
 ) -> tuple[Splats, FrozenSplats | None]:
-    """Given splats (world) that lie in `box` (world), and those around it; None: there are none.
+    """Split start splats (world) into those in `box` (world) and the frozen ones around it, or
+    None without any around it.
 
     Raises:
-        ConfigError: none lies in it, there are more than `max_splats`, or their SH degree is one
-            that this run would cut.
+        ConfigError: none is in the box, there are more than `max_splats`, or their SH degree is
+            above that of the run.
     """
     check_splat_count(start, config)
     inside = box.holds(start.means)
@@ -95,9 +96,9 @@ def split_frozen(
 
 
 class FrozenRasterizer(TrainingRasterizer):
-    """A painter that is given the splats of a region, and draws those that stand still with them.
+    """A rasterizer for the splats of a region that renders the frozen splats with them.
 
-    Radii, gradients and weights are those of the region's alone.
+    Radii, gradients and weights are those of the region's splats only.
     """
 
     def __init__(self, still: FrozenSplats) -> None:
@@ -108,7 +109,7 @@ class FrozenRasterizer(TrainingRasterizer):
     def draw(
         self, splats: Sequence[Tensor], view: Frustum, settings: Settings | None = None
     ) -> Picture:
-        """As `TrainingRasterizer.draw`, with those that stand still."""
+        """As `TrainingRasterizer.draw`, with the frozen splats."""
         named: dict[str, Tensor] = dict(zip(PARAMETERS, splats, strict=True))
         return super().draw(tuple(self._still.before(named).values()), view, settings)
 
@@ -129,7 +130,7 @@ class FrozenRasterizer(TrainingRasterizer):
         """As `TrainingRasterizer.gradients`."""
         count = len(self._still)
         room = {name: self._room(name, grad) for name, grad in into.items()}
-        room["shN"][count:] = into["shN"]  # they are added to
+        room["shN"][count:] = into["shN"]  # gradients of shN accumulate
         means2d = super().gradients(room, rgb, alpha, inverse_depth, viewmat=viewmat)
         for name, grad in into.items():
             grad.copy_(room[name][count:])

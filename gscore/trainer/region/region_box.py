@@ -14,21 +14,21 @@ _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 
 class RegionBox:
-    """A box in some world; float64 inside, for it may be small and far from the origin."""
+    """An oriented box; stored as float64, since it may be small and far from the origin."""
 
     def __init__(self, matrix: np.ndarray) -> None:
-        """Take over [4, 4] float64 that takes the cube [-1, 1]^3 to the box."""
+        """`matrix` [4, 4] float64 maps the cube [-1, 1]^3 to the box."""
         self.matrix = matrix
         self.to_unit = np.linalg.inv(matrix)
-        """[4, 4] float64, from the world to one in which the box is that cube."""
+        """[4, 4] float64, from the world to the space in which the box is that cube."""
 
     @classmethod
     def read(cls, path: Path) -> "RegionBox":
-        """The box of a region's file; errors are those of `read_region`."""
+        """Read the box of a region file; errors are those of `read_region`."""
         return cls(read_region(path))
 
     def about(self, origin: np.ndarray | None) -> "RegionBox":
-        """The same box, of a capture, in the world about its local origin."""
+        """The same box, given in the capture's world, about the local origin."""
         matrix = self.matrix.copy()
         matrix[:3, 3] -= offset_between(origin, None)
         return RegionBox(matrix)
@@ -41,20 +41,20 @@ class RegionBox:
         return RegionBox(matrix)
 
     def content_hash(self) -> str:
-        """Short hash of where it is."""
+        """Short hash of the box."""
         return hashlib.sha256(self.matrix.tobytes()).hexdigest()[:16]
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """[N] bool: which of `points` [N, 3] lie in it; what lies on its sides does."""
+        """[N] bool: the `points` [N, 3] in the box, its sides included."""
         return np.abs(self._local(points)).max(axis=1, initial=0) <= 1
 
     def keep_inside(self, means: torch.Tensor) -> None:
-        """Move those of `means` [N, 3] that left the box back to the side where they left it."""
+        """Clamp `means` [N, 3] to the box, in place."""
         local = self._local(means.numpy())
         out = np.flatnonzero(~(np.abs(local).max(axis=1, initial=0) <= 1))
         if len(out) == 0:
             return
-        # Numbers that are not finite stay as they are: `bounds` takes such splats out.
+        # Means that are not finite stay unchanged: `model.sanitize` resets such splats.
         inside = np.clip(local[out], -1, 1) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         finite = np.isfinite(local[out]).all(axis=1)
         rows = torch.from_numpy(out[finite])
@@ -63,8 +63,8 @@ class RegionBox:
     def may_be_seen(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float
     ) -> bool:
-        """Whether a camera may have some of it in its picture: false only where all corners lie
-        beyond one side of it.
+        """Whether the box may be in a camera's picture: false only if all corners are beyond one
+        side of the view frustum.
 
         Args:
             K: [3, 3] pixels.
@@ -81,9 +81,9 @@ class RegionBox:
         return not any(side.all() for side in beyond)
 
     def outline(self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> np.ndarray:
-        """[H, W] bool: whether the ray through a pixel's centre meets the box before the camera.
+        """[H, W] bool: whether the ray through a pixel centre meets the box in front of the camera.
 
-        Args: as of `may_be_seen`.
+        Args: as for `may_be_seen`.
         """
         rays = np.linalg.inv(K)
         turned = self.to_unit[:3, :3] @ viewmat[:3, :3].T
@@ -94,7 +94,7 @@ class RegionBox:
         first, last = np.zeros((height, width)), np.full((height, width), np.inf)
         for axis in range(3):
             along = across[axis][None, :] + (down[axis] + ahead[axis])[:, None]
-            # A ray beside a slab it runs along has no number for where it meets it.
+            # A ray parallel to a slab and outside of it gives NaN.
             with np.errstate(divide="ignore", invalid="ignore"):
                 one, other = (-1 - origin[axis]) / along, (1 - origin[axis]) / along
             np.maximum(first, np.fmin(one, other), out=first)

@@ -15,20 +15,20 @@ _COARSE = 400
 
 
 class RegionPhotos(Dataset):
-    """The views that may see a box. Held-out ones are judged by the pixels that look at it."""
+    """The views that may show a box. Held-out views are measured on the pixels of the box."""
 
     judged_by = "region"
-    """What the pixels that count lie in, for `evaluate`."""
+    """Name of the measured part of a picture, for `evaluate`."""
 
     def __init__(
         self, whole: Dataset, box: RegionBox, *, near: float, narrow: bool = False
     ) -> None:
-        """Keep the views of `whole` that may see `box`; `near` in world units. `narrow`: what does
-        not look at it counts in no view at all.
+        """Keep the views of `whole` that may show `box`; `near` in world units. `narrow`: training
+        views are masked to the box too.
 
         Raises:
-            DatasetError: no training view does, or a new training would have no point in it.
-            ConfigError: views are to be narrowed whose masks cut the subject out already.
+            DatasetError: no training view shows it, or `narrow` and it contains no point.
+            ConfigError: `narrow` and the capture's masks cut the subject out.
         """
         if narrow and whole.mask_mode == "composite":
             raise ConfigError(
@@ -44,7 +44,7 @@ class RegionPhotos(Dataset):
         cameras: Any = whole.scene.cameras
 
         def seen(index: int, *, alone: bool) -> bool:
-            """Whether a view may see the box; where the box alone counts, whether it does."""
+            """Whether a view may show the box; with `alone`, whether it does."""
             size = int(cameras.widths[index]), int(cameras.heights[index])
             camera = cameras.Ks[index], cameras.viewmats[index], *size
             return box.may_be_seen(*camera, near) and (not alone or _shows(box, *camera))
@@ -66,8 +66,8 @@ class RegionPhotos(Dataset):
             )
 
     def mask(self, index: int) -> np.ndarray | None:
-        """[H, W] uint8. Of a view that is not cut out, held out or narrowed: only what looks at the
-        box."""
+        """[H, W] uint8. Held-out and narrowed views without cut-out masks: only the pixels whose
+        rays meet the box."""
         own = super().mask(index)
         if index not in self._narrowed or self.mask_mode != "ignore":
             return own
@@ -79,7 +79,7 @@ class RegionPhotos(Dataset):
 
 
 def _shows(box: RegionBox, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> bool:
-    """Whether the middle of a coarse pixel looks at the box."""
+    """Whether the ray through any coarse pixel centre meets the box."""
     shrink = min(1.0, _COARSE / max(width, height))
     coarse = np.diag([shrink, shrink, 1.0]) @ K
     size = math.ceil(width * shrink), math.ceil(height * shrink)

@@ -11,7 +11,7 @@ from ..photos.image_pyramid import SizedView
 from ..photos.raster_skips import tiles_of_mask
 
 _REACH = 3.34
-"""Standard deviations beyond which no splat is drawn: sqrt(2 log(255 * 0.99)), rounded up."""
+"""Radius of a drawn splat in standard deviations: sqrt(2 log(255 * 0.99)), rounded up."""
 _EPS2D = 0.3
 """px^2, added to each splat's covariance in the picture."""
 _BESIDE = 0.3
@@ -19,9 +19,9 @@ _BESIDE = 0.3
 
 
 def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> SizedView:
-    """A view whose mask shows only the tiles that splats with raw `params` may be drawn in.
+    """The view with a mask of the tiles in which splats with raw `params` may be drawn.
 
-    All other pixels are the same whatever becomes of these splats.
+    All other pixels do not depend on these splats.
     """
     view, side = found.view, backend.TILE
     tiles = tiles_of_splats(params, view)
@@ -37,8 +37,8 @@ def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> Size
 
 
 def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.ndarray:
-    """[ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with raw `params` may be drawn: the disc
-    that holds a round splat as wide as the widest axis of one."""
+    """[ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with raw `params` may be drawn: the discs
+    of round splats with the radius of the longest axis."""
     viewmat, K = (np.asarray(a, np.float64) for a in (view.viewmat, view.K))
     place = params["means"].numpy() @ viewmat[:3, :3].T + viewmat[:3, 3]
     widest = params["scales"].numpy().max(axis=1, initial=-np.inf)
@@ -74,7 +74,7 @@ def _covered(
     right: np.ndarray,
     size: tuple[int, int],
 ) -> np.ndarray:
-    """Which tiles any of the rectangles covers: corners are counted, then added up."""
+    """Tiles covered by any of the rectangles: corner counts, then cumulative sums."""
     rows, columns = (-(-n // backend.TILE) for n in size)
     counts = np.zeros((rows + 1) * (columns + 1), np.int64)
     corners = ((top, left, 1), (bottom, right, 1), (top, right, -1), (bottom, left, -1))

@@ -15,29 +15,29 @@ from . import row_ops
 from .contribution import Weights, lowest_rows, max_contribution, mostly_masked, weights_by_view
 
 _CROWD = 0.2
-"""Share of the splats in a space from which on it is not free."""
+"""Share of all splats in a free space above which the space is not considered free."""
 
 
 class Space(Protocol):
-    """Where nothing is to stand."""
+    """A free space."""
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: which of `means` [N, 3], training world, lie in it."""
+        """[N] bool: the `means` [N, 3], training frame, in it."""
         ...
 
 
 class Emptied:
-    """A space that is kept empty, unless so much stands in it that something must be there."""
+    """A free space that is kept empty, unless so many splats are in it that it cannot be free."""
 
     def __init__(self, space: Space | None) -> None:
         self._space = space
         self.count = 0
-        """Splats taken out of it so far."""
+        """Splats removed from it so far."""
         self.crowded = False
-        """Too many stood there at once: it is left as it is."""
+        """Too many splats were in it at once, so it is no longer emptied."""
 
     def due(self, means: torch.Tensor) -> torch.Tensor | None:
-        """[N] bool: which splats to take out; None: none."""
+        """[N] bool: the splats to remove; None: none."""
         if self._space is None or self.crowded:
             return None
         inside = self._space.holds(means)
@@ -49,15 +49,15 @@ class Emptied:
         return inside
 
     def restore(self, state: dict[str, int | bool], cleared: str, crowded: str) -> None:
-        """Go on from what stands in `state` under these keys, if it does."""
+        """Restore the values of `state` under these keys, if present."""
         self.count = as_int(cleared, state.get(cleared, 0))
         self.crowded = state.get(crowded, False) is True
 
 
 class Pruner:
-    """Takes splats out that stand where nothing is, that masks hide, and that add least.
+    """Pruning of splats in free space, of masked splats, and of those with least contribution.
 
-    Each method takes out what is due after a step and returns how many that were.
+    Each method removes the splats that are due after a step and returns their number.
     """
 
     def __init__(
@@ -70,20 +70,20 @@ class Pruner:
         masks_hide: bool,
         guided: Space | None = None,
     ) -> None:
-        """`shown` gives the training views at the size of the last step; `masks_hide` says whether
-        pixels count only as far as masks show them; `guided` is the space that a guide keeps free.
-        What `painter` drew last is lost."""
+        """`shown` returns the training views at the size of the last step; `masks_hide`: masks
+        exclude pixels from the loss; `guided`: free space of a guide mesh. The last picture of
+        `rasterizer` becomes invalid."""
         self._config = config
         self._rasterizer = rasterizer
         self._shown = shown
         self._masks_hide = masks_hide
         self.around = Emptied(free_space)
-        """The space around cameras."""
+        """Free space around cameras."""
         self.guided = Emptied(guided)
-        """The space before a guide."""
+        """Free space in front of a guide mesh."""
 
     def prune_free_space(self, model: Model, plan: Plan, step: int) -> int:
-        """Take out what stands where nothing is to stand: around cameras and before a guide."""
+        """Remove splats in free space: around cameras and in front of a guide mesh."""
         if not plan.prunes_free_space_at(step):
             return 0
         before = len(model)
@@ -94,7 +94,7 @@ class Pruner:
         return before - len(model)
 
     def prune_masked(self, model: Model, plan: Plan, step: int) -> int:
-        """Take out what stands where masks hide it."""
+        """Remove splats that masks hide."""
         share = self._config.hidden_share
         if share == 0 or not self._masks_hide or not plan.prunes_masked_at(step):
             return 0
@@ -106,8 +106,8 @@ class Pruner:
         return count
 
     def prune_least(self, model: Model, plan: Plan, step: int, *, pruned: int) -> int:
-        """Take out what adds least to the photos, once there are to be fewer splats; `pruned` went
-        as such before."""
+        """Remove splats with least contribution, when the plan has fewer splats; `pruned`: number
+        removed this way before."""
         count = plan.surplus_at(step, len(model), pruned)
         if count == 0:
             return 0
@@ -117,7 +117,7 @@ class Pruner:
         return count
 
     def state(self) -> dict[str, int | bool]:
-        """All that the next removals depend on, as JSON values."""
+        """State of the pruning, as JSON values."""
         return {
             "cleared": self.around.count,
             "crowded": self.around.crowded,
@@ -126,10 +126,10 @@ class Pruner:
         }
 
     def restore(self, state: dict[str, int | bool]) -> None:
-        """Go on from what `state` returned, among other keys.
+        """Restore the values that `state` returned; other keys are ignored.
 
         Raises:
-            ValueError, KeyError: it is not what that returns.
+            ValueError, KeyError: they are invalid.
         """
         self.around.restore(state, "cleared", "crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")
@@ -141,12 +141,11 @@ class Pruner:
             self._shown(),
             antialias=self._config.antialias,
             masks_hide=self._masks_hide,
-            scratch=model.grads,  # they were for the step that is done
+            scratch=model.grads,  # free after the step
             threads=self._config.threads,
         )
 
     def _take_out(self, model: Model, rows: torch.Tensor) -> None:
-        """Edit the model so that it goes on without these splats, [N] bool; the rasterizer's memory
-        makes room for that."""
+        """Remove splats, [N] bool, from the model; frees the rasterizer's memory first."""
         self._rasterizer.release()
         row_ops.edit(model, keep=(~rows).nonzero().flatten())

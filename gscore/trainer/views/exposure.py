@@ -17,38 +17,38 @@ from .photo_gains import PhotoGains
 from .track_colors import measure_track_colors
 
 LEAST_STOPS = 0.2
-"""Stops between photos and their neighbours from which on exposure is learnt. Below, colours that
-depend on the view follow the exposures, which gains by hand measured no better."""
+"""Exposure difference to the neighbouring photos, in stops, above which exposure is learnt. Below,
+view-dependent colours absorb it, and fixed gains measured no better."""
 FAR_STOPS = 1.0
-"""Stops between one photo and its neighbours from which on exposure is learnt, however alike the
-others are."""
+"""Exposure difference of a single photo, in stops, above which exposure is learnt regardless of the
+others."""
 _NEIGHBOURS = 4
-"""Photos taken nearest to one, that it is compared with."""
+"""Nearest photos that a photo is compared with."""
 _SHARED = 20
-"""Sightings of a median photo below which its points tell nothing."""
+"""Fewest observations of the median photo for a measurement by points."""
 _STOP = math.log(2.0) / 2.2
-"""ln of the gain in encoded values that a stop is."""
+"""ln of the gain of one stop, in encoded values."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """The exposure of the photos of a run."""
+    """Exposure decision of a run."""
 
     gains: PhotoGains | None = None
-    """What is learnt; None: photos are taken as they are."""
+    """Gains to learn; None: photo colours are used unchanged."""
     why: str = ""
-    """A sentence that says so and why; empty: nobody asked."""
+    """Message on the decision; empty: no analysis."""
     numbers: dict[str, Any] | None = None
-    """For metrics.json; None: nobody asked."""
+    """Measurements for metrics.json; None: no analysis."""
 
 
 def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> Exposure:
-    """Find how the training photos were exposed, and decide whether that is learnt.
+    """Measure the exposure of the training photos, and decide whether gains are learnt.
 
     Args:
-        config: Its option `exposure` says what is asked for.
-        photos: Of the capture.
-        tracks: The points that its views saw; None where nothing is known of them.
+        config: Uses the option `exposure`.
+        photos: The capture.
+        tracks: Tracks of the capture; None: unknown.
 
     Raises:
         DatasetError, FormatError: a photo cannot be read.
@@ -81,13 +81,13 @@ def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None
 
 
 def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[bool, str]:
-    """Whether to learn exposures, and a sentence that says so and why.
+    """Whether to learn exposure gains, and a message with the reason.
 
     Args:
         mode: The option `exposure`.
-        apart: Root of the mean square of `stops_off_neighbours`; where exposures are not known 0.
-        farthest: The largest of these.
-        known: By what they are known; empty: they are not.
+        apart: Root mean square of `stops_off_neighbours`; 0 if exposures are unknown.
+        farthest: Maximum of these.
+        known: Source of the exposures; empty: unknown.
     """
     fact = f"{apart:.2f} stops apart, the farthest {farthest:.2f}, by {known}"
     if mode is Switch.ON:
@@ -109,16 +109,16 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
 
 
 def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarray:
-    """How differently each photo is exposed from those that were taken nearest to it: on average
-    the standard deviation where exposures are random, and little where they change smoothly along
-    the camera's way, which view-dependent colour follows.
+    """Exposure difference of each photo to its nearest photos: on average the standard deviation
+    for random exposures, and small for exposures that change smoothly along the camera path, which
+    view-dependent colour can follow.
 
     Args:
         log_gains: [V, 3] ln gains in encoded values.
-        centers: [V, 3] places of the cameras, any unit.
+        centers: [V, 3] camera positions, any unit.
 
     Returns:
-        [V] float64, stops, root of the mean square over the channels.
+        [V] float64, stops, root mean square over the channels.
     """
     from scipy.spatial import KDTree
 
@@ -127,14 +127,14 @@ def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarr
         return np.zeros(len(log_gains))
     near = np.array(KDTree(centers).query(centers, k=others + 1)[1])
     own = np.arange(len(near))[:, None]
-    # Of cameras in one place any may come first; each is left out of its own neighbours.
+    # Cameras in one place come in any order; each is excluded from its own neighbours.
     near[:, -1] = np.where((near == own).any(axis=1), near[:, -1], own[:, 0])
     mean = (log_gains[near].sum(axis=1) - log_gains) / others
     return np.sqrt(((log_gains - mean) ** 2).mean(axis=1) / (1 + 1 / others)) / _STOP
 
 
 def _stated(photos: Dataset, train: Sequence[int], threads: int) -> np.ndarray | None:
-    """[V, 3] ln gains by EXIF, zero on average; None unless all photos state theirs."""
+    """[V, 3] ln gains from EXIF, zero on average; None unless all photos have them."""
     files = [photos.files[i].image for i in train]
     if not files or stated_exposure(files[0]) is None:
         return None

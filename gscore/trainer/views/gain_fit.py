@@ -5,15 +5,15 @@ import numpy as np
 from .track_colors import TrackColors
 
 _ROUNDS = 12
-"""Of reweighting; the gains change by less than 1e-3 in the last ones."""
+"""Rounds of reweighting; the gains change by less than 1e-3 in the last ones."""
 _TUNING = 1.345
 """Residuals beyond this many standard deviations count less (Huber 1964)."""
 _SIGMA = 1.4826
-"""Standard deviations in a median of absolute values, of a normal distribution."""
+"""Standard deviation per median absolute value, of a normal distribution."""
 _PRIOR = 1.0
-"""Sightings that the gain a photo is expected to have counts for."""
+"""Weight of the expected gain of a photo, in observations."""
 _SMALLEST = 1e-3
-"""Least scale of residuals, of ln colour: a byte of a white one is four times that."""
+"""Smallest scale of residuals in ln colour: one byte step of white is four times that."""
 
 
 def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
@@ -21,12 +21,12 @@ def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
 
     With c the colour of a point in a photo: ln c = colour of the point + gain of the photo +
     residual. Points are eliminated from the normal equations; Huber weights, by the residual over
-    all channels, are found anew in each round.
+    all channels, are recomputed in each round.
 
     Args:
         seen: Colours of points in photos; V photos.
-        expected: [V, 3] float64: what is expected of each photo, as from its EXIF data; photos that
-            share no point with others get this.
+        expected: [V, 3] float64: expected ln gain of each photo, for example from EXIF; the result
+            for photos that share no point with others.
     """
     _, point = np.unique(seen.point, return_inverse=True)
     views, points = seen.views, int(point.max(initial=-1)) + 1
@@ -45,7 +45,7 @@ def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
 def _solved(
     seen: TrackColors, point: np.ndarray, points: int, weight: np.ndarray, expected: np.ndarray
 ) -> np.ndarray:
-    """Weighted least squares: gains [V, 3] once the colours of points are eliminated."""
+    """Weighted least squares: gains [V, 3], with the point colours eliminated."""
     from scipy import sparse
 
     of_point = np.maximum(np.bincount(point, weight, points), 1e-12)
@@ -61,7 +61,7 @@ def _solved(
 
 
 def _mean_by(point: np.ndarray, values: np.ndarray, weight: np.ndarray, points: int) -> np.ndarray:
-    """[P, 3]: weighted means of values [S, 3] over the sightings of each point."""
+    """[P, 3]: weighted means of values [S, 3] over the observations of each point."""
     total = np.maximum(np.bincount(point, weight, points), 1e-12)
     sums = [np.bincount(point, weight * values[:, c], points) for c in range(3)]
     return np.stack(sums, axis=1) / total[:, None]

@@ -11,7 +11,7 @@ _BETAS, _EPS = (0.9, 0.999), 1e-15
 
 
 def rate_at(first: float, last: float, done: float) -> float:
-    """Learning rate after a share of a course: from the first to the last, exponentially; 0 where
+    """Learning rate after the share `done` of a schedule: exponential from `first` to `last`; 0 if
     one of them is."""
     if first <= 0 or last <= 0:
         return 0.0
@@ -19,15 +19,15 @@ def rate_at(first: float, last: float, done: float) -> float:
 
 
 class PhotoAdam:
-    """The moments of W numbers of each of V views (Kingma and Ba 2015), by view and not by step:
-    a photo that is not looked at keeps its own."""
+    """Adam moments of W parameters of each of V views (Kingma and Ba 2015), stepped per view: a
+    photo that is not in a step keeps its moments."""
 
     def __init__(self, views: int, width: int) -> None:
         self._moments = np.zeros((2, views, width))
         self._steps = np.zeros(views, np.int64)
 
     def step(self, index: int, grad: np.ndarray, rate: float) -> np.ndarray:
-        """[W]: what to add to the numbers of view `index`, whose gradient is `grad`."""
+        """[W]: update of the parameters of view `index` for the gradient `grad`."""
         self._steps[index] += 1
         count = int(self._steps[index])
         means = []
@@ -37,17 +37,17 @@ class PhotoAdam:
         return -rate * means[0] / (np.sqrt(means[1]) + _EPS)
 
     def tensors(self, name: str) -> dict[str, torch.Tensor]:
-        """All that the next step depends on, by name, `name` first; no copies."""
+        """State tensors, names prefixed by `name`; no copies."""
         return {
             f"{name}/moments": torch.from_numpy(self._moments),
             f"{name}/steps": torch.from_numpy(self._steps),
         }
 
     def restore(self, name: str, tensors: dict[str, torch.Tensor]) -> None:
-        """Go on from what `tensors` returned.
+        """Restore the state that `tensors` returned.
 
         Raises:
-            ValueError, KeyError: they are not what that returns.
+            ValueError, KeyError: they are invalid.
         """
         self._moments = checked_tensor(f"{name}/moments", tensors, self._moments.shape)
         steps = tensors[f"{name}/steps"].tolist()
@@ -57,7 +57,8 @@ class PhotoAdam:
 
 
 def checked_tensor(name: str, tensors: dict[str, torch.Tensor], shape: Sequence[int]) -> np.ndarray:
-    """A copy of a float64 tensor of this shape; ValueError where it is another, or not finite."""
+    """Copy of a float64 tensor of this shape; ValueError for another type or shape, or values that
+    are not finite."""
     found = tensors[name].numpy()
     if found.shape != tuple(shape) or found.dtype != np.float64:
         raise ValueError(f"{name} is {found.dtype} {list(found.shape)}, expected {list(shape)}")

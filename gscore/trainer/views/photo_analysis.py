@@ -8,7 +8,7 @@ from .pose_check import PoseCheck, check_poses
 
 
 def analyze_photos(config: TrainConfig, photos: Dataset) -> tuple[Exposure, PoseCheck]:
-    """Compare the photos by the points that structure from motion saw in them.
+    """Analyze exposure and camera poses of the training photos by their tracks.
 
     Raises:
         DatasetError, FormatError: a photo or the capture's model cannot be read.

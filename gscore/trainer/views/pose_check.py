@@ -12,35 +12,35 @@ from ...text_format import count_words
 from .resection import PointObservations, median_residual, resection_pose
 
 BAD = 2.0
-"""Pixels of a photo of 1,000 by which a camera misses the points it saw, in the median, from which
-on it stands elsewhere. Structure from motion misses them by 0.4 to 1.4."""
+"""Median reprojection error above which a camera pose is wrong, in pixels of a photo of 1,000 px.
+Structure from motion leaves 0.4 to 1.4."""
 _BETTER = 0.5
-"""Share of that which a new place has to leave at most."""
+"""Largest share of the error that a new pose may leave."""
 _DOUBT = 0.1
-"""Share of the training cameras that points could not help from which on poses are learnt from the
-photos: some few are as likely to have seen wrong points."""
+"""Share of training cameras with a wrong pose after resection above which poses are refined from
+the photos: a smaller share may just have wrong points."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseCheck:
-    """The cameras of the training photos."""
+    """Checked poses of the training cameras."""
 
     viewmats: np.ndarray | None = None
-    """[V, 4, 4] float64, world to camera of all views, where training cameras were placed anew or
-    are learnt; None: they stay where the capture has them."""
+    """[V, 4, 4] float64, world to camera, of all views, if training cameras were realigned or are
+    refined; None: the poses of the capture."""
     learns: bool = False
-    """Whether they are learnt from the photos too."""
+    """Whether poses are refined from the photos during the training."""
     why: str = ""
-    """A sentence that says so; empty: nobody asked."""
+    """Message on the decision; empty: no check."""
 
 
 def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> PoseCheck:
-    """Compare the training cameras with the points they saw, and decide what becomes of them.
+    """Compare the training cameras with their tracks, and decide on realignment and refinement.
 
     Args:
-        config: Its option `refine_poses` says what is asked for.
-        photos: Of the capture.
-        tracks: The points that its views saw; None where nothing is known of them.
+        config: Uses the option `refine_poses`.
+        photos: The capture.
+        tracks: Tracks of the capture; None: unknown.
     """
     if config.refine_poses is Switch.OFF:
         return PoseCheck()
@@ -83,7 +83,7 @@ def _unknown(viewmats: np.ndarray, *, asked: bool) -> PoseCheck:
 
 
 def _sights(photos: Dataset, tracks: Tracks) -> dict[int, PointObservations]:
-    """What each training camera saw."""
+    """Observations of each training camera."""
     found = {}
     for i in photos.train:
         good = np.isfinite(tracks.rays[i]).all(axis=1)
@@ -100,7 +100,8 @@ def _place(
     viewmats: np.ndarray,
     bad: Sequence[int],
 ) -> int:
-    """Place cameras anew, in `viewmats`, where that helps; how many that were."""
+    """Realign cameras in `viewmats` where that reduces the error; returns the number that are good
+    afterwards."""
     count = 0
     for i in bad:
         pose = resection_pose(viewmats[i], seen[i])
@@ -111,7 +112,7 @@ def _place(
 
 
 def _pixels(photos: Dataset, index: int, error: float) -> float:
-    """An error in x / z as pixels of the view, were its longer side 1,000."""
+    """Error in x / z, converted to pixels of a photo whose longer side is 1,000 px."""
     cameras = photos.scene.cameras
     side = max(cameras.widths[index], cameras.heights[index])
     return 1000 * error * float(cameras.Ks[index, 0, 0]) / float(side)

@@ -7,18 +7,18 @@ import numpy as np
 from .pose_math import cross_matrix, moved_pose
 
 _ROUNDS = 15
-"""Of Gauss and Newton."""
+"""Gauss-Newton iterations."""
 _LEAST = 12
-"""Points below which a camera stays where it is."""
+"""Fewest points for a resection."""
 _TUNING = 2.0
-"""Residuals beyond so many medians count less (Cauchy)."""
+"""Scale of the Cauchy weights, in median residuals."""
 _FLOOR = 1e-4
-"""Least scale of residuals, x / z: a tenth of a pixel of a photo of 1,000."""
+"""Smallest scale of residuals, x / z: a tenth of a pixel of a photo of 1,000 px."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointObservations:
-    """What a camera saw of the points."""
+    """Observations of 3D points in one camera."""
 
     points: np.ndarray
     """[M, 3] float64, world units."""
@@ -27,15 +27,14 @@ class PointObservations:
 
 
 def residuals(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
-    """[M, 2]: x / z and y / z of the points as seen by a pose, less those that were seen; NaN
-    behind the camera."""
+    """[M, 2]: reprojected x / z and y / z minus the observed ones; NaN behind the camera."""
     local = seen.points @ viewmat[:3, :3].T + viewmat[:3, 3]
     z = np.where(local[:, 2] > 0, local[:, 2], np.nan)
     return local[:, :2] / z[:, None] - seen.rays
 
 
 def median_residual(viewmat: np.ndarray, seen: PointObservations) -> float:
-    """Median length of the residuals, x / z; infinite where there are too few points."""
+    """Median length of the residuals, x / z; infinite without points."""
     length = np.linalg.norm(residuals(viewmat, seen), axis=1)
     return (
         float(np.median(np.where(np.isfinite(length), length, np.inf))) if len(length) else np.inf
@@ -43,10 +42,10 @@ def median_residual(viewmat: np.ndarray, seen: PointObservations) -> float:
 
 
 def resection_pose(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
-    """The pose, [4, 4], at which a camera sees the points where it saw them; where there are fewer
-    than twelve, or no better pose is found, the one it has.
+    """Camera pose, [4, 4], with the smallest reprojection error; the given one if there are fewer
+    than twelve points or no better pose is found.
 
-    Iteratively reweighted least squares over the motion of `moved`, with Cauchy's weights.
+    Iteratively reweighted least squares over the motion of `moved_pose`, with Cauchy weights.
     """
     if len(seen.points) < _LEAST:
         return viewmat
@@ -63,7 +62,7 @@ def resection_pose(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
 
 
 def _step(pose: np.ndarray, seen: PointObservations) -> np.ndarray | None:
-    """[6]: the motion that solves the linear problem; None where it has no solution."""
+    """[6]: motion of one Gauss-Newton step; None without a solution."""
     off = residuals(pose, seen)
     good = np.isfinite(off).all(axis=1)
     if good.sum() < _LEAST:

@@ -6,7 +6,7 @@ import pytest
 
 from .started import start
 
-HERE = "tests.trainer.ranks"
+HERE = "tests.trainer.distributed"
 
 
 @pytest.mark.parametrize("ranks", [2, 3])
