@@ -1,8 +1,8 @@
 """Sky: initial splats on a sphere around everything that the photos show.
 
-Where photos look past everything, at a sky or at hills, no point of structure from motion stands,
-and nothing makes a view between the photos show more than black. The sphere has in each direction
-the colour that photos have there, and elsewhere that of the nearest directions that one has.
+Sky and distant hills have no SfM points, so views between the photos would show black there. Each
+direction of the sphere gets the colour of the photos, and directions without a photo get the mean
+of the nearest ones with one.
 """
 
 from collections.abc import Sequence
@@ -18,36 +18,35 @@ from ...splats import Splats
 from .view_sampler import Photos, evenly_spaced
 
 _SPLATS, _SHARE = 1000, 10
-"""How many, at most, and no more than one in so many of `max_splats`."""
+"""Most splats of the sphere, and its smallest divisor of `max_splats`."""
 _FAR = 3.0
-"""Radius in distances to the farthest camera, or to the point that few are farther than."""
+"""Radius in distances to the farthest camera, or to the 99th percentile of the points."""
 _FEW = 0.01
 _OPACITY = 0.9
 _SIZE = 0.6
 """Standard deviation in distances between neighbours: the sphere then has no gaps."""
 _MOST_PHOTOS = 120
-"""Photos that are asked for their colours; of more, this many at even distances."""
+"""Most photos sampled for colours, evenly spaced."""
 _ACROSS = 48
-"""Colours are means over squares, of which so many lie side by side in a photo."""
+"""Squares along the longer side of a photo, over which colours are averaged."""
 _NEIGHBOURS = 8
-"""Directions whose mean one gets that no photo shows."""
+"""Nearest directions averaged for a direction that no photo shows."""
 
 
 def sky_splats(
     config: TrainConfig, photos: Photos, cameras: Cameras, points: np.ndarray
 ) -> Splats | None:
-    """The splats of the sphere, training world, SH degree 0.
+    """The splats of the sphere, training frame, SH degree 0.
 
     Args:
-        config: How to train; None is found unless `sky` asks for it.
-        photos: Colours are those of the training views.
-        cameras: All of `photos`, training world.
-        points: [P, 3] float64, those that the run starts from, training world.
+        config: Training options; the result is None without `sky`.
+        photos: Source of the colours, from training views.
+        cameras: All of `photos`, training frame.
+        points: [P, 3] float64, start points, training frame.
 
     Raises:
-        ConfigError: masks are opacity, so that there is no background, or a region says what alone
-            counts.
-        DatasetError, FormatError: a photo cannot be had.
+        ConfigError: masks are opacity, so there is no background, or the run has a region.
+        DatasetError, FormatError: a photo cannot be read.
     """
     if not config.sky:
         return None
@@ -89,7 +88,8 @@ def _directions(count: int) -> np.ndarray:
 def _colors(
     photos: Photos, cameras: Cameras, views: Sequence[int], means: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[N, 3]: mean colour, 0 to 1, of the photos that show the places `means`; [N] how many do."""
+    """[N, 3]: mean colour, 0 to 1, of the photos that show the positions `means`; [N] their
+    number."""
     sums, seen = np.zeros((len(means), 3)), np.zeros(len(means), int)
     for view in views:
         photo, mask = Image.fromarray(photos.image(view)), photos.mask(view)
@@ -111,8 +111,8 @@ def _colors(
 
 
 def _spread(colors: np.ndarray, seen: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """[N, 3] `colors`; of directions `ahead` that are not `seen`, the mean of the nearest that
-    are, and grey where none is."""
+    """[N, 3] `colors`; directions `ahead` that are not `seen` get the mean of the nearest seen
+    ones, or grey without any."""
     known, unknown = np.flatnonzero(seen), np.flatnonzero(seen == 0)
     if len(known) == 0:
         return np.full_like(colors, 0.5)

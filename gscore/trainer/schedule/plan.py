@@ -14,27 +14,26 @@ _FEWEST_SIZES, _FEWEST_STEPS = 3, 1000
 """Sizes of small photos, and steps, from which on splats grow with the photos. Shorter runs have
 too few refinements left: at 400 px it cost 0.2 to 1.4 dB in 300 and 600 steps, none in 1000."""
 _KEPT_EVERY = 500
-"""Steps between two states to go back to, at least; a tenth of long runs."""
+"""Fewest steps between two states for the watchdog; a tenth of the run if that is more."""
 _LONG, _LONG_GRAD = 10_000, 5e-5
-"""Steps from which on a subject that is cut out grows by a lower pull, and that pull. With the
-paper's, growth ends early where errors are small: lego stopped at a third of 300,000 splats, and
-gained 1.0 dB with all of them. With photos of everything it brought nothing. Shorter runs grow by
-it too where splats are left out of their steps, which keeps so many from learning photos by
-heart."""
+"""Steps from which a cut-out subject uses a lower gradient threshold of growth, and the threshold.
+With the paper's threshold growth ends early where errors are small: lego stopped at a third of
+300,000 splats, and gained 1.0 dB with all of them. Photos without cut-out masks gained nothing.
+Shorter runs use it too with dropout, which keeps the additional splats from overfitting."""
 _COARSE_SIDE = 75
-"""Pixels of a photo's shorter side below which a coarse picture says too little."""
+"""Shorter side of a photo, px, below which a coarse picture has too little detail."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """When things happen and at which rates. Steps count from 1."""
+    """Schedules of a run: steps of events, and learning rates. Steps count from 1."""
 
     iterations: int
     """Last step."""
     models: int
-    """Trained side by side; what is said of splats is said of each."""
+    """Models trained in parallel; numbers of splats are those of each."""
     max_splats: int
-    """Never more splats than this."""
+    """Most splats."""
     first_cap: int
     """Splats that small photos may grow to; `max_splats` unless the number rises with them."""
     pixels: int
@@ -46,11 +45,11 @@ class Plan:
     shN_every: int
     """Steps between two of the higher SH coefficients."""
     coarse_factor: float
-    """What the sides of the photos are divided by at the first step."""
+    """Divisor of the photos' sides at the first step."""
     coarse_until: int
     """From this step on photos are used at full size."""
     stages: tuple[float, ...]
-    """Shares of `coarse_until` at which photos become larger; see `sizes.stages`."""
+    """Shares of `coarse_until` at which photos become larger; see `photo_size_stages`."""
     refine_start: int
     """First step that may refine."""
     refine_stop: int
@@ -72,11 +71,11 @@ class Plan:
     init_scale: float
     """Size of the first splats in mean distances to their neighbours."""
     grow_grad: float
-    """Pull above which `default` doubles a splat."""
+    """Mean screen-space gradient above which `default` clones or splits a splat."""
     mcmc_growth: float
-    """Share of splats that a refinement of `mcmc` adds; 0 with `default`, where pulls decide."""
+    """Share of splats that a refinement of `mcmc` adds; 0 with `default`, which uses gradients."""
     kept: float
-    """Share of the splats that stay when refinements are over."""
+    """Share of the splats that remain after the last refinement."""
 
     @classmethod
     def of(
@@ -212,9 +211,9 @@ class Plan:
         return min(self.sh_degree, (step - 1) // self.sh_every)
 
     def factor_at(self, step: int) -> float:
-        """What the sides of the photos are divided by at `step`: a power of the root of 2, or 1.
+        """Divisor of the photos' sides at `step`: a power of the root of 2, or 1.
 
-        Most steps are cheap and coarse structure settles first.
+        Most steps are cheap, and coarse structure converges first.
         """
         done = step / max(self.coarse_until, 1)
         count = len(self.stages)

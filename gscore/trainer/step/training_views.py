@@ -22,17 +22,17 @@ from ..views.photo_parameters import PhotoParameters
 
 
 class TrainingView(NamedTuple):
-    """What a step of one model looks at."""
+    """The view of a step for one model."""
 
     indices: list[int]
     """Views of the batch, one for each rank."""
     index: int
     """This rank's view."""
     sized: SizedView
-    """It, with its photo."""
+    """This rank's view with its photo."""
     background: tuple[float, float, float]
     gain: torch.Tensor | None
-    """[3]: how its photo was exposed, where that is learnt."""
+    """[3]: learnt gain of its photo; None: no gains."""
 
     @property
     def view(self) -> Frustum:
@@ -41,7 +41,7 @@ class TrainingView(NamedTuple):
 
 
 class ViewBatcher:
-    """Draws the views of each step, for each model others."""
+    """Batches of training views for each step, different ones for each model."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class ViewBatcher:
         mask_mode: str,
         team: ProcessGroup | None,
     ) -> None:
-        """Take views in the order of `sampler`, which `generator` shuffles, as `sight` has them."""
+        """Views come from `renderer` in the order of `sampler`, which `generator` shuffles."""
         self._sampler = sampler
         self._renderer = renderer
         self._photo_parameters = photo_parameters
@@ -65,9 +65,9 @@ class ViewBatcher:
             composite = mask_mode == "composite"
             self._background = Background.RANDOM if composite else Background.BLACK
         self._costs: dict[int, float] = {}
-        """What drawing each view took when a team last did; the same on all ranks."""
+        """Last rendering cost of each view in a team; equal on all ranks."""
         self.factor = math.inf
-        """What the sides of the photos of the last step were divided by."""
+        """Divisor of the photos' sides in the last step."""
 
     def draw(self, plan: Plan, step: int, *, photos: int, models: int) -> list[TrainingView]:
         """Draw the views of a step that takes `photos` at once, and take out this rank's.
@@ -76,16 +76,16 @@ class ViewBatcher:
             DatasetError, FormatError: one cannot be had; nothing was done.
         """
         batches = self._next_views(photos, models)
-        # A rank that has no view in a batch looks at another's and keeps what it finds to itself.
+        # A rank without a view in a batch renders another rank's view and discards the result.
         place = min(self._team.rank, photos - 1) if self._team else 0
-        # A run that becomes longer does not go back to smaller photos.
+        # An extended run does not return to smaller photos.
         self.factor = min(self.factor, plan.factor_at(step))
         try:
             found = [
                 self._renderer.sized(indices[place], self.factor, upcoming=self._upcoming(models))
                 for indices in batches
             ]
-        except GsError as error:  # a checkpoint can be gone on from
+        except GsError as error:  # a checkpoint stays resumable
             self.put_back(photos)
             if self._team:
                 batch_losses.fail(self._team, error)
@@ -102,11 +102,11 @@ class ViewBatcher:
         ]
 
     def put_back(self, count: int) -> None:
-        """Let the views drawn last come again."""
+        """Return the last views to the sampler."""
         self._sampler.put_back(count)
 
     def note_costs(self, indices: list[int], costs: list[float]) -> None:
-        """Remember what drawing these views took, by which they are put together."""
+        """Record rendering costs of views, for the load balance of batches."""
         self._costs.update(zip(indices, costs, strict=True))
 
     def training_views(self) -> Iterator[SizedView]:
@@ -116,7 +116,7 @@ class ViewBatcher:
             yield self._renderer.sized(index, self.factor, upcoming=indices[i + 1 :])
 
     def state(self) -> dict[str, Any]:
-        """What `restore` needs, as JSON values."""
+        """State for `restore`, as JSON values."""
         return {
             "order": self._sampler.order,
             "position": self._sampler.position,
@@ -125,7 +125,7 @@ class ViewBatcher:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` of other glances returned.
+        """Restore the `state` of another batcher.
 
         Raises:
             ValueError, KeyError: it is not what that returns.
@@ -137,7 +137,7 @@ class ViewBatcher:
         self._costs = dict(as_measurements("costs", state.get("costs", [])))
 
     def _next_views(self, count: int, models: int) -> list[list[int]]:
-        """The views of a batch for each model; in a team of photos that cost alike."""
+        """Views of a batch for each model; in a team, photos of similar cost."""
         rows, sampler = [], self._sampler
         for missing in range(count, 0, -1):
             if self._team and sampler.through:
@@ -151,7 +151,7 @@ class ViewBatcher:
         return [list(views) for views in zip(*rows, strict=True)]
 
     def _upcoming(self, models: int) -> list[int]:
-        """Views that this rank will need, as far as they are drawn already."""
+        """Next views of this rank, as far as the order is known."""
         rank, size = (self._team.rank, self._team.size) if self._team else (0, 1)
         batches = self._sampler.upcoming(AHEAD * size, models)[rank::size]
         return [view for views in batches for view in views]

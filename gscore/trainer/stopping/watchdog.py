@@ -13,58 +13,57 @@ from ..model.checkpoint_schema import as_float, as_int, as_measurements
 from ..schedule.plan import Plan
 
 MAX_RESCUES = 3
-"""A run that runs away once more ends with an error."""
+"""Most rescues; a further divergence ends the run with an error."""
 SLOWER = 0.2
 """Each rescue multiplies all learning rates by this."""
 _WINDOW = 50
-"""Steps over which errors are smoothed; the first of them are only listened to."""
+"""Steps over which errors are smoothed; the first ones only initialize the mean."""
 _RATIO, _MARGIN = 1.7, 0.05
 """Diverged: the error is above `_RATIO` times its best and `_MARGIN` above it (of 1, white against
 black). Healthy runs stay below 1.2 times, with photos that get sharper on the way."""
 _SPOILT = 0.5
 """Diverged: more than this share of the last steps had no finite loss."""
 _LOST = 0.5
-"""Diverged: as many splats ran away, as a share of those there were, as this."""
+"""Diverged: this share of the splats ran away."""
 _EMPTIED = 0.01
-"""As many splats were taken out before a guide at once, as a share of those there were, as to leave
-holes in pictures."""
+"""Share of the splats removed at once in front of a guide mesh that leaves holes in pictures."""
 _FADES = 1000
-"""Steps after which splats that ran away count a third."""
+"""Steps after which the weight of runaway splats has decayed to a third."""
 _HEALTHY = 1.2
-"""A state is worth going back to while the error is at most this times its best."""
+"""A state is kept while the error is at most this times its best."""
 _GOOD_KEPT = 2
 
 
 class Watchdog:
-    """Watches the errors of one run."""
+    """Divergence detector of one run, by its errors."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        """Of the trainer, which may change it on the way."""
+        """Plan of the trainer, which may change during the run."""
         self.rescues = 0
-        """How often the run was taken back."""
+        """Number of rescues so far."""
         self._good: list[tuple[int, float]] = []  # step and best error by then
         self._begin(math.inf)
 
     @property
     def rate_factor(self) -> float:
-        """What learning rates are to be multiplied by."""
+        """Factor of all learning rates."""
         return SLOWER**self.rescues
 
     @property
     def good(self) -> tuple[int, ...]:
-        """Steps whose checkpoints can be gone back to, the latest last."""
+        """Steps with a good checkpoint, in ascending order."""
         return tuple(step for step, _ in self._good)
 
     def start(self, error: float) -> None:
-        """A run begins, with this error of its first splats and nothing to go back to."""
+        """Start a run with the error of its first splats and no good checkpoint."""
         self._good = []
         self._begin(error)
 
     def observe(
         self, step: int, mse: float, *, skipped: bool, lost: float = 0.0, cleared: float = 0.0
     ) -> bool:
-        """Take note of a step; whether the run diverged.
+        """Record a step; returns whether the run diverged.
 
         Args:
             step: The step just taken.
@@ -83,11 +82,11 @@ class Watchdog:
                 error if self._count == 1 else self._error + weight * (error - self._error)
             )
         if self.plan.resets_at(step):
-            # Lowered opacities darken the picture; what counts begins anew once they are back.
+            # Reset opacities darken the picture; the statistics restart once they have recovered.
             self._quiet_until = step + self.plan.reset_every // 2
             self._best = math.inf
         if cleared > _EMPTIED:
-            # So do holes, until what stood behind is seen and learnt.
+            # So do holes, until the surfaces behind them are trained.
             self._quiet_until = max(self._quiet_until, step + 2 * _WINDOW)
             self._best = math.inf
         if self._spoilt > _SPOILT or self._lost > _LOST:
@@ -104,12 +103,12 @@ class Watchdog:
         return self._count >= _WINDOW and self._error <= _HEALTHY * self._best
 
     def keep(self, step: int) -> None:
-        """The checkpoint of `step`, about to be written, can be gone back to."""
+        """Record the checkpoint of `step`, which is about to be written, as good."""
         earlier = [entry for entry in self._good if entry[0] < step]
         self._good = [*earlier, (step, self._best)][-_GOOD_KEPT:]
 
     def rescue(self, step: int) -> int:
-        """The step to go back to from `step`; what was seen since is forgotten.
+        """The step to go back to from `step`; drops the statistics since then.
 
         Another divergence goes back further, unless a new good state was reached before.
 
@@ -132,7 +131,7 @@ class Watchdog:
         return back
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
+        """State for `restore`, as JSON values."""
         return {
             "rescues": self.rescues,
             "good": self._good,
@@ -145,7 +144,7 @@ class Watchdog:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        """Restore the values of `state`; ValueError or KeyError if they are invalid."""
         self.rescues = as_int("rescues", state["rescues"], high=MAX_RESCUES)
         self._good = as_measurements("good", state["good"])
         self._error, self._count = (

@@ -11,7 +11,7 @@ from ..model.model import Model
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """What a strategy did to the model after a step."""
+    """Changes of the model by a strategy after a step."""
 
     added: int = 0
     removed: int = 0
@@ -25,10 +25,10 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnView:
-    """What a step tells a strategy of the view that it drew."""
+    """The rendered view of a step, as input of a strategy."""
 
     step: int
-    """Its number, from 1."""
+    """Number of the step, from 1."""
     radii: torch.Tensor
     """[N] int32 px, 0 where a splat was not drawn."""
     v_means2d: torch.Tensor
@@ -40,22 +40,22 @@ class DrawnView:
 
 
 Within = Callable[[torch.Tensor], torch.Tensor]
-"""Which of `means` [N, 3], training world, lie where something may be done: [N] bool."""
+"""[N] bool: the `means` [N, 3], training frame, in an allowed volume."""
 
 
 def all_within(means: torch.Tensor) -> torch.Tensor:
-    """All of them."""
+    """[N] bool, all true: no limit."""
     return torch.ones(len(means), dtype=torch.bool, device="cpu")
 
 
 class Policy(Protocol):
-    """A policy without state of its own: what it counts lives in `Model.rows`.
+    """A policy without state of its own: its counters are in `Model.rows`.
 
     A step calls, in this order: `observe`, `shape_gradients`, the optimizer, `after_step`.
     """
 
     def start(self, model: Model) -> None:
-        """Make the counters that the strategy keeps."""
+        """Create the counters of the strategy."""
         ...
 
     def shape_gradients(self, model: Model) -> None:
@@ -69,6 +69,6 @@ class Policy(Protocol):
     def after_step(
         self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
     ) -> Change:
-        """Change the model after the optimizer's step `step`, which moved positions at `means_lr`;
-        nothing is added beyond `cap` splats."""
+        """Change the model after the optimizer's step `step` with learning rate `means_lr` of the
+        means; no splats are added beyond `cap`."""
         ...

@@ -12,16 +12,17 @@ from ...raster.memory import zeros
 from ..model.nearest_points import NearestPoints
 
 _NEAREST = 10
-"""The distance to the first surface is that to this nearest point: single ones are often wrong."""
+"""Rank of the nearest point whose distance is that to the first surface: single points are often
+wrong."""
 _FEWEST_POINTS = 500
-"""Fewer points are too thinly sown to say that a place between them is empty."""
+"""Fewest points for free space: sparser ones do not show that the space between them is empty."""
 _PRODUCTS = 1 << 19
-"""Distances that are looked at together."""
+"""Distances computed per block."""
 
 
 class FreeSpace:
-    """Balls around cameras; float64 inside, for a ball may be small against its distance from the
-    origin."""
+    """Balls around cameras, stored as float64, since a ball may be small compared to its distance
+    from the origin."""
 
     def __init__(
         self, centers: np.ndarray, surfaces: NearestPoints | None, *, share: float
@@ -45,7 +46,7 @@ class FreeSpace:
         self._rest = torch.from_numpy(np.square(centers).sum(axis=1) - radii**2)
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: which of `means` [N, 3] lie in a ball."""
+        """[N] bool: the `means` [N, 3] in a ball."""
         inside = zeros(len(means), dtype=torch.bool)
         balls = len(self._rest)
         if balls == 0:

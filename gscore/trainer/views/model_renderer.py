@@ -31,15 +31,15 @@ COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
 _ALIGNED_SIDE = 400
 """Longer side of the picture by which a held-out camera is aligned, px."""
 _GLANCE = 8
-"""Sides of photos are divided by this to see whether a view shows anything."""
+"""Divisor of a photo's sides for the check whether a view shows any splat."""
 
 _Color = tuple[float, float, float]
 
 
 class ModelRenderer:
-    """Draws views of the models as they are at the moment. Looking changes no bit of the training.
+    """Renderer of the current models. Rendering changes no bit of the training.
 
-    Pictures are good until the next one is drawn, unless it says otherwise.
+    Pictures are valid until the next one is rendered, unless stated otherwise.
     """
 
     def __init__(
@@ -54,11 +54,11 @@ class ModelRenderer:
         cache: int | None = None,
         still: FrozenSplats | None = None,
     ) -> None:
-        """Look from `cameras`, those of `photos` in the training world, at what `models` gives,
-        shown as one.
+        """Render the models that `models` returns, merged into one, from `cameras`, those of
+        `photos` in the training frame.
 
-        `learnt` says how photos were exposed and where cameras stand; `cache` is how many bytes of
-        photos may be kept, None: all; `still` stands around the splats and is drawn with them.
+        `photo_parameters` are the learnt gains and poses; `cache` is the number of bytes of photos
+        to keep, None: all; `still` are frozen splats, rendered with the model.
         """
         self._config = config
         self._photos = photos
@@ -67,18 +67,18 @@ class ModelRenderer:
         self._pyramid = ImagePyramid(photos, cameras, near=frame.near, limit=cache)
         self._still = still
         self.rasterizer = TrainingRasterizer() if still is None else FrozenRasterizer(still)
-        """Draws the steps of the training too, so that both use the same memory."""
+        """The rasterizer, shared with the training steps to share its memory."""
         self.models = models
-        """What is looked at."""
+        """Returns the models to render."""
         self._seen: tuple[list[dict[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
 
     @property
     def background(self) -> _Color:
-        """Background for pictures that people and metrics look at."""
+        """Background colour for viewers and metrics."""
         return COLORS.get(self._config.background, COLORS[Background.BLACK])
 
     def splats(self) -> dict[str, torch.Tensor]:
-        """The raw parameters of what is drawn, training world; good until the next step."""
+        """Raw parameters of the rendered splats, training frame; valid until the next step."""
         parts = [model.synced(threads=self._config.threads) for model in self.models()]
         if len(parts) == 1:
             return parts[0]
@@ -89,17 +89,17 @@ class ModelRenderer:
         return joined
 
     def forget(self) -> None:
-        """Give back what is kept for pictures between two steps."""
+        """Free the cached parameters for rendering between two steps."""
         self._seen = None
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
-        """View `index` with sides divided by `factor`, from where its camera stands."""
+        """View `index` with sides divided by `factor`, at its refined camera pose."""
         return self._photo_parameters.at_refined_pose(self._pyramid.view(index, factor), index)
 
     def sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
-        """View `index` with its photo, sides divided by `factor`, from where its camera stands.
+        """View `index` with its photo, sides divided by `factor`, at its refined camera pose.
 
-        `upcoming`: views that will be asked for next.
+        `upcoming`: the next views, for prefetching.
         """
         found = self._pyramid.at(index, factor, upcoming=upcoming)
         if self._still is not None and self._photos.mask_mode == "ignore":
@@ -107,20 +107,20 @@ class ModelRenderer:
         return found._replace(view=self._photo_parameters.at_refined_pose(found.view, index))
 
     def background_before_gain(self, background: _Color, gain: torch.Tensor | None) -> _Color:
-        """What splats are drawn over, so that `background` shows once the gain is applied: where
-        photos are laid over it. Elsewhere it is part of the scene, exposed with it."""
+        """Background colour before the gain, so that `background` shows after it, if photos are
+        composited over it. Otherwise the background is part of the scene and exposed with it."""
         if gain is None or self._photos.mask_mode != "composite":
             return background
         return background_before_gain(background, gain)
 
     def picture(self, index: int, *, background: _Color) -> torch.Tensor:
-        """The view `index`, [H, W, 3] float32, which may be kept: exposed as its photo where that
-        is learnt of it, else neutral."""
+        """Picture of view `index`, [H, W, 3] float32, a copy: with the photo's learnt gain, or
+        neutral without one."""
         return self._exposed(index, self.view(index), background).clone()
 
     def aligned_picture(self, index: int, *, background: _Color) -> torch.Tensor:
-        """The view `index` from where it looks most like its photo, [H, W, 3] float32, which may be
-        kept; its camera stays."""
+        """Picture of view `index` at the pose that matches its photo best, [H, W, 3] float32, a
+        copy; its camera is unchanged."""
         config, full = self._config, self.view(index)
         factor = max(1.0, max(full.width, full.height) / _ALIGNED_SIDE)
         settings = Settings(
@@ -137,7 +137,7 @@ class ModelRenderer:
         return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
 
     def seen(self, request: FrameRequest) -> torch.Tensor:
-        """What somebody who watches wants to see, [height, width, 3] float32."""
+        """Picture for a frame request of a viewer, [height, width, 3] float32."""
         viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
         size = request.width, request.height
         view = training_camera(viewmats[0], request.K, *size, self._frame.near)
@@ -147,7 +147,7 @@ class ModelRenderer:
         return self._draw(shown, view, background=self.background).rgb
 
     def shows_splats(self, index: int) -> bool:
-        """Whether any splat is drawn in view `index`; looked at in an eighth of its size."""
+        """Whether any splat is drawn in view `index`; rendered at an eighth of its size."""
         view = self.view(index)
         factor = min(_GLANCE, view.width, view.height)
         width, height = view.width // factor, view.height // factor
@@ -156,8 +156,8 @@ class ModelRenderer:
         return bool((self._show(small).alpha > 0).any())
 
     def error(self, indices: Sequence[int], factor: float) -> float:
-        """Root of the mean squared error of the pixels that count, in these views with sides
-        divided by `factor`."""
+        """Root mean squared error of the unmasked pixels of these views, with sides divided by
+        `factor`."""
         background, total = self.background, 0.0
         for index in indices:
             view, image, mask, _, counted = self.sized(index, factor)
@@ -180,7 +180,7 @@ class ModelRenderer:
         return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
 
     def _exposed(self, index: int, view: Frustum, background: _Color) -> torch.Tensor:
-        """The picture of `view`, that of photo `index` at any size, as the photo was exposed."""
+        """Picture of `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self._photo_parameters.gain_of(index)
         picture = self._show(view, background=self.background_before_gain(background, gain)).rgb
         return picture if gain is None else picture.mul_(gain)
@@ -196,6 +196,6 @@ class ModelRenderer:
 
 
 def mse_of_unmasked(mse: float, counted: float) -> float:
-    """The mean squared error of the pixels that count, a share `counted` of all, where the others
-    are equal; 0: none do."""
+    """Mean squared error of the unmasked pixels, a share `counted` of all, if the others have no
+    error; 0 without any."""
     return mse / counted if counted > 0 else 0.0

@@ -1,9 +1,9 @@
 """Photo gains: exposure and white balance of each photo, factors by channel that are learnt.
 
-A neutral picture times its photo's gain is what is compared with the photo. Values are encoded
-(sRGB), where a change of exposure by s stops is a gain of about 2^(s / 2.2), and white balance a
-gain by channel. A gain is kept as three numbers, see `_BASIS`: Adam then moves the exposure of a
-photo, the one thing that differs most, along one axis.
+The neutral picture times the photo's gain is compared with the photo. Values are encoded (sRGB),
+where a change of exposure by s stops is a gain of about 2^(s / 2.2), and white balance a gain by
+channel. A gain is stored as three coefficients of `_BASIS`, so that Adam changes the exposure, the
+largest difference between photos, along one axis.
 """
 
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ _Color = tuple[float, float, float]
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
 _NAME = "gain"
-"""Of its tensors in checkpoints."""
+"""Prefix of its tensors in checkpoints."""
 
 
 class PhotoGains:
     """The gains of the training photos; held-out photos keep a gain of one.
 
-    Their geometric mean over the training photos is one after every step: else the splats could
-    become darker and all gains larger, and new views would have no exposure of their own.
+    Their geometric mean over the training photos is one after every step: otherwise splats could
+    become darker and all gains larger, and the exposure of new views would be undefined.
     """
 
     def __init__(self, train: Sequence[int], log_gains: np.ndarray) -> None:
-        """Begin with `log_gains`, [V, 3] float64: ln gain of R, G, B of all views; those of `train`
-        are learnt, the others not used."""
+        """`log_gains`, [V, 3] float64: initial ln gain of R, G, B of all views; those of `train`
+        are learnt, the others unused."""
         self._train = list(train)
         self._value = np.zeros_like(log_gains)
         self._value[self._train] = log_gains[self._train] @ np.linalg.inv(_BASIS)
@@ -47,11 +47,11 @@ class PhotoGains:
         return torch.from_numpy(np.exp(self._value[index] @ _BASIS).astype(np.float32))
 
     def learn(self, index: int, v_log_gain: Sequence[float], rate: float) -> None:
-        """A step of Adam for the gain of one photo; then all are centred.
+        """Adam step for the gain of one photo; then all gains are centred.
 
         Args:
-            index: Of a training view.
-            v_log_gain: Derivative of the loss in ln gain of R, G, B; not learnt from unless finite.
+            index: Training view.
+            v_log_gain: Derivative of the loss in ln gain of R, G, B; skipped unless finite.
             rate: Learning rate.
         """
         grad = _BASIS @ np.asarray(v_log_gain, np.float64)
@@ -72,10 +72,10 @@ class PhotoGains:
     def restored(
         cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
     ) -> "PhotoGains":
-        """Those that `tensors` returned, of so many views.
+        """Gains of `views` photos from the tensors of a checkpoint.
 
         Raises:
-            ValueError, KeyError: they are not what that returns.
+            ValueError, KeyError: the tensors are invalid.
         """
         out = cls(train, np.zeros((views, 3)))
         out._value = checked_tensor(f"{_NAME}/value", tensors, (views, 3))

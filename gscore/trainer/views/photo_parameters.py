@@ -16,27 +16,27 @@ from .pose_check import PoseCheck
 
 
 class PhotoParameters:
-    """Gains and poses of photos, as far as there are any, and the steps that they take."""
+    """Gains and poses of photos, each optional, and their updates."""
 
     def __init__(
         self, config: TrainConfig, gains: PhotoGains | None, poses: PhotoPoses | None
     ) -> None:
         self._config = config
         self.gains = gains
-        """How photos were exposed; None: they are taken as they are."""
+        """Exposure gains; None: photo colours are used unchanged."""
         self.poses = poses
-        """Where training cameras stand; None: where the capture has them."""
+        """Poses of the training cameras; None: those of the capture."""
 
     def gain_of(self, index: int) -> torch.Tensor | None:
-        """[3] float32: the gain of photo `index`, where that is learnt."""
+        """[3] float32: the gain of photo `index`; None: no gains."""
         return None if self.gains is None else self.gains.of(index)
 
     def at_refined_pose(self, view: Frustum, index: int) -> Frustum:
-        """`view`, that of photo `index` at any size, from where its camera stands."""
+        """`view`, the view of photo `index` at any size, at its refined pose."""
         return view if self.poses is None else replace(view, viewmat=self.poses.of(index))
 
     def pose_rate(self, done: float) -> float:
-        """Learning rate of poses after this share of the run; 0: they stay."""
+        """Learning rate of poses after this share of the run; 0: no update."""
         if self.poses is None or not self.poses.learns:
             return 0.0
         config = self._config
@@ -48,12 +48,12 @@ class PhotoParameters:
     def learn(
         self, indices: Sequence[int], slopes: np.ndarray, *, done: float, factor: float
     ) -> None:
-        """Let gains and poses take a step for each photo of a batch, one after the other.
+        """Update gains and poses for each photo of a batch, one after the other.
 
         Args:
-            indices: Of training views.
-            slopes: [P, 19] float64, a row for each of them: derivatives of the loss in ln gain of
-                R, G, B, and in the 16 numbers of the pose.
+            indices: Training views.
+            slopes: [P, 19] float64, one row per view: derivatives of the loss in ln gain of R, G,
+                B, and in the 16 entries of the pose matrix.
             done: Share of the run that is done.
             factor: All rates are multiplied by this.
         """
@@ -75,10 +75,10 @@ class PhotoParameters:
         return out
 
     def restore(self, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]) -> None:
-        """Go on from what `tensors` returned. A run that began without goes on without.
+        """Restore the state that `tensors` returned; without gains or poses there, none are used.
 
         Raises:
-            ValueError, KeyError: they are not what that returns.
+            ValueError, KeyError: the tensors are invalid.
         """
         found = PhotoGains.are_in(tensors)
         self.gains = PhotoGains.restored(train, views, tensors) if found else None
@@ -89,7 +89,7 @@ class PhotoParameters:
 def initial_poses(
     placing: PoseCheck | None, train: Sequence[int], frame: TrainingFrame
 ) -> PhotoPoses | None:
-    """The poses to begin with in the training world; None: the capture's are kept."""
+    """Initial poses in the training frame; None: the poses of the capture."""
     if placing is None or placing.viewmats is None:
         return None
     return PhotoPoses(

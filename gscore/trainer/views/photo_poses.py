@@ -9,16 +9,16 @@ from .photo_adam import PhotoAdam, checked_tensor
 from .pose_math import moved_pose, pose_distances, pose_gradient
 
 LIMIT = 0.05
-"""Most that a learnt camera moves from where it began: rad, and shares of the extent."""
+"""Largest change of a refined camera from its initial pose: rad, and shares of the extent."""
 _NAME = "pose"
-"""Of its tensors in checkpoints."""
+"""Prefix of its tensors in checkpoints."""
 
 
 class PhotoPoses:
-    """The poses of the training photos in the training world; held-out cameras stay.
+    """Poses of the training photos in the training frame; held-out cameras are fixed.
 
-    All cameras moving together would only move the scene away from those that stay: after each
-    step the mean motion is taken back, to first order, from all of them.
+    A common motion of all cameras would only move the scene relative to held-out cameras, so the
+    mean motion of each step is removed, to first order, from all of them.
     """
 
     def __init__(
@@ -35,16 +35,16 @@ class PhotoPoses:
         Args:
             train: Views whose poses are learnt.
             viewmats: World to camera, of all views.
-            unit: Shift that counts as much as a turn by 1 rad: about how far cameras are from what
-                they show, training units.
-            limit: Most that a camera moves from where it began, rad and `unit`.
-            learns: Whether the poses are learnt, not only kept.
+            unit: Translation equivalent to a rotation by 1 rad: about the distance of cameras from
+                the scene, training units.
+            limit: Largest change of a camera from its initial pose, rad and `unit`.
+            learns: Whether the poses are refined, not only stored.
         """
         self._train = list(train)
         self._first, self._viewmats = viewmats.copy(), viewmats.copy()
         self._unit, self._limit = unit, limit
         self.learns = learns
-        """Whether the poses are learnt, not only kept."""
+        """Whether the poses are refined, not only stored."""
         self._adam = PhotoAdam(len(viewmats), 6)
 
     @property
@@ -57,11 +57,11 @@ class PhotoPoses:
         return torch.from_numpy(self._viewmats[index].astype(np.float32))
 
     def learn(self, index: int, v_viewmat: torch.Tensor, rate: float) -> None:
-        """A step of Adam for the pose of one photo, on its tangent.
+        """Adam step for the pose of one photo, in its tangent space.
 
         Args:
-            index: Of a training view.
-            v_viewmat: [4, 4] derivative of the loss in the pose; not learnt from unless finite.
+            index: Training view.
+            v_viewmat: [4, 4] derivative of the loss in the pose; skipped unless finite.
             rate: Learning rate, rad and units.
         """
         before = self._viewmats[index].copy()
@@ -74,13 +74,13 @@ class PhotoPoses:
         self._take_back(np.linalg.inv(before) @ self._viewmats[index])
 
     def _limited(self, index: int, pose: np.ndarray) -> np.ndarray:
-        """`pose`, or where it lies beyond the limit the one that the camera has."""
+        """`pose`, or the camera's current pose if `pose` is beyond the limit."""
         angle, distance = pose_distances(pose[None], self._first[index][None])
         far = angle[0] > self._limit or distance[0] > self._limit * self._unit
         return self._viewmats[index] if far else pose
 
     def _take_back(self, motion: np.ndarray) -> None:
-        """Take the mean of a motion of one camera, [4, 4] in the world, back from all."""
+        """Remove the mean of a motion of one camera, [4, 4] in the world, from all cameras."""
         turn, count = motion[:3, :3], len(self._train)
         axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
         mean = np.concatenate([np.array(axis) / 2, motion[:3, 3]]) / count
@@ -104,10 +104,10 @@ class PhotoPoses:
     def restored(
         cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
     ) -> "PhotoPoses":
-        """Those that `tensors` returned, of so many views.
+        """Poses of `views` photos from the tensors of a checkpoint.
 
         Raises:
-            ValueError, KeyError: they are not what that returns.
+            ValueError, KeyError: the tensors are invalid.
         """
         first = checked_tensor(f"{_NAME}/first", tensors, (views, 4, 4))
         unit, limit, learns = checked_tensor(f"{_NAME}/facts", tensors, (3,)).tolist()

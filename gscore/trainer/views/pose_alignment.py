@@ -26,14 +26,14 @@ def align_pose(
     mask_mode: str,
     unit: float,
 ) -> torch.Tensor:
-    """[4, 4] float32: the pose that a camera goes to by the photo's loss; the splats stay.
+    """[4, 4] float32: camera pose that minimizes the photo's loss; the splats are fixed.
 
     Args:
         splats: The raw parameters by name.
         sized: The view, its photo and mask.
-        settings: How splats are drawn.
-        mask_mode: What the mask means.
-        unit: Shift that counts as much as a turn by 1 rad, world units of the view.
+        settings: Render settings.
+        mask_mode: Meaning of the mask.
+        unit: Translation equivalent to a rotation by 1 rad, world units of the view.
     """
     rasterizer, adam, scale = TrainingRasterizer(), PhotoAdam(1, 6), np.repeat([1.0, unit], 3)
     into = {name: zeros(*t.shape) for name, t in splats.items()}

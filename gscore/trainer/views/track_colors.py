@@ -10,12 +10,12 @@ from ...datasets.tracks import Tracks
 from ...io.images.read_image import resize
 
 _SIDE = 200
-"""Longer side of the small pictures that colours are taken from, px: wide enough pixels that an
-error of the place does not matter."""
+"""Longer side of the reduced pictures that colours are sampled from, px: pixels large enough to
+tolerate reprojection errors."""
 _DARK, _BRIGHT = 10, 245
-"""Bytes between which a colour follows the exposure."""
+"""Range of bytes in which a colour follows the exposure."""
 _SHOWN = 128
-"""Least byte of a mask where a colour counts."""
+"""Smallest mask byte of a valid colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class TrackColors:
     """S colours of P points in V photos."""
 
     view: np.ndarray
-    """[S] int64, 0 to V - 1: place of the view among those that were looked at."""
+    """[S] int64, 0 to V - 1: position of the view in the measured ones."""
     point: np.ndarray
     """[S] int64, row of the point."""
     log_color: np.ndarray
@@ -38,13 +38,13 @@ class TrackColors:
 def measure_track_colors(
     dataset: Dataset, tracks: Tracks, indices: list[int], *, threads: int
 ) -> TrackColors:
-    """The colours of points where they were seen, without what is nearly black, clipped or masked.
+    """Colours of points at their observations, except dark, clipped and masked ones.
 
     Args:
         dataset: The photos.
-        tracks: Which points are seen where.
-        indices: Views to look at.
-        threads: How many to use; 0: one a core.
+        tracks: Tracks of the capture.
+        indices: Views to measure.
+        threads: Number of threads; 0: one per core.
     """
     found = list(map_threads(lambda i: _in_view(dataset, tracks, i), indices, threads=threads))
     return TrackColors(
