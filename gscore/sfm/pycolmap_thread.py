@@ -3,6 +3,7 @@
 import concurrent.futures
 import contextlib
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -40,13 +41,21 @@ def log_messages(folder: Path) -> Iterator[None]:
     """A block of calls into pycolmap that write into a folder; what they raise becomes a sentence.
 
     Raises:
-        GsError: pycolmap raised an error, or the disk is full, of which it says other things.
+        GsError: pycolmap raised an error, the disk is full, of which it says other things, or the
+            folder was removed.
     """
     try:
         yield
     except GsError:  # some are ValueErrors and RuntimeErrors too
         raise
-    except (RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, sqlite3.Error) as error:
+        if not folder.is_dir():
+            raise GsError(
+                f"{brief(folder)} was removed while cameras were searched in it. Give the same "
+                "command again; it begins anew."
+            ) from error
+        if isinstance(error, OSError):
+            raise
         check_space(folder, _LEAST_FREE)
         said = str(error).strip().splitlines()
         raise GsError(

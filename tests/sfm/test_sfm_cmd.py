@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sqlite3
 import struct
 import subprocess
 import sys
@@ -269,6 +270,22 @@ def test_an_error_of_colmap_is_a_sentence(
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(GsError, match=says):
         run_in_thread(work, tmp_path, tick=lambda: None, cancelled=lambda: False)
+
+
+@pytest.mark.parametrize(
+    "error", [FileNotFoundError(2, "gone"), RuntimeError("No factory."), sqlite3.OperationalError()]
+)
+def test_a_work_folder_that_is_removed_is_a_sentence(error: Exception, tmp_path: Path) -> None:
+    """Oracle: the errors that Python, pycolmap and SQLite raise once their folder is gone."""
+    folder = tmp_path / ".capture.sfm"
+    folder.mkdir()
+
+    def work(token: object) -> None:
+        folder.rmdir()
+        raise error
+
+    with pytest.raises(GsError, match=r"capture\.sfm was removed while .* begins anew"):
+        run_in_thread(work, folder, tick=lambda: None, cancelled=lambda: False)
 
 
 def test_a_disk_that_fills_up_is_told_before_colmap_dies_of_it(
