@@ -284,6 +284,38 @@ def jpeg(image: np.ndarray, **options: object) -> bytes:
     return buffer.getvalue()
 
 
+@pytest.mark.parametrize("restart", [0, 5])
+@pytest.mark.parametrize("subsampling", [0, 2])
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("lost", [1, 2])
+def test_jpeg_without_its_end_marker(
+    lost: int,
+    colour: bool,
+    subsampling: int,
+    restart: int,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Oracle: the whole file, of which the end marker or half of it is cut off: the same pixels and
+    one warning. With blocks missing besides, and where blocks are not counted (progressive), it is
+    refused."""
+    image = noise() if colour else noise()[..., 0]
+    raw = jpeg(image, subsampling=subsampling, restart_marker_blocks=restart)
+    path = tmp_path / "a.jpg"
+    path.write_bytes(raw)
+    whole = read_image(path)
+    path.write_bytes(raw[:-lost])
+    for _ in range(2):
+        assert (read_image(path) == whole).all()
+    assert caplog.text.count("The last bytes of") == 1 and "a.jpg" in caplog.text
+    path.write_bytes(raw[: -len(raw) // 3])
+    with pytest.raises(FormatError, match=r"a\.jpg cannot be read"):
+        read_image(path)
+    path.write_bytes(jpeg(image, progressive=True)[:-lost])
+    with pytest.raises(FormatError, match=r"a\.jpg cannot be read"):
+        read_image(path)
+
+
 @pytest.mark.parametrize("optimize", [False, True])
 @pytest.mark.parametrize("restart", [0, 1, 5])
 @pytest.mark.parametrize("subsampling", [0, 1, 2])

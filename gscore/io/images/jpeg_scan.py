@@ -16,6 +16,7 @@ _FRAMES = frozenset({0xC0, 0xC1})
 _OTHER_FRAMES = frozenset(range(0xC2, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)
 _RESTART = re.compile(rb"\xff[\xd0-\xd7]")
+_END = b"\xff\xd9"
 _CODE = 16
 """Bits of the longest code."""
 
@@ -38,6 +39,23 @@ def missing_blocks(path: Path) -> int:
         return _missing(read_bytes(path))
     except (IndexError, KeyError, struct.error):  # a damaged header is left to the decoder
         return 0
+
+
+def with_end_marker(path: Path) -> bytes | None:
+    """The bytes of a JPEG of one sequential scan that lacks its last marker (EOI) alone, with that
+    marker; None for every other file."""
+    raw = read_bytes(path).rstrip(b"\xff")
+    try:
+        at = raw.rindex(b"\xff\xda")  # a byte 0xff within a scan is followed by 0 or a restart
+        whole = not _NEXT_MARKER.search(raw, at + 2) and _missing(raw) == 0
+    except (IndexError, KeyError, ValueError, struct.error):
+        return None
+    return raw + _END if whole and _is_counted(raw) else None
+
+
+def _is_counted(raw: bytes) -> bool:
+    """Whether the blocks of one scan less than there are would be missed."""
+    return _missing(raw[: raw.rindex(b"\xff\xda") + 16]) > 0
 
 
 def _missing(raw: bytes) -> int:

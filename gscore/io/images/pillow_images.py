@@ -1,6 +1,8 @@
 """Pillow images: opened with checks of format, size and completeness."""
 
 import functools
+import io
+import logging
 import re
 import struct
 import warnings
@@ -13,8 +15,9 @@ from typing import Any
 from ...errors import DatasetError, FormatError, GsError
 from ...extras import need
 from ...text_format import count_words, number
-from ..files import check_regular
+from ..files import check_regular, open_regular
 from .image_header import ORIENTATION, read_header
+from .jpeg_scan import with_end_marker
 from .raw import full_size_page, is_raw, raw_info, read_raw
 from .truncated_images import why_cut_short
 
@@ -38,6 +41,8 @@ BROKEN: tuple[type[Exception], ...] = (
     zlib.error,
 )
 """What Pillow's decoders raise on damaged files."""
+_JPEG, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_log = logging.getLogger(__name__)
 _STATED = re.compile(r"\((\d+) pixels\)")
 
 
@@ -74,7 +79,7 @@ def opened_picture(path: Path) -> Iterator[Any]:
     if info := read_header(path):  # tells width and height, where Pillow has but their product
         check_pixels(path, info.width, info.height)
     try:
-        with pil.open(path, formats=PICTURE_FORMATS) as image:
+        with pil.open(_source(path), formats=PICTURE_FORMATS) as image:
             if image.format == "TIFF":
                 image.seek(full_size_page(path))
             check_pixels(path, image.width, image.height)
@@ -98,6 +103,28 @@ def opened_picture(path: Path) -> Iterator[Any]:
         ) from error
     except BROKEN as error:
         raise _broken(path, (str(error) or type(error).__name__).rstrip(".")) from error
+
+
+def _source(path: Path) -> Path | io.BytesIO:
+    """What Pillow opens: the file, or its bytes where a JPEG lacks its end marker alone, without
+    which Pillow refuses it."""
+    with open_regular(path) as file:
+        if file.read(3) != _JPEG:
+            return path
+        file.seek(-2, io.SEEK_END)
+        if file.read() == _JPEG_END:
+            return path
+    raw = with_end_marker(path)
+    if raw is None:
+        return path
+    _warn_of_lost_end(path)
+    return io.BytesIO(raw)
+
+
+@functools.cache
+def _warn_of_lost_end(path: Path) -> None:
+    """Warn once for a file, which is decoded several times."""
+    _log.warning("The last bytes of %s are missing, but all of its pixels are there.", path)
 
 
 @contextmanager
