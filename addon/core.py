@@ -106,6 +106,7 @@ from gscore.frontend import (
     is_lod_file,
     is_video,
     join_splats,
+    masks_inside,
     mesh_depth,
     most_important,
     moved_viewmats,

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .datasets.camera_path_json import read_camera_path, write_nerfstudio_path
     from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
     from .datasets.mask_meaning import are_mattes
+    from .datasets.masks import masks_inside
     from .datasets.photo_headers import up_as_held
     from .datasets.resolution import target_size
     from .datasets.undistort import Undistortion, plan_undistortion
@@ -188,6 +189,7 @@ _HOME = {
     "is_video": "video",
     "isolation_of": "edit",
     "join_splats": "formats.joined:joined",
+    "masks_inside": "datasets.masks",
     "mesh_depth": "raster.mesh",
     "most_important": "edit",
     "moved_viewmats": "scene",
@@ -316,6 +318,7 @@ __all__ = [
     "is_video",
     "isolation_of",
     "join_splats",
+    "masks_inside",
     "mesh_depth",
     "most_important",
     "moved_viewmats",

@@ -4,7 +4,6 @@ The image has the colours of the photo, which shows what is masked; brushes that
 alpha paint the mask. Files are grey, white where pixels count, unless the scene inverts masks.
 """
 
-from functools import lru_cache
 from pathlib import Path
 
 import bpy
@@ -16,16 +15,14 @@ from ..cameras.objects import cameras_of, root_of, stated
 from ..cameras.pictures import levels_of, read_picture
 from ..capture.folders import same_folder
 from ..core import (
-    DataConfig,
     Folder,
     atomic_write,
     gray_png,
-    read_capture,
     read_header,
     rgba_png,
 )
 from ..interface import undo
-from ..render.camera_photo import kept_of, mask_folder, mask_place
+from ..render.camera_photo import kept_of, mask_folder, mask_place, source_of, stated_masks
 from ..training import facts, lookups, start_training
 
 _CAPTURE, _PHOTO, _SAVED = "gs_mask_capture", "gs_mask_photo", "gs_mask_saved"
@@ -77,8 +74,9 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     file = _stated_file(camera, own.image) or _found_file(camera, own.image)
     if file is not None and file.is_file():
         mask = read_picture(str(file), own)
-        if mask.shape != rgba.shape:
-            raise ValueError(f"The mask {file} has another size than its photo: mend it first.")
+        if mask.shape[0] < rgba.shape[0] or mask.shape[1] < rgba.shape[1]:
+            raise ValueError(f"The mask {file} is smaller than its photo: mend it first.")
+        rgba = _enlarged(rgba, *mask.shape[:2])  # the mask keeps its own size
         rgba[..., 3] = kept_of(mask, scene.gscore.invert_masks)
     height, width = rgba.shape[:2]
     image = bpy.data.images.new(f"Mask of {Path(own.image).name}", width, height, alpha=True)
@@ -88,6 +86,13 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     image.use_fake_user = True  # no file has it until it is saved
     _settle(image, levels_of(rgba))
     return image
+
+
+def _enlarged(rgba: np.ndarray, height: int, width: int) -> np.ndarray:
+    """[height, width, 4] of a picture [h, w, 4], the nearest pixel of each."""
+    rows = np.arange(height) * rgba.shape[0] // height
+    columns = np.arange(width) * rgba.shape[1] // width
+    return rgba[rows[:, None], columns]
 
 
 def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
@@ -186,22 +191,8 @@ def _check_usable(scene: bpy.types.Scene, photo: Path) -> None:
 
 def _stated_file(camera: bpy.types.Object, name: str) -> Path | None:
     """The file that the capture itself names for a mask."""
-    source = Path(stored_paths.read(root_of(camera), stored_paths.SOURCE))
-    listed = source.glob("*.json") if source.is_dir() else ()
-    stamps = (file.stat().st_mtime_ns for file in (source, *sorted(listed)) if file.exists())
-    return _stated_masks(source, tuple(stamps)).get(name)
-
-
-@lru_cache(maxsize=4)
-def _stated_masks(source: Path, stamps: tuple[int, ...]) -> dict[str, Path]:
-    """Files of masks by photo, as a capture names them; to read it again takes 0.2 ms a photo.
-
-    Args:
-        source: The capture.
-        stamps: Differ where its folder or its description was changed.
-    """
-    views = read_capture(DataConfig(source=source)).views
-    return {view.name: view.mask for view in views if view.mask is not None}
+    source = source_of(camera)
+    return None if source is None else stated_masks(source).get(name)
 
 
 def _found_file(camera: bpy.types.Object, name: str) -> Path | None:

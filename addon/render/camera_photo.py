@@ -1,7 +1,7 @@
 """Camera photo: the photo of an imported camera, with its mask, as the training loads it."""
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,15 @@ from .. import stored_paths
 from ..cameras.objects import PhotoCamera, cameras_of, is_camera, root_of, stated
 from ..cameras.pictures import Decoded, decode, levels_of
 from ..cameras.undistorted_photos import undistortion_of
-from ..core import Folder, Undistortion, are_mattes, downscale
+from ..core import (
+    DataConfig,
+    Folder,
+    Undistortion,
+    are_mattes,
+    downscale,
+    masks_inside,
+    read_capture,
+)
 from ..interface.blocks import with_uid
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 
@@ -49,20 +57,21 @@ def load_target(
         width: Pixels, at most the photo's.
         height: Pixels, at most the photo's.
         background: sRGB values that photos are composited over where their opacity says so.
-        mask_mode: As gscore's option: `auto`, `composite`, `ignore` or `none`. Masks are files of
-            the photos' names in the capture's folder `masks`, else the photos' opacity.
+        mask_mode: As gscore's option: `auto`, `composite`, `ignore` or `none`. Masks are the
+            files that the capture names, else those of its folder `masks` or `mask` with the
+            photos' names, else the photos' opacity.
         invert_masks: Mask files are white where pixels do not count.
 
     Raises:
         ValueError: photo or mask cannot be decoded or have other shapes than the camera.
     """
     own = stated(camera)
-    place = None if mask_mode == "none" else mask_folder(camera)
+    source = None if mask_mode == "none" else source_of(camera)
     file, masks = None, []
-    if place is not None:
+    if source is not None:
         listed = _listed(camera) if mask_mode == "auto" else []
         file, masks = yield from run_in_thread(
-            partial(_find_masks, place, own.image, listed), _READING
+            partial(_find_masks, source, own.image, listed), _READING
         )
     wanted = _Wanted(
         own=own,
@@ -102,12 +111,14 @@ def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
     opacity = rgba[..., 3]
     if mask is not None:
         values = mask.arranged(own)
-        if values.shape != rgba.shape:
+        if values.shape[0] < rgba.shape[0] or values.shape[1] < rgba.shape[1]:
             raise ValueError(
                 f"The mask {mask.path} is {values.shape[1]} x {values.shape[0]} pixels, its photo "
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
         opacity = kept_of(values, wanted.inverted)
+        if values.shape != rgba.shape:
+            opacity = _scaled(opacity, rgba.shape[1], rgba.shape[0])
     elif mode == "auto":
         mode = "composite"
     if plan is not None:
@@ -177,15 +188,23 @@ def _listed(camera: bpy.types.Object) -> list[_Masked]:
 
 
 def _find_masks(
-    place: Path, image: str, listed: list[_Masked], check: Check
+    source: Path, image: str, listed: list[_Masked], check: Check
 ) -> tuple[str | None, list[_Masked]]:
-    """The mask of an image in a folder, and, where there is one, the cameras that have one too."""
-    folder = Folder(place)
-    file = folder.find_mask(image)
-    if file is None:
+    """The mask of an image of a capture, and, where there is one, the cameras that have one too."""
+    place = masks_inside(folder_of(source))
+    folder, stated_files = None if place is None else Folder(place), stated_masks(source)
+
+    def find(name: str) -> str:
+        if stated_files:  # as in training, no folder serves a capture that names masks
+            file = stated_files.get(name)
+            return str(file) if file is not None and file.is_file() else ""
+        return "" if folder is None else str(folder.find_mask(name) or "")
+
+    file = find(image)
+    if not file:
         return None, []
-    found = [one._replace(file=str(folder.find_mask(one.image) or "")) for one in listed]
-    return str(file), [one for one in found if one.file]
+    found = [one._replace(file=find(one.image)) for one in listed]
+    return file, [one for one in found if one.file]
 
 
 def _cut_out(masks: list[_Masked], inverted: bool) -> Pieces[bool]:
@@ -222,17 +241,46 @@ def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
 
 def mask_folder(camera: bpy.types.Object) -> Path | None:
     """The folder of masks of a camera's capture, if it is there."""
-    place = mask_place(camera)
-    return place if place is not None and place.is_dir() else None
+    source = source_of(camera)
+    return None if source is None else masks_inside(folder_of(source))
 
 
 def mask_place(camera: bpy.types.Object) -> Path | None:
     """Where masks of a camera's capture belong; None: the camera is of none."""
+    source = source_of(camera)
+    return None if source is None else mask_folder(camera) or folder_of(source) / MASKS
+
+
+def source_of(camera: bpy.types.Object) -> Path | None:
+    """The file or folder of a camera's capture; None: the camera is of none."""
     root = root_of(camera)
-    if root is None:
-        return None
-    source = Path(stored_paths.read(root, stored_paths.SOURCE))
-    return (source.parent if source.is_file() else source) / MASKS
+    return None if root is None else Path(stored_paths.read(root, stored_paths.SOURCE))
+
+
+def folder_of(source: Path) -> Path:
+    """The folder of a capture, of which `source` is that or a file inside."""
+    return source.parent if source.is_file() else source
+
+
+def stated_masks(source: Path) -> dict[str, Path]:
+    """Files of masks by photo, as a capture names them; none where the capture is gone."""
+    if not source.exists():
+        return {}
+    listed = source.glob("*.json") if source.is_dir() else ()
+    stamps = (file.stat().st_mtime_ns for file in (source, *sorted(listed)) if file.exists())
+    return _stated_masks(source, tuple(stamps))
+
+
+@lru_cache(maxsize=4)
+def _stated_masks(source: Path, stamps: tuple[int, ...]) -> dict[str, Path]:
+    """The same, cached: to read a capture again takes 0.2 ms a photo.
+
+    Args:
+        source: The capture.
+        stamps: Differ where its folder or its description was changed.
+    """
+    views = read_capture(DataConfig(source=source)).views
+    return {view.name: view.mask for view in views if view.mask is not None}
 
 
 def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -12,10 +12,12 @@ import pytest
 
 from addon.cameras import captures
 from addon.cameras.objects import stated
-from addon.core import Folder, gray_png
+from addon.core import Folder, gray_png, masks_inside
 from addon.panels.cameras import CamerasPanel
+from addon.process.incremental_tasks import run_blocking
 from addon.region_training import masks
 from addon.region_training.mask_operators import MaskPanel
+from addon.render.camera_photo import load_target
 from addon.training import facts, start_training
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
@@ -231,3 +233,38 @@ def test_what_is_kept_is_small_in_a_file(studio: bpy.types.Scene, tmp_path: Path
     image.pixels[0] = 0.0
     image.pack()
     assert ours < 1.1 * image.packed_file.size
+
+
+@pytest.mark.parametrize("folder", ["masks", "mask"])
+def test_full_size_masks_of_either_folder_keep_their_size(
+    studio: bpy.types.Scene, folder: str
+) -> None:
+    """Oracle: the levels of a file twice as large as its photo, and what gscore's rule finds."""
+    own, source = stated(studio.camera), Path(studio.gscore.capture_path)
+    file = source / folder / f"{own.image}.png"
+    given = np.kron(
+        np.arange(own.height * own.width).reshape(own.height, -1) // 97 % 256, [[1] * 2] * 2
+    )
+    write_png(file, given.astype(np.uint8))
+    bpy.ops.gscore.paint_mask()
+    image = next(filter(masks.is_mask, bpy.data.images))
+    assert tuple(image.size) == (2 * own.width, 2 * own.height)
+    levels = painted(image)
+    bpy.ops.gscore.save_mask(image=image.name)
+    assert np.array_equal(read_mask(file), levels)
+    assert masks_inside(source) == file.parent and list(file.parent.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("folder", ["masks", "mask"])
+def test_a_comparison_takes_the_same_masks(studio: bpy.types.Scene, folder: str) -> None:
+    """Oracle: the mask that was written, at the photo's size; 2 x 2 pixels of it are alike."""
+    own = stated(studio.camera)
+    given = np.zeros((own.height, own.width), np.uint8)
+    given[:20] = 255
+    file = Path(studio.gscore.capture_path) / folder / f"{own.image}.png"
+    write_png(file, np.kron(given, np.ones((2, 2), np.uint8)))
+    pieces = load_target(
+        studio.camera, own.width, own.height, background=(0, 0, 0), mask_mode="ignore"
+    )
+    weight = run_blocking(pieces).weight
+    assert weight is not None and np.array_equal(np.rint(weight * 255), given)
