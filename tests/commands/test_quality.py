@@ -119,7 +119,7 @@ def test_a_study_is_trained_once_and_goes_on(
         done.append((names["variant"], config.seed, names["offset"]))
         return real(config, *args, **names)  # pyright: ignore
 
-    monkeypatch.setattr("gscore.commands.bench.quality.train_judged", counted)
+    monkeypatch.setattr("gscore.commands.bench.quality.train_scored", counted)
     command = ["quality", str(EXAMPLE), *TINY, "-o", str(out), "--seeds", "0", "1"]
     command += ["--offsets", "0", "3", "--test-every", "20", "--compare", "dark=sh0-lr=0"]
     stop_at = 3
@@ -160,7 +160,7 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
         assert taken.setdefault("photos", len(photos.train)) == len(photos.train)
         return real(replace(config, iterations=2), photos, *args, **names)  # pyright: ignore
 
-    monkeypatch.setattr("gscore.commands.bench.quality.train_judged", noted)
+    monkeypatch.setattr("gscore.commands.bench.quality.train_scored", noted)
     command = ["quality", str(EXAMPLE), "-r", "60", "--mask-mode", "none", "--preset", "normal"]
     command += ["--seeds", "0", "--offsets", "0", "-o", str(tmp_path / "out"), "--compare"]
     command += ["few=steps-a-photo=3", "all=steps-a-photo=0"]
@@ -222,7 +222,7 @@ def test_everything_is_checked_before_training(
     words: str,
 ) -> None:
     """Oracle: the message; a training would fail the test."""
-    monkeypatch.setattr("gscore.commands.bench.quality.train_judged", None)
+    monkeypatch.setattr("gscore.commands.bench.quality.train_scored", None)
     out = ["-o", str(tmp_path / "out")]
     assert main(["bench", "quality", str(EXAMPLE), *options, *out]) == 2
     message = capsys.readouterr().err

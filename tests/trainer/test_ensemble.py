@@ -161,12 +161,12 @@ def test_a_run_keeps_the_models_that_photos_decided_on(
 ) -> None:
     """Oracle: bit equality with the run that goes on, though the rule finds another number now."""
     config = replace(TWO, ensemble_below=0.35)
-    monkeypatch.setattr(trainer_module, "models_of", lambda *_, **__: (models, "then"))
+    monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (models, "then"))
     begun = trained(config, photos, 20)
     state, tensors = begun.state(), {name: t.clone() for name, t in begun.tensors().items()}
     for _ in range(15):
         begun.step()
-    monkeypatch.setattr(trainer_module, "models_of", lambda *_, **__: (3 - models, "now"))
+    monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (3 - models, "now"))
     after = Trainer(config, photos)
     after.restore(state, tensors)
     for _ in range(15):

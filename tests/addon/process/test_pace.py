@@ -108,7 +108,7 @@ def test_a_beat_that_has_nothing_to_do_ends(
     follow(work)
     looks = []
     tick = poll_timer.poll
-    monkeypatch.setattr(poll_timer, "tick", lambda: looks.append(0) or tick())
+    monkeypatch.setattr(poll_timer, "poll", lambda: looks.append(0) or tick())
     for _ in range(3):
         poll_timer._beat()
         clock.now += 2.0
