@@ -49,7 +49,7 @@ def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Highest quality, ten minutes to an hour on two cores."""
+    """All that the method gives, ten minutes to an hour on two cores."""
     # Three models of 200,000 have finer detail than two of 150,000, at the same PSNR.
     train = replace(_LONG, iterations=15_000, max_splats=600_000, splats_a_photo=6000, ensemble=3)
     return DataConfig(source=source, max_width=1600), train

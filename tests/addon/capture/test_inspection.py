@@ -103,8 +103,10 @@ def test_missing_photos(capture: Path) -> None:
     shutil.rmtree(capture / "images")
     _write(capture)
     (capture / "images").rename(capture / "input")
-    assert "They are in input" in texts(inspect(capture), True)
-    assert inspect(capture, images="input").can_train
+    assert inspect(capture).can_train, "a folder that other programs use"
+    (capture / "input").rename(capture / "images_2")
+    assert "They are in images_2" in texts(inspect(capture), True)
+    assert inspect(capture, images="images_2").can_train
 
 
 def test_photos_without_a_camera(capture: Path) -> None:
