@@ -70,7 +70,8 @@ class Job:
         self.filling: Any = None
         """The running import of splats; set by `display`."""
         self.chores: list[Callable[[], Any]] = []
-        """Preparations of the import that remain, one per poll; set by `start_training` and `display`."""
+        """Preparations of the import that remain, one per poll; set by `start_training` and
+        `display`."""
         self.preview_shown = ""
         self.told = False
         """Whether the last poll received events; set by `training_poller`."""
