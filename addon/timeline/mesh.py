@@ -68,7 +68,7 @@ def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     """Let a mesh take the place of an object's own; others that share that keep it.
 
     Raises:
-        ValueError: as `filling.replace`.
+        ValueError: as `write_chunked.replace`.
     """
     old = ob.data
     if not _is_shared(old):

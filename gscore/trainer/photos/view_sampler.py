@@ -78,7 +78,7 @@ class ViewSampler:
         """Next place in `permutation`."""
 
     def upcoming(self, count: int, parts: int = 1) -> list[list[int]]:
-        """What `beside` gives of the next views as far as they are drawn already, at most
+        """What `batch_neighbours` gives of the next views as far as they are drawn already, at most
         `count`."""
         ahead = range(self.position, min(self.position + count, len(self.order)))
         return [self._beside(at, parts) for at in ahead]
