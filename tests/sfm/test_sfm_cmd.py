@@ -154,11 +154,11 @@ _SEARCH = """
 import sys
 from pathlib import Path
 from gscore.events import SfmProgress
-from gscore.sfm import Request, find_cameras
+from gscore.sfm import SearchRequest, find_cameras
 def tell(event):
     if isinstance(event, SfmProgress):
         print(event.phase, event.done, flush=True)
-find_cameras(Request(photos=Path(sys.argv[1]), output=Path(sys.argv[2])), on_event=tell)
+find_cameras(SearchRequest(photos=Path(sys.argv[1]), output=Path(sys.argv[2])), on_event=tell)
 """
 
 
