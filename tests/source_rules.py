@@ -13,8 +13,8 @@ MODULES = _words(
     """__future__ argparse ast atexit base64 codecs collections concurrent contextlib csv ctypes
     dataclasses datetime difflib enum errno fcntl fractions functools hashlib html importlib
     inspect io ipaddress itertools json logging math mmap msvcrt os pathlib platform queue re
-    reprlib resource secrets shlex shutil signal stat statistics string struct subprocess sys
-    tempfile textwrap threading time traceback types typing unicodedata uuid warnings weakref
+    reprlib resource secrets shlex shutil signal sqlite3 stat statistics string struct subprocess
+    sys tempfile textwrap threading time traceback types typing unicodedata uuid warnings weakref
     zipfile zlib
     av blf bmesh bpy bpy_extras gpu gpu_extras gscore huggingface_hub lpips mathutils numpy
     onnxruntime OpenEXR PIL plyfile pycolmap safetensors scipy torch"""
@@ -26,7 +26,7 @@ FORBIDDEN = _words(
     concurrent.futures.ProcessPoolExecutor concurrent.futures.process logging.config
     logging.handlers torch.load torch.save torch.hub torch.jit torch.distributed
     torch.multiprocessing torch.package torch.utils.cpp_extension torch.utils.model_zoo
-    numpy.ctypeslib numpy.DataSource"""
+    numpy.ctypeslib numpy.DataSource sqlite3.connect sqlite3.Connection"""
 )
 """Neither they nor what is below them is named anywhere, called or not."""
 _FORBIDDEN_STARTS = ("os.exec", "os.spawn")

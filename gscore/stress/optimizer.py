@@ -112,7 +112,7 @@ def adam(full: bool) -> Iterator[Measure]:
             ceiling = np.log(0.01 / 0.99)
             twin.reset_opacities(ceiling)
             true.reset_opacities(ceiling)
-    moved, settled = 0.0, model.settled()
+    moved, settled = 0.0, model.synced()
     # A thousand steps round a thousand times: two trainings in float32 part by 2.4e-6, both 2.7e-6
     # from float64.
     tolerance = 4e-6 if full else 2e-6

@@ -532,13 +532,13 @@ def test_leaving_blender_leaves_a_checkpoint(
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "import os, time, bpy, addon_utils\n"
         "addon_utils.enable('addon', default_set=True, persistent=True)\n"
-        "from addon import job, preferences\n"
-        "from addon.process import beat\n"
+        "from addon import preferences, training\n"
+        "from addon.process import poll_timer\n"
         f"preferences.get().python_path = {str(python)!r}\n"
         "s = bpy.context.scene.gscore\n"
         f"s.capture_path, s.output_path = {str(STUDIO)!r}, {str(tmp_path / 'out')!r}\n"
-        "j = job.train(bpy.context.scene)\n"
-        "while j.state.step < 3: beat.tick(); time.sleep(0.01)\n"
+        "j = training.train(bpy.context.scene)\n"
+        "while j.state.step < 3: poll_timer.poll(); time.sleep(0.01)\n"
         f"print('pid', j.pid, flush=True)\n{end}\n"
     )
     pid = int(out.split("pid")[1].split()[0])
