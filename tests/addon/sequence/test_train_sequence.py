@@ -63,7 +63,7 @@ def play(tmp_path: Path) -> Play:
 def panel() -> str:
     """What the panel shows, once the folders have been looked at."""
     drawn(TrainSequencePanel)
-    until(lambda: not poll_timer.poll() or "Looking" not in drawn(TrainSequencePanel))
+    until(lambda: not poll_timer.poll() or "Searching" not in drawn(TrainSequencePanel))
     return drawn(TrainSequencePanel)
 
 

@@ -615,9 +615,10 @@ def test_the_real_trainer_is_killed(studio: bpy.types.Scene, tmp_path: Path) -> 
 
 def test_the_modules_need_no_bpy() -> None:
     """Oracle: a fresh interpreter in which bpy cannot be imported."""
-    names = "job.job job.session job.curve job.options job.loader job.registry job.lookups"
-    names += " job.earlier python.environment python.installer python.turn"
-    names += " process.background interface.lookup"
+    names = "training.training_job training.run_state training.curve training.options"
+    names += " training.loader training.registry training.lookups training.existing_run"
+    names += " trainer_python.environment trainer_python.installer trainer_python.install_lock"
+    names += " process.background_task interface.lookup"
     code = "import sys; sys.modules['bpy'] = None\n"
     code += "".join(f"import addon.{name}\n" for name in names.split())
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
