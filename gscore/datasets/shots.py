@@ -60,7 +60,7 @@ def shot_of(name: str, image: Any) -> Shot:
         if time := block.get(_TIME):
             tags = (time, block.get(_FRACTION), exif.get(_MAKE), exif.get(_MODEL))
             moment = tuple(str(tag).strip("\0 ") for tag in tags)
-    return Shot(np.asarray(upright, np.float32).ravel(), moment, name.partition(".")[0].lower())
+    return Shot(np.asarray(upright, np.float32).ravel(), moment, name.rpartition(".")[0].lower())
 
 
 def same_shots(shot: Shot, others: Sequence[Shot]) -> np.ndarray:

@@ -6,6 +6,7 @@ two of them. It holds a CRC-32 of each part, so that parts that were exchanged a
 """
 
 import contextlib
+import re
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -54,7 +55,17 @@ def write_parts(
         _remove(written)
         raise
     if is_ours:
-        _remove(path for path in old if path not in written)
+        _remove(path for path in old if path not in written and _is_named_like(path, parts))
+
+
+def _is_named_like(path: Path, parts: Iterable[str]) -> bool:
+    """Whether a file has the name of a part, or one of the free names that stand in for it: an
+    index may name files of others, or those of the model that it was copied from."""
+    names = ((Path(name).stem, Path(name).suffix) for name in parts)
+    return any(
+        re.fullmatch(rf"{re.escape(stem)}(\.\d+)?{re.escape(suffix)}", path.name)
+        for stem, suffix in names
+    )
 
 
 def parts_of(index: Path, names_in: NamesIn) -> tuple[Path, ...]:

@@ -181,4 +181,4 @@ def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
 
 
 def _length(metres: float) -> str:
-    return f"{metres:.0f} m" if metres < 1000 else f"{metres / 1000:,.0f} km"
+    return f"{metres:.0f} m" if metres < 1000 else f"{number(round(metres / 1000))} km"

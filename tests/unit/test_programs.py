@@ -66,15 +66,17 @@ def _pixels(view: View, points: np.ndarray) -> np.ndarray:
 def _check(capture: Capture, rig: Rig, program: str, tolerance: float = 1e-6) -> None:
     """Poses, and the pixels that the first camera, before which the points lie, sees."""
     assert [view.name for view in capture.views] == list(rig.names)
+    origin = np.zeros(3) if capture.origin is None else capture.origin
     for view, turn, place in zip(capture.views, rig.turns, rig.places, strict=True):
         np.testing.assert_allclose(view.viewmat[:3, :3], turn, atol=1e-9)
         center = -view.viewmat[:3, :3].T @ view.viewmat[:3, 3]
-        np.testing.assert_allclose(center, place, rtol=1e-13, atol=tolerance)
+        np.testing.assert_allclose(center + origin, place, rtol=1e-13, atol=tolerance)
         assert (view.camera.width, view.camera.height) == rig.size
         assert view.image.is_file()
     points = _points(rig)
     expected = files.pixels_of(program, rig, points)[0]
-    np.testing.assert_allclose(_pixels(capture.views[0], points), expected, atol=tolerance)
+    found = _pixels(capture.views[0], points - origin)
+    np.testing.assert_allclose(found, expected, atol=tolerance)
 
 
 TILTED = {**BROWN, "t1": 0.003, "t2": -0.0021}

@@ -5,6 +5,7 @@ import json
 import sys
 from argparse import Namespace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -149,7 +150,8 @@ def _down(up: np.ndarray | None) -> np.ndarray:
 
 def _no_model() -> ModelArgument:
     """A model of a capture that is named."""
-    return ModelArgument(run=None, file=cast(Any, None), data=None, train=None)
+    about = SimpleNamespace(of_capture=lambda origin: SimpleNamespace(origin=origin))
+    return ModelArgument(run=None, file=cast(Any, about), data=None, train=None)
 
 
 def _asked(folder: Path, **others: object) -> Namespace:
