@@ -122,3 +122,14 @@ def test_parts_of_other_programs_stay(make_model: MakeModel, tmp_path: Path) -> 
     (tmp_path / "in" / "b.gltf").write_text(json.dumps(content))
     write_splat_file(tmp_path / "in" / "b.gltf", make_model(32))
     assert (tmp_path / "a.bin").read_bytes() == kept
+
+
+def test_a_copied_index_leaves_the_parts_of_the_first(
+    make_model: MakeModel, tmp_path: Path
+) -> None:
+    """Oracle: the first model, which is still read after its copied index was replaced."""
+    write_splat_file(tmp_path / "a.gltf", make_model(30, 1, 0))
+    shutil.copy(tmp_path / "a.gltf", tmp_path / "b.gltf")
+    write_splat_file(tmp_path / "b.gltf", make_model(40, 1, 1))
+    assert len(read_splat_file(tmp_path / "a.gltf").splats) == 30
+    assert len(read_splat_file(tmp_path / "b.gltf").splats) == 40

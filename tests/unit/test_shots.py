@@ -124,3 +124,14 @@ def test_a_stated_split_stays(doubled: Path, tmp_path: Path) -> None:
     assert len(said) == 1 and "view_008_again.png of view_008.jpg" in said[0]
     plain = load_dataset(DataConfig(source=doubled, eval=False))
     assert not [s for s in plain.scene.warnings if "same picture" in s]
+
+
+def test_dots_in_names_make_no_copies(tmp_path: Path) -> None:
+    """Oracle: other views of one second, whose names differ after a dot alone."""
+    shots = []
+    for view in (0, 5):
+        path = tmp_path / f"frame.{view:04}.jpg"
+        _save(view, path, time="2026:01:02 03:04:05")
+        with Image.open(path) as image:
+            shots.append(shot_of(f"shoot.v2/{path.name}", image))
+    assert repeats(shots) == []
