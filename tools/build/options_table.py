@@ -3,8 +3,8 @@
 from itertools import groupby
 from pathlib import Path
 
-from gscore.commands.args.run_options import preset_values
 from gscore.commands.args.option_names_3dgs import rows
+from gscore.commands.args.run_options import preset_values
 from gscore.commands.options import all_options, idle_when
 from gscore.options import Option
 

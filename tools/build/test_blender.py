@@ -90,9 +90,7 @@ def chosen(backend: str | None, arguments: Sequence[str]) -> list[str]:
     return ["-q", "tests/addon", *arguments, *([] if backend == _BACKENDS[0] else _DRAWING)]
 
 
-def test_version(
-    version: str, backend: str | None, arguments: Sequence[str]
-) -> tuple[bool, str]:
+def test_version(version: str, backend: str | None, arguments: Sequence[str]) -> tuple[bool, str]:
     """Test in the bpy module; a version whose Python is missing is skipped, and that is said."""
     try:
         python = bpy_venvs.ensure(version)
@@ -101,9 +99,7 @@ def test_version(
     return run([python, "-m", "pytest", *chosen(backend, arguments)], backend)
 
 
-def test_program(
-    program: str, backend: str | None, arguments: Sequence[str]
-) -> tuple[bool, str]:
+def test_program(program: str, backend: str | None, arguments: Sequence[str]) -> tuple[bool, str]:
     """Test in a Blender program."""
     options = ["-b", "--factory-startup", "--python-exit-code", "1", "-P", "tests/blender_run.py"]
     paths = ["--packages", str(program_packages())]
