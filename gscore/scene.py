@@ -109,6 +109,11 @@ def origin_words(origin: np.ndarray) -> str:
     return "(" + ", ".join(f"{value:.15g}" for value in origin) + ")"
 
 
+def camera_centers(viewmats: np.ndarray) -> np.ndarray:
+    """[C, 3] camera positions in the world, from world-to-camera matrices [C, 4, 4]."""
+    return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cameras:
     """C posed pinhole cameras: OpenCV axes (x right, y down, z forward), pixel centres at +0.5."""
@@ -148,8 +153,7 @@ class Cameras:
     @property
     def centers(self) -> np.ndarray:
         """[C, 3] float64, camera positions in the world."""
-        rotation, translation = self.viewmats[:, :3, :3], self.viewmats[:, :3, 3]
-        return -np.einsum("cji,cj->ci", rotation, translation)
+        return camera_centers(self.viewmats)
 
     def of_splats(self, origin: np.ndarray | None) -> "Cameras":
         """The cameras in the world of splats that are about a local origin. Cameras of a file that

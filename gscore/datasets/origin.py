@@ -5,7 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..scene import distances, moved_viewmats, offset_between, origin_words, within_reach
+from ..scene import (
+    camera_centers,
+    distances,
+    moved_viewmats,
+    offset_between,
+    origin_words,
+    within_reach,
+)
 from .capture import Capture, View
 
 _TOLERANCE = 0.01
@@ -63,8 +70,10 @@ def choose_origin(capture: Capture) -> np.ndarray | None:
     so that as a rule it stays the same where some photos are left out.
     """
     step = max(1, len(capture.views) // _LOOKED_AT)
-    centers = np.array([_center(view) for view in capture.views]).reshape(-1, 3)
-    if not len(centers) or not within_reach(centers).all():
+    if not capture.views:
+        return None
+    centers = camera_centers(np.stack([view.viewmat for view in capture.views]))
+    if not within_reach(centers).all():
         return None
     middle = np.median(centers, axis=0)
     radius = _median(distances(centers, middle))
@@ -97,7 +106,3 @@ def _pixels(
 
 def _median(values: np.ndarray) -> float:
     return float(np.median(values)) if len(values) else 0.0
-
-
-def _center(view: View) -> np.ndarray:
-    return -view.viewmat[:3, :3].T @ view.viewmat[:3, 3]

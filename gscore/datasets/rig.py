@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError
-from ..scene import PointCloud
+from ..scene import PointCloud, camera_centers
 from ..text_format import count_words
 from .capture import Capture, View, listing
 from .pku.photos import camera_number
@@ -144,7 +144,7 @@ def _fit(pairs: list[tuple[View, View]]) -> _Fit:
     old = np.stack([view.viewmat for view, _ in pairs])
     new = np.stack([place.viewmat for _, place in pairs])
     turns = np.swapaxes(new[:, :3, :3], 1, 2) @ old[:, :3, :3]
-    from_old, to_new = _centers(old), _centers(new)
+    from_old, to_new = camera_centers(old), camera_centers(new)
     radius = float(np.linalg.norm(to_new - to_new.mean(axis=0), axis=1).max()) or 1.0
     kept = np.ones(len(pairs), bool)
     while True:
@@ -166,8 +166,3 @@ def _fit(pairs: list[tuple[View, View]]) -> _Fit:
                 scale=scale, rotation=rotation, shift=shift, distances=distances, angles=angles
             )
         kept = good
-
-
-def _centers(viewmats: np.ndarray) -> np.ndarray:
-    """[C, 3] camera positions."""
-    return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])

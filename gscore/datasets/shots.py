@@ -11,6 +11,7 @@ from ..errors import GsError
 from ..io.images.image_header import ORIENTATION
 from ..io.images.pillow_images import opened_picture, pillow
 from ..io.images.read_image import TURNS
+from ..scene import camera_centers
 from ..text_format import count_words
 from .capture import View, listing
 from .dataset import map_threads
@@ -138,7 +139,7 @@ def _in_one_place(
     """Pairs of a training and a test view whose cameras stand and look alike."""
     viewmats = np.stack([view.viewmat for view in views])
     turns = viewmats[:, :3, :3]
-    centers = -np.einsum("nji,nj->ni", turns, viewmats[:, :3, 3])
+    centers = camera_centers(viewmats)
     spread = np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))
     found = []
     for j in test:

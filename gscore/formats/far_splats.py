@@ -59,7 +59,7 @@ def without_far(
             limit = max(limit / 2, least)
     moved = away > limit
     if moved.any():
-        splats = moved_within(splats, moved, limit)
+        splats = moved_within(splats, moved, away, limit)
         notes.append(
             f"{count_words(int(moved.sum()), 'splat')} up to {away.max():.3g} units away from the "
             f"others were moved to {limit:.3g} units and made smaller, so that the positions of "
@@ -76,10 +76,16 @@ def without_far(
     return splats, notes
 
 
-def moved_within(splats: Splats, moved: np.ndarray, limit: float) -> Splats:
-    """The splats, some of them [N] bool moved along straight lines towards the middle until they
-    are at the limit along their farthest axis, and as much smaller."""
-    middle, (away, _) = middle_of(splats.means), distances_from_middle(splats.means)
+def moved_within(splats: Splats, moved: np.ndarray, away: np.ndarray, limit: float) -> Splats:
+    """Splats moved towards the middle and shrunk as much.
+
+    Args:
+        splats: The model.
+        moved: [N] bool, which are moved.
+        away: [N] as `distances_from_middle`.
+        limit: The distance at which they end, along their farthest axis.
+    """
+    middle = middle_of(splats.means)
     share = limit / away[moved, None]
     means, scales = splats.means.copy(), splats.scales.copy()
     means[moved] = middle + (means[moved] - middle) * share

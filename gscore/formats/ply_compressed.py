@@ -109,7 +109,7 @@ def _fitted(splats: Splats, order: np.ndarray, near: int) -> tuple[Splats, list[
         away, usual = distances_from_middle(splats.means)
         moved = np.zeros(len(splats), bool)
         moved[strays] = True
-        splats = moved_within(splats, moved, FAR * usual)
+        splats = moved_within(splats, moved, away, FAR * usual)
         notes.append(
             f"{count_words(len(strays), 'splat')} up to {away[strays].max():.3g} units away from "
             f"the others were moved to {FAR * usual:.3g} units and made smaller: they share their "

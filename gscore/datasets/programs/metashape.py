@@ -19,6 +19,7 @@ from ...errors import FormatError
 from ...io.colmap.model import ColmapCamera
 from ...io.xml_text import Element, read_xml
 from ...quoting import quoted
+from ...scene import camera_centers
 from ...text_format import count_words
 from ...transforms import invert_rigid
 from ..poses import rigid_matrix
@@ -206,7 +207,8 @@ def _size(where: str, *elements: Element) -> Size:
 def _up(shots: list[PosedPhoto]) -> np.ndarray | None:
     """Away from the middle of the Earth where the world is geocentric; else the format says
     nothing of it."""
-    centers = [-shot.viewmat[:3, :3].T @ shot.viewmat[:3, 3] for shot in shots]
-    middle = np.mean(centers, axis=0)
+    if not shots:
+        return None
+    middle = camera_centers(np.stack([shot.viewmat for shot in shots])).mean(axis=0)
     distance = float(np.linalg.norm(middle))
     return middle / distance if _EARTH[0] < distance < _EARTH[1] else None

@@ -1,7 +1,6 @@
 """Reader of a capture from another program's camera file and the photos in its folder."""
 
 import re
-import unicodedata
 from collections import defaultdict
 from pathlib import Path, PurePosixPath
 
@@ -13,9 +12,10 @@ from ...io.colmap.camera_models import NO_PINHOLE
 from ...io.colmap.folder import is_safe_name
 from ...io.images.read_image import IMAGE_ENDINGS, read_info
 from ...io.ply.points import read_point_cloud
-from ...scene import PointCloud
+from ...scene import PointCloud, camera_centers
 from ...text_format import count_words
 from ..capture import Capture, View, listing, repeated
+from ..folder import same_name
 from .find import ProgramFile
 from .llff import read_llff
 from .metashape import read_metashape
@@ -165,7 +165,7 @@ class _Photos:
 
 def _plain(name: str) -> tuple[str, ...]:
     """The parts of a path as they are compared: letter case and composed letters do not count."""
-    return PurePosixPath(unicodedata.normalize("NFC", name).replace("\\", "/").lower()).parts
+    return PurePosixPath(same_name(name).replace("\\", "/").lower()).parts
 
 
 def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
@@ -250,8 +250,8 @@ def _share_seen(points: np.ndarray, views: list[View]) -> float:
     """Share of the points, of some all over the list, that lie in the picture of any view."""
     some = points[:: max(1, len(points) // _LOOKED_AT)]
     seen = np.zeros(len(some), bool)
-    centers = np.array([-v.viewmat[:3, :3].T @ v.viewmat[:3, 3] for v in views]).reshape(-1, 3)
-    apart = float(np.ptp(centers, axis=0).max(initial=0.0)) or np.inf
+    viewmats = np.array([view.viewmat for view in views]).reshape(-1, 4, 4)
+    apart = (float(np.ptp(camera_centers(viewmats), axis=0).max()) if views else 0.0) or np.inf
     for view in views:
         at = some @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
         near = (at[:, 2] > 0) & (at[:, 2] < _FARTHEST * apart)

@@ -18,6 +18,7 @@ from ...io.colmap.model import ColmapCamera
 from ...io.files import read_bytes
 from ...io.xml_text import Element, read_xml
 from ...quoting import quoted
+from ...scene import camera_centers
 from ...transforms import viewmat_from_opengl
 from ..poses import rigid_matrix
 from .posed import PosedPhoto, PosedPhotos, Size, Values, brown_camera, numbers
@@ -154,9 +155,9 @@ def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
 
 def _check_no_degrees(path: Path, shots: Sequence[PosedPhoto]) -> None:
     """Raise FormatError where x and y are longitudes and latitudes, which are no lengths."""
-    centers = np.array([-s.viewmat[:3, :3].T @ s.viewmat[:3, 3] for s in shots]).reshape(-1, 3)
-    if len(centers) < 2:
+    if len(shots) < 2:
         return
+    centers = camera_centers(np.stack([shot.viewmat for shot in shots]))
     spread, middle = np.ptp(centers, axis=0), centers.mean(axis=0)
     across = spread[:2].max()
     on_earth = abs(middle[0]) <= 180 and abs(middle[1]) <= 90 and across <= _LEAST_SPREAD

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ...scene import camera_centers
+
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     """[..., 3, 3]: the matrices by which vectors [..., 3] are multiplied crosswise."""
@@ -48,12 +50,7 @@ def pose_distances(viewmats: np.ndarray, others: np.ndarray) -> tuple[np.ndarray
     )
     cosine = (np.trace(turn, axis1=1, axis2=2) - 1) / 2
     angle = np.arctan2(np.linalg.norm(skew, axis=1) / 2, cosine)
-    return angle, np.linalg.norm(centers(viewmats) - centers(others), axis=1)
-
-
-def centers(viewmats: np.ndarray) -> np.ndarray:
-    """[V, 3]: where cameras stand."""
-    return -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3])
+    return angle, np.linalg.norm(camera_centers(viewmats) - camera_centers(others), axis=1)
 
 
 def pose_gradient(viewmat: np.ndarray, v_viewmat: np.ndarray) -> np.ndarray:

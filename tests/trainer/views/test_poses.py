@@ -15,17 +15,12 @@ from gscore.raster.loss import image_loss_gradient
 from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum
 from gscore.raster.training_rasterizer import TrainingRasterizer
+from gscore.scene import camera_centers
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.photo_poses import PhotoPoses
 from gscore.trainer.views.pose_check import PoseCheck
-from gscore.trainer.views.pose_math import (
-    centers,
-    cross_matrix,
-    moved_pose,
-    pose_distances,
-    pose_gradient,
-)
+from gscore.trainer.views.pose_math import cross_matrix, moved_pose, pose_distances, pose_gradient
 from tests.trainer.short_run import CONFIG
 
 NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -54,7 +49,7 @@ def test_a_motion_is_an_exponential(size: float) -> None:
     np.testing.assert_allclose(found[:3, 3], turn @ [1, 2, 3] + [0.1, 0.2, 0.3], atol=1e-14)
     angle, distance = pose_distances(found[None], pose[None])
     assert angle[0] == pytest.approx(size, abs=1e-12)
-    where = centers(np.stack([found, pose]))
+    where = camera_centers(np.stack([found, pose]))
     assert distance[0] == pytest.approx(np.linalg.norm(where[0] - where[1]))
 
 
