@@ -127,8 +127,9 @@ def tell_of_report(run: Path) -> None:
 
 
 def save(path: Path) -> None:
-    """Write the .blend file."""
+    """Write the .blend file, without a backup: it is written several times."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    bpy.context.preferences.filepaths.save_version = 0
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
 
 
