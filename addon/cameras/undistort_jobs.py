@@ -113,7 +113,7 @@ def _file_loaded(*_: object) -> None:
         ask(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
 
 
-_FOLLOWERS = (
+_POLLERS = (
     poll_timer.Poller(collect, lambda: QUEUE.busy),
     poll_timer.Poller(LACKING.collect, lambda: LACKING.busy),
 )
@@ -124,11 +124,11 @@ HANDLERS = {"load_post": _file_loaded}
 
 def on_register() -> None:
     """Register with the poll timer."""
-    poll_timer.FOLLOWERS.extend(_FOLLOWERS)
+    poll_timer.POLLERS.extend(_POLLERS)
 
 
 def on_unregister() -> None:
     """Follow no more; a copy that is half made is left undone."""
-    for follower in _FOLLOWERS:
-        poll_timer.FOLLOWERS.remove(follower)
+    for poller in _POLLERS:
+        poll_timer.POLLERS.remove(poller)
     QUEUE.kill()

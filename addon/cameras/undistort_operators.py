@@ -126,10 +126,10 @@ _FOLLOWER = poll_timer.Poller(_SIZES.collect, lambda: _SIZES.busy)
 def on_register() -> None:
     """Draw in the preferences."""
     SECTIONS.append(draw_copies)
-    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.POLLERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Draw there no more."""
-    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.POLLERS.remove(_FOLLOWER)
     SECTIONS.remove(draw_copies)

@@ -113,10 +113,10 @@ _FOLLOWER = poll_timer.Poller(follow)
 
 def on_register() -> None:
     """Start to follow reports."""
-    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.POLLERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Stop following reports; colors stay in the file until the add-on removes them."""
-    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.POLLERS.remove(_FOLLOWER)
     _followed.clear()

@@ -185,10 +185,10 @@ HANDLERS = {"depsgraph_update_post": _changed}
 
 def on_register() -> None:
     """Start counting on the poll timer."""
-    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.POLLERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Stop counting."""
-    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.POLLERS.remove(_FOLLOWER)
     COUNTED.clear()

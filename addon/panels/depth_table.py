@@ -215,11 +215,11 @@ _FOLLOWER = poll_timer.Poller(fill)
 def on_register() -> None:
     """Add the tables' property, and fill them."""
     bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
-    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.POLLERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Remove them."""
-    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.POLLERS.remove(_FOLLOWER)
     _filled.clear()
     del bpy.types.WindowManager.gscore_depth

@@ -42,7 +42,7 @@ class Poller:
     """True if the next step should follow soon."""
 
 
-FOLLOWERS: list[Poller] = []
+POLLERS: list[Poller] = []
 """In order of registration; later ones see the results of earlier ones."""
 
 
@@ -65,12 +65,12 @@ _pace = Pace()
 def poll() -> bool:
     """Run a short step of all pending work; True while work is pending."""
     _screen.changed = False
-    for follower in FOLLOWERS:
-        _screen.changed |= follower.collect()
+    for poller in POLLERS:
+        _screen.changed |= poller.collect()
     _screen.stale |= _screen.changed
     if _screen.stale and time.monotonic() - _screen.drawn > REDRAW:
         redraw()
-    waits = any(follower.waits() for follower in FOLLOWERS)
+    waits = any(poller.waits() for poller in POLLERS)
     return waits or (_screen.stale and not bpy.app.background)
 
 
@@ -103,7 +103,7 @@ def _go_on() -> float | None:
     """Run ticks within the pace; seconds to the next call."""
     try:
         while True:
-            waits, hurries = poll(), any(follower.hurries() for follower in FOLLOWERS)
+            waits, hurries = poll(), any(poller.hurries() for poller in POLLERS)
             if not (waits and hurries and _pace.more(did=_screen.changed)):
                 break
     except Exception:  # Blender would never call again, and a training would seem to stand still

@@ -11,10 +11,10 @@ _FOLLOWING = following_verb(registry.JOBS, registry.trained.expire)
 def on_register() -> None:
     """Follow them."""
     _FOLLOWING.on_register()
-    poll_timer.FOLLOWERS.append(_LOOKUPS)
+    poll_timer.POLLERS.append(_LOOKUPS)
 
 
 def on_unregister() -> None:
     """Let go of them."""
-    poll_timer.FOLLOWERS.remove(_LOOKUPS)
+    poll_timer.POLLERS.remove(_LOOKUPS)
     _FOLLOWING.on_unregister()

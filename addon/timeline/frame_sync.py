@@ -326,12 +326,12 @@ def on_register() -> None:
     """Start the sync with the timeline."""
     settings.CHANGED.append(settings_changed)
     objects.CATCH_UP.append(catch_up)
-    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.POLLERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
     """Follow no more, and let go of all frames."""
-    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.POLLERS.remove(_FOLLOWER)
     objects.CATCH_UP.remove(catch_up)
     settings.CHANGED.remove(settings_changed)
     _drop_coming()

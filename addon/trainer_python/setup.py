@@ -210,12 +210,12 @@ _FOLLOWER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURREN
 
 def on_register() -> None:
     """Start to collect results of checks."""
-    poll_timer.FOLLOWERS.append(_FOLLOWER)
+    poll_timer.POLLERS.append(_FOLLOWER)
     preferences.PYTHON_CHOSEN.append(CURRENT.chosen)
 
 
 def on_unregister() -> None:
     """Cancel running tasks."""
-    poll_timer.FOLLOWERS.remove(_FOLLOWER)
+    poll_timer.POLLERS.remove(_FOLLOWER)
     preferences.PYTHON_CHOSEN.remove(CURRENT.chosen)
     CURRENT.shut_down()

@@ -97,24 +97,24 @@ class Following:
     """Registration of a folder's pollers, and the end of its jobs when Blender quits."""
 
     def __init__(
-        self, followers: Sequence[poll_timer.Poller], leave_all: Callable[[], object]
+        self, pollers: Sequence[poll_timer.Poller], leave_all: Callable[[], object]
     ) -> None:
         """Store the pollers; `on_register` starts them.
 
         Args:
-            followers: Pollers, in order.
+            pollers: Pollers, in order.
             leave_all: Releases all jobs, which then end by themselves.
         """
-        self._followers, self._leave_all = tuple(followers), leave_all
+        self._pollers, self._leave_all = tuple(pollers), leave_all
 
     def on_register(self) -> None:
         """Start the pollers."""
-        poll_timer.FOLLOWERS.extend(self._followers)
+        poll_timer.POLLERS.extend(self._pollers)
         atexit.register(self._leave_all)
 
     def on_unregister(self) -> None:
         """Stop the pollers and release the jobs."""
-        for follower in self._followers:
-            poll_timer.FOLLOWERS.remove(follower)
+        for poller in self._pollers:
+            poll_timer.POLLERS.remove(poller)
         atexit.unregister(self._leave_all)
         self._leave_all()

@@ -113,7 +113,7 @@ def over(job_of: object, *of: object) -> object:
 def trained() -> bool:
     """Whether the scene's training has ended, and its splats are there."""
     job = training_of(bpy.context.scene)
-    return job is not None and job.state.ended and not any(f.waits() for f in poll_timer.FOLLOWERS)
+    return job is not None and job.state.ended and not any(f.waits() for f in poll_timer.POLLERS)
 
 
 def to_train(capture: Path) -> None:

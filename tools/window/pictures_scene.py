@@ -122,7 +122,7 @@ def state() -> RunState:
 
 def trained() -> bool:
     """Whether the training has ended and its splats are there."""
-    return state().ended and not any(f.waits() for f in poll_timer.FOLLOWERS)
+    return state().ended and not any(f.waits() for f in poll_timer.POLLERS)
 
 
 def training() -> Iterator[object]:

@@ -56,8 +56,8 @@ def follow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Work], None]:
     """Have the beat do some work alone, as if it was registered just now."""
 
     def begin(work: Work) -> None:
-        follower = poll_timer.Poller(work.collect, work.waits, work.waits)
-        monkeypatch.setattr(poll_timer, "FOLLOWERS", [follower])
+        poller = poll_timer.Poller(work.collect, work.waits, work.waits)
+        monkeypatch.setattr(poll_timer, "POLLERS", [poller])
         monkeypatch.setattr(poll_timer, "_pace", pace.Pace())
 
     return begin
