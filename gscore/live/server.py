@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 class Server:
-    """Listens in a `with`; the training answers `onlookers`."""
+    """Listens in a `with`; the training answers `viewers`."""
 
     def __init__(
         self, options: LiveOptions, *, text: str = "", after_the_end: bool = False
@@ -100,7 +100,9 @@ class Server:
             except ConnectionError:  # of that one connection (ECONNABORTED), not of the listener
                 continue
             except (OSError, RuntimeError) as error:  # too many files, too many threads
-                if not self.viewers.closed and not told:
+                if self.viewers.closed:
+                    return
+                if not told:
                     _log.warning("A viewer cannot connect: %s", error)
                     told = True
                 time.sleep(_REST)
