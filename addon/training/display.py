@@ -60,7 +60,7 @@ def waits(job: Job) -> bool:
     return job.result_wanted and place_of(job) is not None
 
 
-def write_splats() -> bool:
+def is_importing() -> bool:
     """Whether splats are on their way, or what shows them, so that the next beat should come
     soon."""
     return any(job.filling is not None or job.chores for job in registry.jobs())

@@ -28,7 +28,7 @@ def _waits() -> bool:
 
 _FOLLOWING = Following(
     [
-        poll_timer.Poller(_collect, _waits, display.write_splats),
+        poll_timer.Poller(_collect, _waits, display.is_importing),
         poll_timer.Poller(lookups.collect, lookups.busy),
     ],
     registry.leave_all,

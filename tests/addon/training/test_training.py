@@ -400,7 +400,7 @@ def test_splats_on_their_way_survive_what_blender_does(
     play({"say": STARTED}, finish(str(tmp_path / "r.ply")))
     job = start_training.train(studio)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    until(lambda: display.write_splats())
+    until(lambda: job.filling is not None)
     poll_timer.poll()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
     mine = bpy.context.scene
@@ -413,7 +413,7 @@ def test_splats_on_their_way_survive_what_blender_does(
     assert start_training.wait_for(job, timeout=5)
     np.testing.assert_array_equal(positions(mine.gscore.result), result.means)
     assert [mesh.users for mesh in bpy.data.meshes] == [1]
-    assert not display.write_splats()
+    assert not display.is_importing()
 
 
 def test_materials_and_duplicates_stay(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
@@ -423,7 +423,7 @@ def test_materials_and_duplicates_stay(studio: bpy.types.Scene, play: Play, tmp_
     event = {"event": "snapshot", "step": 1, "path": str(tmp_path / "a.ply"), "splats": 10}
     play({"say": STARTED}, {"say": event}, {"await": "go"}, finish(str(tmp_path / "b.ply")))
     job = start_training.train(studio)
-    until(lambda: studio.gscore.result is not None and not display.write_splats())
+    until(lambda: studio.gscore.result is not None and not display.is_importing())
     ob = studio.gscore.result
     ob.data.materials.append(bpy.data.materials.new("mine"))
     copy = ob.copy()
