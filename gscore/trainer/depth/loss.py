@@ -1,4 +1,4 @@
-"""Depth loss: rendered inverse depth against depth priors, in units that suit any capture.
+"""Depth loss: rendered inverse depth against depth priors, independent of the capture's scale.
 
 With D the accumulated inverse depth of a pixel (sum of w / z), A its opacity (sum of w), P the
 prior, c its confidence and m the median of all aligned P:
@@ -6,13 +6,13 @@ prior, c its confidence and m the median of all aligned P:
     aligned views     weight * mean over all pixels of c (|D - P| + (1 - A) P / 2) / max(P, m)
     other views       weight * depth_pearson * (1 - correlation of D and P, weighted by c)
 
-D alone cannot tell a wall from a haze of opacity 0.4 at 0.4 of its distance, and haze is what a
-training finds first. The second term can: where the depth is known there is a surface, so what is
-missing of its opacity is an error too.
+D alone does not distinguish a wall from haze of opacity 0.4 at 0.4 of its distance, which a
+training finds first. The second term does: a known depth means an opaque surface, so missing
+opacity is an error too.
 
-The divisor makes the error of near surfaces, whose inverse depth is large, a relative one and that
-of far surfaces one in units of the median: neither do the nearest pixels rule the sum nor the
-farthest. The mean is over all pixels, so a view of which little is known counts little.
+The divisor makes the error relative for near surfaces, whose inverse depth is large, and in units
+of the median for far ones, so that neither dominate the sum. The mean is over all pixels, so a view
+with few known pixels has a small loss.
 """
 
 import math
@@ -27,22 +27,22 @@ from ...raster.no_double_backward import no_double_backward
 from .targets import DepthTarget, DepthTargets
 
 _SPREAD_FLOOR = 1e-4
-"""Least variance in the correlation, of inverse depth in medians: flat maps say nothing."""
+"""Variance of inverse depth, in medians squared, added in the correlation: flat maps count less."""
 _OPAQUE = 0.5
-"""Weight of missing opacity next to wrong inverse depth."""
+"""Weight of missing opacity relative to wrong inverse depth."""
 _FEW = 6
-"""Views of a point up to which maps count in full."""
+"""Views of a point up to which depth maps have full weight."""
 
 
 def with_weights(config: TrainConfig, views: float) -> TrainConfig:
-    """The options with the weights of the depth loss, where they leave them open.
+    """Return the options with the automatic weights of the depth loss filled in.
 
-    Photos settle more of the geometry the more of them show it, while a map errs as it did: from
-    few views it counts as much as they do, then less.
+    More views constrain the geometry better, while the errors of a map stay, so the weight is 1 for
+    few views and falls with more.
 
     Args:
-        config: The options.
-        views: Training views that show a median point, see `rule.Coverage`.
+        config: The options; a negative weight is automatic.
+        views: Median number of training views of a point (`rule.Coverage`).
     """
     first, last = config.depth_weight, config.depth_weight_final
     if first < 0:
@@ -66,18 +66,18 @@ class DepthLoss:
     """The depth loss of a run."""
 
     def __init__(self, config: TrainConfig, targets: DepthTargets, *, scale: float) -> None:
-        """`scale`: training units a world unit."""
+        """`scale`: training units per world unit."""
         self._config = with_weights(config, targets.views)
         self.targets = targets
         # Lengths grow by the scale, so inverse depths shrink by it.
         self._unit = targets.unit / scale
 
     def set_length(self, iterations: int) -> None:
-        """Fit the course of the weight to a run of this many steps."""
+        """Fit the schedule of the weight to a run of this many steps."""
         self._config = replace(self._config, iterations=iterations)
 
     def weight(self, index: int, step: int) -> float:
-        """What the loss of view `index` is multiplied by; 0: no inverse depth is needed."""
+        """Weight of the loss of view `index`; 0: no inverse depth is needed."""
         if index not in self.targets:
             return 0.0
         weight = weight_at(self._config, step)
@@ -90,8 +90,8 @@ class DepthLoss:
 
         Args:
             index: A view with a prior.
-            inverse_depth: [H, W] float, as rendered, 1/training unit; differentiable in it.
-            alpha: [H, W] float, opacity as rendered; differentiable in it.
+            inverse_depth: [H, W] float, rendered, 1/training unit; differentiable.
+            alpha: [H, W] float, rendered opacity; differentiable.
         """
         height, width = inverse_depth.shape
         target = self.targets.at(index, width, height)
@@ -108,16 +108,16 @@ def l1_loss(
     """Mean over all pixels of c (|D / unit - P| + (1 - A) P / 2) / max(P, 1), with P in units.
 
     Args:
-        inverse_depth: D, [H, W] float, 1/training unit; differentiable in it.
-        alpha: A, [H, W] float, opacity; differentiable in it.
-        target: P and c at that size.
+        inverse_depth: D, [H, W] float, 1/training unit; differentiable.
+        alpha: A, [H, W] float, opacity; differentiable.
+        target: P and c, [H, W].
         unit: 1/training unit.
     """
     return _L1.apply(inverse_depth, alpha, target, 1.0 / unit)  # pyright: ignore[reportReturnType]
 
 
 class _L1(torch.autograd.Function):
-    """A few passes over the picture instead of the many of separate operations."""
+    """Fused operation: a few passes over the image instead of one per torch operation."""
 
     @staticmethod
     def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -137,7 +137,7 @@ class _L1(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        # In place and therefore once: a new picture costs as much as three passes over one.
+        # In place and therefore only once: allocating an image costs as much as three passes.
         if not ctx.gradients:
             raise GsError("Gradients of l1_loss can be taken only once: leave out retain_graph.")
         v_alpha, v_inverse_depth = ctx.gradients.pop(), ctx.gradients.pop()
@@ -146,11 +146,11 @@ class _L1(torch.autograd.Function):
 
 
 def pearson_loss(inverse_depth: torch.Tensor, target: DepthTarget) -> torch.Tensor:
-    """1 - weighted correlation with the prior; the same for any scale > 0 and offset of the prior.
+    """1 - weighted correlation with the prior; invariant to a scale > 0 and offset of the prior.
 
     Args:
-        inverse_depth: [H, W] float in medians of the capture; differentiable in it.
-        target: The prior at that size.
+        inverse_depth: [H, W] float in medians of the capture; differentiable.
+        target: The prior, [H, W].
     """
     weight = target.confidence.to(inverse_depth.dtype).flatten()
     weight = weight / weight.sum().clamp_min(1.0)

@@ -12,11 +12,11 @@ from .targets import Prior
 _SURE = 0.5
 """Least confidence of a pixel."""
 _AGREE = 0.05
-"""Largest relative difference to the depth that another view states for the point."""
+"""Largest relative difference to the depth in another view."""
 _OTHERS = 4
-"""Views with the nearest axes that are asked."""
+"""Number of other views, those with the nearest optical axes, that a point is checked in."""
 _HOLE = 2.0
-"""A hole is farther from all points than this many pixels of the grid."""
+"""Least distance of a hole from all points, in grid cells."""
 
 
 def depth_points(
@@ -27,27 +27,27 @@ def depth_points(
     seed: int,
     most: int | None = None,
 ) -> PointCloud:
-    """Points where SfM has none, seen alike by two aligned depth maps.
+    """Back-project points where SfM has none and two aligned depth maps agree.
 
-    Pixels of an even grid in each training view are back-projected. A point stays if it is farther
-    from all SfM points than two grid cells, and if a neighbouring view whose frame it lies in
-    states its depth within 5 % there; points that no other view can judge are left out.
+    Pixels of a regular grid in each training view are back-projected. A point is kept if it is
+    farther than two grid cells from all SfM points, and if the depth in a neighbouring view agrees
+    within 5 %; points outside the frames of all neighbouring views are dropped.
 
     Args:
         photos: The capture; colours come from its photos.
         priors: By index of the view; only aligned ones are used.
-        count: Sets how fine the grid is; at most so many, thinned at random.
-        seed: Of the thinning.
-        most: At most so many on the same grid; None: `count`.
+        count: Target number of points, which sets the grid; more are thinned at random.
+        seed: Seed of the thinning.
+        most: Most points, on the same grid; None: `count`.
 
     Returns:
-        0 to `count` points in COLMAP world.
+        0 to `count` points, COLMAP world units.
     """
     cameras = photos.scene.cameras
     used = [i for i in photos.train if (p := priors[i]) is not None and p.aligned]
     if count <= 0 or len(used) < 2:
         return PointCloud(points=np.zeros((0, 3)), colors=np.zeros((0, 3), np.uint8))
-    # Twice as many candidates as wanted in all, or the checks would leave too few.
+    # Four candidates per point, because the checks reject many.
     pixels = sum(int(cameras.widths[i]) * int(cameras.heights[i]) for i in used)
     stride = max(1, int(np.sqrt(pixels / (4 * count))))
     known = NearestPoints(photos.scene.points.points, asked=2 * count)
@@ -69,7 +69,7 @@ def _from_view(
     stride: int,
     known: NearestPoints,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points [P, 3] and colours [P, 3] of one view."""
+    """Points, [P, 3] world units, and colours, [P, 3] uint8, of one view."""
     cameras, prior = photos.scene.cameras, priors[index]
     assert prior is not None
     rows = np.arange(stride // 2, prior.inverse_depth.shape[0], stride)
@@ -89,14 +89,14 @@ def _from_view(
 
 
 def _far_from(known: NearestPoints, points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """[P] bool: none of the known points lies within `radius` [P]."""
+    """[P] bool: no known point is within `radius` [P]."""
     if len(known) == 0 or len(points) == 0:
         return np.ones(len(points), bool)
     return known.distances(points, 1)[:, 0] > radius
 
 
 def _neighbours(cameras: Cameras, used: list[int], index: int) -> list[int]:
-    """The other views whose optical axes are nearest to that of view `index`."""
+    """Other views with the optical axes nearest to that of view `index`."""
     axes = cameras.viewmats[:, 2, :3]
     others = [i for i in used if i != index]
     return sorted(others, key=lambda i: -float(axes[i] @ axes[index]))[:_OTHERS]
@@ -105,7 +105,7 @@ def _neighbours(cameras: Cameras, used: list[int], index: int) -> list[int]:
 def _confirmed(
     cameras: Cameras, priors: Sequence[Prior | None], others: list[int], points: np.ndarray
 ) -> np.ndarray:
-    """[P] bool: one of the other views states the same depth for the point."""
+    """[P] bool: the depth of the point agrees in one of the other views."""
     confirmed = np.zeros(len(points), bool)
     for i in others:
         prior = priors[i]

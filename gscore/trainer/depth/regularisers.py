@@ -8,22 +8,21 @@ from ..host.random import uniform
 from ..schedule.caps import drops_splats_of_subject
 
 _GONE = -30.0
-"""Logit of a splat that is left out: far below the opacity at which one is drawn."""
+"""Logit of a dropped splat: far below the opacity at which splats are drawn."""
 _MOST = 0.999
-"""Highest opacity that making up for the others leads to; no more than 0.99 is drawn anyway."""
+"""Highest opacity after compensation; the rasterizer clamps to 0.99 anyway."""
 
 
 def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) -> tuple[float, str]:
-    """The share of splats that a run leaves out of its last step, for these photos.
+    """Return the dropout rate of the last step for these photos.
 
     Args:
-        config: `drop_rate`, and `drop_below`, its condition.
-        known: Share of the pixels that masks leave whose depth stereo found; None: nobody
-            looked.
-        mask_mode: What masks are for, as `Dataset.mask_mode`.
+        config: `drop_rate`, and its condition `drop_below`.
+        known: Share of the unmasked pixels with a depth by stereo; None: stereo has not run.
+        mask_mode: Use of the masks, as `Dataset.mask_mode`.
 
     Returns:
-        The share, and a sentence where a condition holds; empty where there is none.
+        The rate in [0, 1), and a message if a condition led to it; otherwise empty.
     """
     rate = config.drop_rate
     if not (rate and config.drop_below):
@@ -43,24 +42,24 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
 
 
 def drop_rate_at(rate: float, step: int, iterations: int) -> float:
-    """Share of splats to leave out of `step`: rises evenly to `rate` (Park et al. 2025, eq. 5)."""
+    """Dropout rate of `step`: rises linearly to `rate` (Park et al. 2025, eq. 5)."""
     return rate * min(step / iterations, 1.0)
 
 
 def drop_splats(opacities: torch.Tensor, rate: float, generator: torch.Generator) -> torch.Tensor:
-    """Opacities for one step, some gone and the others raised to make up for them.
+    """Return the opacities of one step, some dropped and the others raised to compensate.
 
-    The opacity o of a splat that stays becomes o / (1 - rate), so that the expected sum of
-    opacities stays (Park et al. 2025, DropGaussian, eq. 4).
+    The opacity o of a splat that stays becomes o / (1 - rate), which keeps the expected sum of
+    opacities (Park et al. 2025, DropGaussian, eq. 4).
 
     Args:
         opacities: [N] logits.
-        rate: Share to leave out, in [0, 1).
-        generator: One number a splat is drawn from it.
+        rate: Share of splats to drop, in [0, 1).
+        generator: Source of one random number per splat.
 
     Returns:
-        [N] logits, differentiable in `opacities`; those left out get no gradient, those that reach
-        the ceiling get one as if there were none, or they could never fade again.
+        [N] logits, differentiable in `opacities`. Dropped splats receive no gradient; the clamp at
+        the highest opacity passes gradients through, so that these splats can fade again.
     """
     stays = uniform(len(opacities), generator) >= rate
     raised = torch.sigmoid(opacities) / (1 - rate)
@@ -72,21 +71,21 @@ def opacity_loss(alpha: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Mean absolute difference of rendered opacity and mask.
 
     Args:
-        alpha: [H, W] float; differentiable in it.
+        alpha: [H, W] float; differentiable.
         mask: [H, W] uint8, 255 = opaque.
     """
     return (alpha - mask.to(alpha.dtype) * (1 / 255)).abs().mean()
 
 
 def see_through(alpha: torch.Tensor, mask: np.ndarray | None) -> tuple[float, torch.Tensor]:
-    """Mean share of light that passes between the splats, and its gradient in `alpha`.
+    """Mean transmittance of a view, and its gradient in `alpha`: a loss for opaque scenes.
 
-    Over a black background what is black is right without any splat, and 1 to 7 % of the light of
-    whole captures passes (docs/experiments). This asks that photos of a scene be opaque.
+    Over a black background black pixels need no splat, and 1 to 7 % of the light of whole captures
+    passes between the splats (docs/experiments).
 
     Args:
         alpha: [H, W] float, rendered opacity.
-        mask: [H, W] uint8, how much each pixel counts, 255 = whole; None: all do.
+        mask: [H, W] uint8, weight of each pixel, 255 = 1; None: 1 everywhere.
 
     Returns:
         The mean of (1 - alpha) mask / 255 over all pixels, and [H, W] of alpha's dtype.

@@ -1,4 +1,4 @@
-"""Depth report: errors of the rendered depth against the given depth, for metrics and report."""
+"""Depth report: errors of the rendered depth against the depth maps, for metrics and report."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from ..photos.view_sampler import Photos, evenly_spaced
 from .setup import DepthSetup
 
 _MOST_VIEWS = 24
-"""Views that are rendered and shown; of more, this many at even distances."""
+"""Most views that are rendered and shown, evenly spaced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,13 +31,13 @@ def measure_depth(
     *,
     interrupted: Callable[[], bool],
 ) -> DepthReport | None:
-    """Render the inverse depth of views with a map and compare; None without maps.
+    """Render the inverse depth of views with a depth map and compare; None without maps.
 
     Args:
-        photos: What was trained on.
+        photos: The capture.
         setup: Its depth maps.
-        draw: Inverse depth and opacity of the view of a number, see `VisibleSplats.inverse_depth`.
-        interrupted: Asked before each view.
+        draw: Renders inverse depth and opacity of a view, see `VisibleSplats.inverse_depth`.
+        interrupted: Called before each view; True stops.
     """
     targets = setup.targets
     if targets is None:

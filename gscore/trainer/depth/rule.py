@@ -10,27 +10,27 @@ from ...scene import Scene
 from ...text_format import count_words, number
 
 DENSE_VIEWS = 30
-"""Training views of a median point from which the photos alone settle the geometry."""
+"""Median number of training views of a point from which photos alone determine the geometry."""
 DENSE_POINTS = 100
-"""Points in a median view below which SfM says too little, however many views there are."""
+"""Median number of points in a view below which SfM is too sparse, for any number of views."""
 _SAMPLE = 5000
-"""Points that stand for all."""
+"""Most points that are evaluated, a random sample."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """How well the training views cover the points of SfM; occlusion is not known and left out."""
+    """Coverage of the SfM points by the training views; ignores occlusion."""
 
     views: int
     """Training views."""
     views_of_point: float
-    """Median number of training views whose frame a point lies in."""
+    """Median number of training views that have a point in their frame."""
     points_in_view: float
     """Median number of points in the frame of a training view."""
 
     @property
     def is_dense(self) -> bool:
-        """Whether photos alone do as well as with depth."""
+        """Whether depth maps are unlikely to improve the result."""
         return self.views_of_point >= DENSE_VIEWS and self.points_in_view >= DENSE_POINTS
 
     def __str__(self) -> str:
@@ -41,7 +41,7 @@ class Coverage:
 
 
 def coverage(scene: Scene, train: Sequence[int]) -> Coverage:
-    """Count which points lie in the frames of which training views."""
+    """Count the points in the frame of each training view, and the views of each point."""
     points = scene.points.points[np.isfinite(scene.points.points).all(axis=1)]
     share = min(1.0, _SAMPLE / max(len(points), 1))
     if share < 1:
@@ -64,12 +64,12 @@ def coverage(scene: Scene, train: Sequence[int]) -> Coverage:
 
 
 def decide(mode: Switch, facts: Coverage, *, usable: int) -> tuple[bool, str]:
-    """Whether to supervise depth, and a sentence that says so and why.
+    """Decide whether to supervise depth, with the reason as a sentence.
 
     Args:
         mode: The option `depth_mode`.
-        facts: Of the capture.
-        usable: Training views with a depth map that a loss can use.
+        facts: Coverage of the capture.
+        usable: Number of training views with a depth map that the loss can use.
     """
     if usable == 0:
         return False, "No training view has a depth map that can be used, so depth is not used."

@@ -21,32 +21,31 @@ from .targets import DepthTargets
 
 @dataclass(frozen=True, kw_only=True)
 class DepthSetup:
-    """The depth of a run."""
+    """Depth supervision of a run."""
 
     targets: DepthTargets | None = None
-    """All maps that could be read, for the report; None: there are none."""
+    """All readable depth maps, for the report; None: there are none."""
     supervises: bool = False
-    """Whether they enter the loss."""
+    """Whether the maps enter the loss."""
     why: str = ""
-    """Sentences that say so, why, and how much."""
+    """The decision with its reason and weights, as sentences."""
     weights: tuple[float, float] = (0.0, 0.0)
-    """Of the depth loss at the first and the last step, as options or `auto` have them; 0, 0: it
-    is not used."""
+    """Weights of the depth loss at the first and the last step, after `auto`; 0, 0: not used."""
     points: PointCloud | None = None
-    """Points to start from, those of the capture and more; None: those of the capture."""
+    """Start points, those of the capture and from depth maps; None: those of the capture."""
     table: list[dict[str, Any]] = field(default_factory=list)
-    """The fit of each view, see `gscore.depth.Priors`."""
+    """Fit of each view, see `gscore.depth.Priors`."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Warnings for the user, as sentences."""
 
     @property
     def decision(self) -> str:
-        """`why`, unless it is a warning already."""
+        """`why`, unless it is already a warning."""
         return "" if self.why in self.warnings else self.why
 
     @property
     def loss_targets(self) -> DepthTargets | None:
-        """The maps if they enter the loss."""
+        """The depth maps if they enter the loss."""
         return self.targets if self.supervises else None
 
 
@@ -57,17 +56,17 @@ def prepare_depth(
     *,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> DepthSetup:
-    """Read and align the maps that `data` names, and decide what to do with them.
+    """Read and align the depth maps of `data`, and decide on their use.
 
     Raises:
         GsError: maps or their scales are missing or damaged.
-        ConfigError: depth is asked for and no maps are named.
+        ConfigError: options require depth maps but no folder is given.
     """
     if not data.depths:
-        if asked := depth_option_set(config):
+        if option := depth_option_set(config):
             raise ConfigError(
-                f"{asked} takes depth maps, but no folder of these is named. gscore depth "
-                f"{data.source} makes them in its folder depths; give that with -d depths."
+                f"{option} needs depth maps, but no folder is given. Run gscore depth "
+                f"{data.source}, which writes them into its folder depths, and add -d depths."
             )
         return DepthSetup()
     facts = coverage(photos.scene, photos.train)
@@ -95,7 +94,7 @@ def prepare_depth(
                 "splats that are there already (start_splats)."
             )
     if supervises and (count := _points_wanted(resolved)):
-        # Splats that start on walls are missing on the subject where few are allowed.
+        # With few splats in total, those that start on walls are missing on the subject.
         most = config.max_splats // SPLATS_A_POINT if config.depth_points < 0 else None
         added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
         known = photos.scene.points
@@ -115,7 +114,7 @@ def prepare_depth(
 
 
 def depth_option_set(config: TrainConfig) -> str:
-    """The option that takes depth maps in any case; empty where none does."""
+    """The option that requires depth maps; empty if none does."""
     if config.depth_mode is Switch.ON:
         return "--depth-mode on"
     return f"--depth-points {config.depth_points}" if config.depth_points > 0 else ""
@@ -128,7 +127,7 @@ def _weight_words(first: float, last: float) -> str:
 
 
 def _points_wanted(config: TrainConfig) -> int:
-    """Most points to add: none to splats that are there already, nor by itself without a loss."""
+    """Most points to add: 0 for existing splats, and automatically only with a depth loss."""
     if config.start_splats is not None:
         return 0
     if config.depth_points >= 0:

@@ -12,27 +12,28 @@ from ..photos.view_sampler import evenly_spaced
 from ..schedule.caps import max_stereo_points
 
 _MOST_VIEWS = 120
-"""Photos that take part; of more, this many at even distances: enough for so few points."""
+"""Most photos used, evenly spaced: enough for this many points."""
 _SIDE = 300
-"""Longer side of the photos, pixels: points may be a pixel off, and time is short."""
+"""Longer side of the photos, px: small for speed, because errors of a pixel do not matter."""
 _FEWEST = 100
-"""Fewer points than this are no surface: what few places agree on is mostly chance."""
+"""Least number of points: fewer matches are mostly random."""
 _CHANCE = 4e-4
-"""Share of the pixels from which on points are worth more than random ones: photos of noise agree
-on up to .0003, and those of a walk that gains by its points on .0006."""
+"""Least share of matched pixels to prefer the points to random ones: photos of noise reach .0003,
+a walk-through that profits from its points .0006."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StereoStart:
-    """What stereo adds to the points that a run starts from."""
+    """Result of stereo for the start points of a run."""
 
     points: PointCloud | None = None
-    """Those of the capture, unless they are made up, and more; None: nothing is added."""
+    """Points of the capture, unless random, with those of stereo; None: nothing is added."""
     added: int = 0
+    """Number of points of stereo."""
     known: float | None = None
-    """Share of the pixels that masks leave whose depth others confirm; None: nobody looked."""
+    """Share of the unmasked pixels with a confirmed depth; None: stereo has not run."""
     why: str = ""
-    """A sentence that says how many were added, or why none were; empty where nobody asks."""
+    """The number of added points or the reason for none, as a sentence; empty without stereo."""
 
 
 def stereo_start(
@@ -42,18 +43,18 @@ def stereo_start(
     *,
     on_view: Callable[[int, int], None] | None = None,
 ) -> StereoStart:
-    """Points to start from, by the training views alone.
+    """Compute start points from the training views alone.
 
     Args:
-        config: How to train; `start_splats` leave nothing to add.
+        config: Options; with `start_splats` nothing is added.
         photos: The capture.
-        known: Points that the run starts from otherwise.
+        known: Start points without stereo.
         on_view: Called with (done, total) after each photo; may raise to stop.
     """
     given = known.given
     if config.start_splats is not None:
         return StereoStart()
-    if not _asked(config.stereo, known):
+    if not _is_enabled(config.stereo, known):
         if config.stereo_points and config.stereo == Stereo.MISSING:
             return _nothing(f"the capture has {number(given)} (--stereo on looks for more)")
         return StereoStart()
@@ -77,7 +78,7 @@ def stereo_start(
     )
 
 
-def _asked(stereo: Stereo, known: PointCloud) -> bool:
+def _is_enabled(stereo: Stereo, known: PointCloud) -> bool:
     return known.made_up if stereo == Stereo.MISSING else stereo != Stereo.OFF
 
 

@@ -8,22 +8,22 @@ import numpy as np
 import torch
 
 _SURE = 0.5
-"""Confidence from which a pixel counts for the median."""
+"""Least confidence of a pixel in the median."""
 _SAMPLES = 4096
-"""Pixels of a view that the median is taken from."""
+"""About the most pixels of a view in the median."""
 
 
 class Prior(Protocol):
-    """What the trainer asks of a prior; see `gscore.depth.DepthPrior`."""
+    """Interface of a depth prior, see `gscore.depth.DepthPrior`."""
 
     @property
     def inverse_depth(self) -> np.ndarray:
-        """[H, W] float32, 1/world unit where `aligned`, else of unknown scale and offset."""
+        """[H, W] float32, 1/world unit if `aligned`, else of unknown scale and offset."""
         ...
 
     @property
     def confidence(self) -> np.ndarray:
-        """[H, W] float32 in [0, 1], 0 where nothing is known."""
+        """[H, W] float32 in [0, 1], 0 = unknown."""
         ...
 
     @property
@@ -33,30 +33,30 @@ class Prior(Protocol):
 
 
 class DepthTarget(NamedTuple):
-    """The prior of one view at one size."""
+    """Depth prior of one view at one size."""
 
     inverse_depth: torch.Tensor
-    """[H, W] float16 in `DepthTargets.unit`; from 0 to 1 where not aligned."""
+    """[H, W] float16 in `DepthTargets.unit`; from 0 to 1 if not aligned."""
     confidence: torch.Tensor
     """[H, W] uint8, 255 = sure."""
     aligned: bool
 
 
 class DepthTargets:
-    """The priors of a capture, three bytes a pixel; those of one size are kept besides."""
+    """Depth priors of a capture, three bytes per pixel, plus copies at the last requested size."""
 
     def __init__(
         self, priors: Sequence[Prior | None], *, train: Sequence[int], views: float
     ) -> None:
-        """Take the priors over.
+        """Convert the priors to the compact form.
 
         Args:
             priors: By index of the view; None: it has none.
-            train: Training views; the unit comes from them alone.
-            views: Training views that show a median point, see `rule.Coverage`.
+            train: Training views; only they determine the unit.
+            views: Median number of training views of a point (`rule.Coverage`).
         """
         self.views = views
-        """Training views that show a median point."""
+        """Median number of training views of a point."""
         self.unit = _median([priors[i] for i in train]) or 1.0
         """Median inverse depth of the aligned priors, 1/world unit."""
         self._full = [
@@ -73,7 +73,7 @@ class DepthTargets:
         return found is not None and found.aligned
 
     def at(self, index: int, width: int, height: int) -> DepthTarget | None:
-        """The prior of a view, averaged down to this size by confidence; None: it has none."""
+        """Prior of a view, area-averaged to this size by confidence; None: it has none."""
         full = self._full[index]
         if full is None or full.inverse_depth.shape == (height, width):
             return full
@@ -96,9 +96,9 @@ class DepthTargets:
 
 
 def area_mean(values: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[height, width] float64 means over the exact areas that smaller pixels cover.
+    """Downscale by exact area averaging to [height, width] float64.
 
-    Pixel centres lie at +0.5, so this is what `scale_intrinsics` does to K.
+    Pixel centres are at +0.5, consistent with `scale_intrinsics`.
 
     Args:
         values: [H, W].
@@ -119,7 +119,7 @@ def _means_of_rows(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _median(priors: Sequence[Prior | None]) -> float:
-    """Median of what is surely known of all aligned priors; 0 if there is nothing."""
+    """Median of the confident pixels of all aligned priors, 1/world unit; 0 without any."""
     found = []
     for prior in priors:
         if prior is not None and prior.aligned:
@@ -138,7 +138,7 @@ def _compact(prior: Prior, *, unit: float) -> DepthTarget:
     elif known.any():
         low, high = float(values[known].min()), float(values[known].max())
         values = np.where(known, (values - low) / (high - low or 1.0), 0)
-    # Half floats hold 3 digits; priors of any origin are worse than that.
+    # Half floats have 3 digits, more than any prior is accurate to.
     half = np.clip(values, 0, np.finfo(np.float16).max).astype(np.float16)
     weight = (np.where(known, np.clip(confidence, 0, 1), 0) * 255 + 0.5).astype(np.uint8)
     return DepthTarget(torch.from_numpy(half), torch.from_numpy(weight), prior.aligned)

@@ -51,7 +51,7 @@ def of_all(
         sizes: Rows of gradients that this rank will send to each rank.
 
     Raises:
-        DatasetError: a rank cannot read its photo, see `fail`.
+        DatasetError: a rank cannot read its photo (`fail`).
         GsError: the marks differ.
     """
     found, all_sizes = _gather(team, [0.0, value, mse, cost, mark], sizes)
@@ -64,9 +64,9 @@ def of_all(
         rank = int((marks != marks[0]).argmax())
         team.told = True
         raise GsError(
-            f"Rank {rank} has other splats than rank 0, after the same steps: its machine computes "
-            "otherwise. Start again with --resume on machines of one kind, or with GSCORE_ISA and "
-            "ATEN_CPU_CAPABILITY set to what all have."
+            f"Rank {rank} has other splats than rank 0 after the same steps, because its machine "
+            "computes differently. Resume with --resume on machines of one kind, or with "
+            "GSCORE_ISA and ATEN_CPU_CAPABILITY set to what all support."
         )
     return BatchLosses(
         values=values[:photos].tolist(),

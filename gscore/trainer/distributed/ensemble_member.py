@@ -56,7 +56,7 @@ class EnsembleMember:
         return {self._name(key): tensor for key, tensor in out.items()}
 
     def check(self, tensors: Mapping[str, torch.Tensor], like: Model) -> None:
-        """ValueError or KeyError unless its tensors in a checkpoint fit each other and `like`."""
+        """Raise ValueError or KeyError unless its checkpoint tensors fit each other and `like`."""
         check_tensors(self.of(tensors), like)
 
     def restore(

@@ -3,22 +3,22 @@
 from collections.abc import Mapping, Sequence
 
 _BATCHES = 8
-"""Batches, at most, whose photos are dealt out anew together, and no more than a third of an epoch:
-chance decides which these are, so the same photos do not always meet."""
+"""Most batches that are sorted together, at most a third of an epoch: their photos are random, so
+that the same photos do not always share a batch."""
 
 
 def batches_of_equal_cost(
     order: Sequence[int], costs: Mapping[int, float], size: int, *, first: int = 0
 ) -> list[int]:
-    """The photos of an epoch, dealt out so that those of a batch cost alike.
+    """Reorder the photos of an epoch so that those of a batch have similar costs.
 
-    Some batches at a time, so that which photos meet, and when, stays a matter of chance.
+    Sorts a few batches at a time, so that the composition and order of batches stay random.
 
     Args:
-        order: The photos in the order in which chance has put them.
-        costs: What each took when it was last seen; where one is not known, the order stays.
+        order: Photos in random order.
+        costs: Last rendering cost of each photo; if one is missing, the order stays.
         size: Photos of a batch.
-        first: How many go to a batch that is under way; these stay the first.
+        first: Number of photos that complete the current batch; they stay first.
     """
     if any(photo not in costs for photo in order):
         return list(order)

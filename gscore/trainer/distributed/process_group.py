@@ -107,8 +107,7 @@ class ProcessGroup:
             meeting = dist.rendezvous("env://", timeout=_MEETING)  # pyright: ignore[reportPrivateImportUsage]
             self._kept = store = next(meeting)[0]
             self.ended = store.check([_ENDED])
-            """Whether the work was complete before torchrun restarted: a rank was lost while it
-            exited."""
+            """Whether the work was complete before torchrun restarted a rank lost during exit."""
             # torchrun keeps the addresses of dead ranks, so each restart uses its own prefix.
             room = f"gscore {_number(_RESTARTS, 0)}"
             store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
@@ -120,7 +119,7 @@ class ProcessGroup:
             where = f"{os.environ.get('MASTER_ADDR', '?')}:{os.environ.get('MASTER_PORT', '?')}"
             raise GsError(
                 f"Rank {self.rank} ({platform.node()}) cannot meet the others at {where}: "
-                f"{_first_line(error)} Look at --master-addr, --master-port or --rdzv-endpoint of "
+                f"{_first_line(error)} Check --master-addr, --master-port or --rdzv-endpoint of "
                 "torchrun, and at GLOO_SOCKET_IFNAME, the network to use."
             ) from error
         self.hosts = self.texts(platform.node())
@@ -275,9 +274,9 @@ class ProcessGroup:
             return call()
         except RuntimeError as error:
             raise RankLostError(
-                "A rank of this training is gone; torchrun says above or below which, and why. "
-                "With --max-restarts torchrun goes on from the last checkpoint by itself, else the "
-                f"same command with --resume does. ({_first_line(error)})"
+                "A rank of this training is gone; torchrun reports which and why. With "
+                "--max-restarts torchrun resumes from the last checkpoint by itself, otherwise "
+                f"run the same command with --resume. ({_first_line(error)})"
             ) from error
         finally:
             self._waited += time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""Rank commands: JSON messages by which rank 0 tells the other ranks what to run next."""
+"""Rank commands: JSON messages of rank 0 that the other ranks run."""
 
 from typing import Any
 

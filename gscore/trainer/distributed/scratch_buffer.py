@@ -6,17 +6,17 @@ from torch import Tensor
 from ...raster.memory import empty
 
 _SPARE = 1.25
-"""Room for so many times what is asked for, since it is rarely the same twice."""
+"""Allocated size relative to the requested size, because requests vary from step to step."""
 
 
 class ScratchBuffer:
-    """A piece of memory that grows as it must."""
+    """Memory of int32 words that grows on demand."""
 
     def __init__(self) -> None:
         self._words = empty(0, dtype=torch.int32)
 
     def of(self, rows: int, width: int) -> Tensor:
-        """[rows, width] int32, not filled; what it gave before is lost."""
+        """Return [rows, width] int32, uninitialised; invalidates earlier results."""
         count = rows * width
         if len(self._words) < count:
             self._words = empty(int(_SPARE * count), dtype=torch.int32)

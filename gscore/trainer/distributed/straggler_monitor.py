@@ -6,47 +6,45 @@ import numpy as np
 
 _BATCHES = 20
 _SECONDS = 10.0
-"""What is compared goes over so many batches and so many seconds of work of the slowest: in fewer,
-chance decides."""
-_MUCH = 1.5
-"""Times what the others work, from which on a rank is told to be slow."""
+"""Least batches and seconds of work of the slowest rank in a comparison; fewer are noise."""
+_SLOW = 1.5
+"""Work of a rank relative to the median of the others, from which it is reported as slow."""
 
 
 class StragglerMonitor:
     """Compares how long the ranks work on the batches of a training."""
 
     def __init__(self, hosts: Sequence[str]) -> None:
-        """`hosts`: of the ranks, for the sentence."""
+        """`hosts`: Host names of the ranks, for the message."""
         self._hosts = hosts
-        self._told: set[int] = set()
+        self._reported: set[int] = set()
         self._before: np.ndarray | None = None
         self._batches = 0
 
     def met(self, worked: np.ndarray) -> str:
-        """A sentence about a rank for which the others wait; empty mostly.
+        """Return a message about a rank that the others wait for, or an empty string.
 
         Args:
-            worked: [N] seconds that each rank has worked on all batches so far. Called once a
-                batch.
+            worked: [N] total seconds of work of each rank. Call this once per batch.
         """
         self._batches += 1
         if self._before is None:
             self._before, self._batches = worked.copy(), 0
             return ""
-        lately = worked - self._before
-        if self._batches < _BATCHES or lately.max() < _SECONDS:
+        recent = worked - self._before
+        if self._batches < _BATCHES or recent.max() < _SECONDS:
             return ""
         self._before, self._batches = worked.copy(), 0
-        return self._slow(lately)
+        return self._slow(recent)
 
     def _slow(self, worked: np.ndarray) -> str:
         rank = int(worked.argmax())
         others = float(np.median(np.delete(worked, rank)))
-        if worked[rank] < _MUCH * others or rank in self._told:
+        if worked[rank] < _SLOW * others or rank in self._reported:
             return ""
-        self._told.add(rank)
+        self._reported.add(rank)
         return (
             f"All wait for rank {rank} ({self._hosts[rank]}), which works "
             f"{min(worked[rank] / max(others, 1e-9), 99):.1f} times as long on its photos as the "
-            "others. Look at what else its machine does, and at the threads that it has."
+            "others. Check the load of its machine and its number of threads."
         )

@@ -109,9 +109,9 @@ class WorkQueue:
         agents, failure = self.team.texts(self.agent), None
         if not self._appears(agents[0]):
             failure = ConfigError(
-                f"{brief(self.output)} is not the folder in which rank 0 writes. All need one "
-                "folder for the results, such as one on a network. Where there is none, do the "
-                "parts one by one, with --frame or --block."
+                f"{brief(self.output)} is not the folder in which rank 0 writes. All ranks need "
+                "one shared folder for the results, such as a network folder. Without one, run "
+                "the parts one by one with --frame or --block."
             )
         check_ready(self.team, failure)
 

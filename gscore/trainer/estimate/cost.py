@@ -11,28 +11,27 @@ _SECONDS_A_STEP = 6.3e-4
 _SECONDS_A_PIXEL = 7.1e-8
 _SECONDS_A_SPLAT = 7.7e-8
 _SECONDS_A_NUMBER = 5.7e-10
-"""What a step took on two cores of a Xeon with AVX-512: itself, for each pixel, for each splat and
-for each number of a splat (`tools/measure/step_time.py`)."""
+"""Seconds per step, pixel, splat and number of a splat, on two cores of a Xeon with AVX-512
+(`tools/measure/step_time.py`)."""
 _GROWTH = 0.5
-"""Most splats that `default` is expected to add at a refinement, as a share of those there."""
+"""Largest expected growth of `default` at a refinement, relative to the number of splats."""
 _LATER_GROWTH = 2.2e-4
-"""What it is expected to add at the first refinement, times `grow_grad`; at the k-th k^-1.15 of
-that. Fitted to trainings with all presets (docs/benchmarks.md, "Captures")."""
+"""Expected growth at the first refinement, times `grow_grad`; at the k-th it is k^-1.15 of that.
+Fitted to trainings with all presets (docs/benchmarks.md, "Captures")."""
 _SAMPLES = 64
-"""Steps looked at to tell what the rest of a run takes."""
+"""Most steps that are evaluated to predict the rest of a run."""
 
 
 class Cost:
-    """The seconds, and the splats they depend on, of a run that follows a plan."""
+    """Predicted seconds and number of splats of a run that follows a plan."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
 
     def seconds_at(self, step: int, splats: float) -> float:
-        """What `step` takes with that many splats, those of all models, on the machine of
-        `_SECONDS_A_STEP`.
+        """Seconds of `step` on the reference machine, with `splats` in all models together.
 
-        Other machines differ by a factor that is much the same for all steps.
+        Other machines differ by a factor that is about the same for all steps.
         """
         plan = self.plan
         numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[plan.sh_degree_at(step)])
@@ -42,7 +41,7 @@ class Cost:
         return plan.models * a_model + a_splat * splats
 
     def seconds_after(self, step: int, splats: int) -> float:
-        """What the steps after `step`, at which there are `splats`, take on that machine."""
+        """Seconds of the steps after `step`, which ends with `splats`, on the reference machine."""
         plan = self.plan
         left = plan.iterations - step
         if left <= 0:
@@ -56,7 +55,7 @@ class Cost:
         return total * left / count
 
     def splats_at(self, later: int, step: int, splats: int) -> float:
-        """Splats to expect before step `later` where there are `splats` after `step`."""
+        """Expected number of splats before step `later`, with `splats` after `step`."""
         plan = self.plan
         kept = plan.kept if step < plan.refine_stop < later else 1.0
         first = max(step + 1, plan.refine_start)
@@ -70,14 +69,13 @@ class Cost:
         return kept * min(math.exp(min(grown, 50.0)), cap)
 
     def _refinements(self, step: int) -> int:
-        """How many there have been after `step`."""
+        """Number of refinements up to `step`."""
         plan = self.plan
         return max(step // plan.refine_every - (plan.refine_start - 1) // plan.refine_every, 0)
 
     @cached_property
     def _growths(self) -> list[float]:
-        """By how much splats are expected to have multiplied after each number of refinements,
-        without a cap; its logarithm."""
+        """Logarithm of the expected growth factor after 0, 1, 2, ... refinements, uncapped."""
         plan = self.plan
         count = self._refinements(min(plan.refine_stop, plan.iterations))
         later = _LATER_GROWTH / plan.grow_grad if plan.grow_grad else _GROWTH

@@ -1,4 +1,4 @@
-"""Forecast of a training before it starts: seconds and memory. Needs no torch."""
+"""Forecast of a training before it starts: seconds and memory, without torch."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -28,43 +28,43 @@ from .memory import (
 )
 
 _REFERENCE_MS = 2.61
-"""Milliseconds of `_picture` on the machine whose step times `cost` holds."""
+"""Milliseconds of rendering `_test_scene` on the reference machine of `cost`."""
 _SPLATS, _WIDTH, _HEIGHT = 20_000, 320, 240
 _TRIES = 10
-_WARMING_UP = 2
-"""Pictures of them that also begin threads and fill caches."""
+_WARMUP = 2
+"""Number of first renders excluded from the mean, because they start threads and fill caches."""
 _SMALLEST_WIDTH = 64
-"""Pixels; no narrower photos are proposed."""
+"""Least width of photos that is proposed, px."""
 _FEWEST_SPLATS = 10_000
-"""No fewer are proposed."""
+"""Least number of splats that is proposed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """What a training will take."""
+    """Predicted time and memory of a training."""
 
     seconds: float
-    """Of training, without reading photos, measuring and writing."""
+    """Time of training, without reading photos, evaluation and writing."""
     peak_bytes: int
     """Largest resident memory of the process."""
     free_bytes: int | None
-    """Memory that is free now; None: the system does not tell."""
+    """Memory available now; None: unknown."""
     photo_bytes: int
     """Memory of decoded photos."""
     photos_kept: bool
-    """Whether all photos stay in memory; else some are decoded again and again."""
+    """Whether all photos stay in memory; else some are decoded repeatedly."""
     photos_anew: bool = False
-    """Whether those that are kept are decoded once for each size they are trained at."""
+    """Whether photos in memory are decoded again for each training resolution."""
     fits: bool
-    """Whether the memory will do."""
+    """Whether the memory is sufficient."""
     fitting_splats: int
-    """Most splats that fit with these photos, in thousands; 0: too few to be of use."""
+    """Most splats that fit with these photos, in steps of 1000; 0: too few to be useful."""
     fitting_width: int
-    """Width in pixels, of the widest photo, at which `max_splats` fit; 0: none is wide enough."""
+    """Width of the widest photo at which `max_splats` fit, px; 0: too small to be useful."""
 
     @property
     def advice(self) -> str:
-        """What to do where it does not fit; empty where it does."""
+        """Advice if the memory is insufficient, else empty."""
         if self.fits:
             return ""
         ways = [f"use --max-splats {self.fitting_splats}"] if self.fitting_splats else []
@@ -86,20 +86,20 @@ def estimate(
     free: int | None = None,
     pace: float | None = None,
 ) -> Estimate:
-    """Predict time and memory of a training; no file is read.
+    """Predict time and memory of a training without reading files.
 
     Args:
         config: The options.
-        sizes: Width and height of each photo as trained on, pixels: see `target_size`.
-        points: Splats at the start.
+        sizes: Width and height of each training photo, px, see `target_size`.
+        points: Number of splats at the start.
         masks: Whether photos have masks.
-        subject: Whether these are opacity, so that nothing but a subject is trained.
-        depths: Whether there are depth maps for them.
-        cloud: Points of structure from motion; None: as many as `points`.
-        decoding: Bytes that photos take while they are decoded, see `Dataset.decoding_bytes`.
-        free: Bytes of memory that may be used; None: what is free now.
-        pace: How many times as long this machine takes as the one the model was measured on;
-            None: found out by drawing some pictures, once, within a tenth of a second.
+        subject: Whether the masks are opacity, so that only a subject is trained.
+        depths: Whether the photos have depth maps.
+        cloud: Number of SfM points; None: `points`.
+        decoding: Bytes used while photos are decoded, see `Dataset.decoding_bytes`.
+        free: Bytes of memory that may be used; None: those available now.
+        pace: Time on this machine relative to the reference machine; None: measured once by
+            rendering a few images, within a tenth of a second.
 
     Raises:
         BackendError: The native library is missing.
@@ -113,8 +113,8 @@ def estimate(
     photos = total * (4 if masks else 3)
     network = lpips_file(config.lpips)
     lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
-    # Whether photos agree is not known yet: of whole photos where they do it is sooner done, of a
-    # subject sooner or later.
+    # Whether photos agree is not known yet. Whole photos that agree are faster to train; a subject
+    # may be faster or slower, so both cases are evaluated.
     count = len(sizes)
     expected = [
         (config, expected_model_count(config, photos=count, points=points, subject=subject))
@@ -151,7 +151,7 @@ def estimate(
         room = 0.9 * free - held - maps - stay - (0 if kept is None else decoding)
 
         def fit(splats: int, width: int) -> bool:
-            # Photos that do not fit are decoded again and again: what must fit is the largest view.
+            # Photos beyond the cache are decoded repeatedly, so only the largest view must fit.
             view = largest * (width / widest) ** 2
             return max(needed(splats, int(view)), at_start) <= room
 
@@ -191,7 +191,7 @@ def estimate(
 
 
 def _most(fits: Callable[[int], bool], high: int) -> int:
-    """The largest of 1 to `high` that fits, where smaller ones do too; 0: none."""
+    """Largest number in 1 to `high` that fits, by bisection; 0: none."""
     low = 0
     while low < high:
         middle = (low + high + 1) // 2
@@ -200,7 +200,7 @@ def _most(fits: Callable[[int], bool], high: int) -> int:
 
 
 def check_fits(found: Estimate, config: TrainConfig) -> None:
-    """Raise GsError, with what would fit, if a training will not fit into memory."""
+    """Raise GsError with advice if a training will not fit into memory."""
     if found.fits or found.free_bytes is None:
         return
     raise GsError(
@@ -212,10 +212,10 @@ def check_fits(found: Estimate, config: TrainConfig) -> None:
 
 @cache
 def machine_pace(threads: int = 0) -> float:
-    """How many times as long this machine takes for a picture as the one of the model.
+    """Render time on this machine relative to the reference machine.
 
-    Measured once in a process, in a few dozen milliseconds: the fastest of some pictures, which
-    other programs at work disturb least.
+    Measured once per process, in a few dozen milliseconds: the fastest of some renders, because
+    other programs disturb it least.
 
     Args:
         threads: 0: all cores.
@@ -227,8 +227,7 @@ def machine_pace(threads: int = 0) -> float:
 
 
 def pace_now(threads: int = 0) -> float:
-    """As `machine_pace`, with all that other programs take away at this moment: for a run that
-    begins now, not for what the machine could do.
+    """As `machine_pace`, but the mean under the current load: for a run that starts now.
 
     Args:
         threads: 0: all cores.
@@ -236,23 +235,23 @@ def pace_now(threads: int = 0) -> float:
     Raises:
         BackendError: The native library is missing.
     """
-    found = _paces(threads)[_WARMING_UP:]
-    return sum(found) / len(found)
+    paces = _paces(threads)[_WARMUP:]
+    return sum(paces) / len(paces)
 
 
 def _paces(threads: int) -> list[float]:
-    """What each of some pictures took, as shares of what it takes on the machine of the model."""
-    splats, K, viewmat = _picture()
-    found = []
+    """Times of `_TRIES` renders relative to the reference machine."""
+    splats, K, viewmat = _test_scene()
+    paces = []
     for _ in range(_TRIES):
         began = time.perf_counter()
         render(splats, K, viewmat, _WIDTH, _HEIGHT, depths=False, threads=threads)
-        found.append(1000 * (time.perf_counter() - began) / _REFERENCE_MS)
-    return found
+        paces.append(1000 * (time.perf_counter() - began) / _REFERENCE_MS)
+    return paces
 
 
-def _picture() -> tuple[Splats, np.ndarray, np.ndarray]:
-    """A ball of splats about as large on the screen as those of a capture."""
+def _test_scene() -> tuple[Splats, np.ndarray, np.ndarray]:
+    """Splats, K and viewmat of a ball whose splats have about the screen size of a capture's."""
     rng = np.random.default_rng(0)
     splats = Splats(
         means=rng.normal(size=(_SPLATS, 3)).astype(np.float32),
