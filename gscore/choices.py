@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Strategy(StrEnum):
-    """How the number of splats changes during training."""
+    """Densification: how splats are added and removed."""
 
     DEFAULT = "default"
     """Double, prune and reset by gradient: adaptive density control (Kerbl et al. 2023)."""

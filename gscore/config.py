@@ -12,12 +12,12 @@ from .quoting import quoted
 _MOST_THREADS = 1024
 """Limit of the native library."""
 _MOST = 10**9
-"""Steps and splats. Far beyond what machines do; forecasts walk through all refinements of a run,
-and much larger numbers are no floats."""
+"""Largest number of steps and splats, far beyond any machine: forecasts iterate over the
+refinements of a run, and much larger numbers overflow floats."""
 _LARGEST_SEED = 2**63 - 1
-"""Of generators of torch."""
+"""Limit of torch generators."""
 _RAREST = 1000
-"""Steps between two steps of the higher colour coefficients, whose rate grows by the root."""
+"""Largest `shN_every`: the learning rate rises by its root."""
 _MASK_MODES = ("auto", "composite", "ignore", "none")
 _DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
 
@@ -56,9 +56,9 @@ class DataConfig:
     )
     mask_mode: str = option(
         "auto",
-        "Meaning of masks. `ignore`: black pixels do not count; `composite`: the mask is the "
-        "opacity of the subject, over the background; `none`: not read; `auto`: `composite` for"
-        " transparent photos and cut-out subjects, else `ignore`.",
+        "Meaning of masks. `ignore`: black pixels do not count; `composite`: opacity of the "
+        "subject, over the background; `none`: not read; `auto`: `composite` for transparent "
+        "photos and cut-out subjects, else `ignore`.",
         group="capture",
         choices=_MASK_MODES,
         basic=True,
@@ -92,8 +92,8 @@ class DataConfig:
     )
     resolution: float = option(
         -1,
-        "Photo size: 1, 2, 4, 8 divide it; larger: width in pixels; -1: full size, up to the "
-        "width limit of the preset or run, else 1600.",
+        "Photo size: divisor 1, 2, 4 or 8, or width in pixels; -1: full size up to a limit. The "
+        "limit is the width of the preset or run, else 1600.",
         group="capture",
         range=None,  # `datasets.resolution` checks it
         metavar="N",
@@ -130,7 +130,7 @@ class DataConfig:
     )
     rig: Path | None = option(
         None,
-        "Another capture by the same fixed cameras; its poses and its world are used.",
+        "Capture of the same fixed cameras whose poses and world are used.",
         group="capture",
         metavar="DIR",
         basic=True,
@@ -143,8 +143,8 @@ class DataConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Training options. Where 0 selects a value automatically, `trainer.schedule.plan.Plan` has the
-    result.
+    """Training options. Where 0 selects a value automatically, `trainer.schedule.plan.Plan`
+    contains the result.
 
     Lengths are in units of the camera extent: 1.1 times the largest distance of a camera from
     their mean.
@@ -152,8 +152,8 @@ class TrainConfig:
 
     iterations: int = option(
         10_000,
-        "Training steps, each of one photo for each of the models (`ensemble`). With "
-        "`time_budget` not used.",
+        "Training steps, each on one photo. Not used with `time_budget`. With `ensemble`, each "
+        "model takes a photo per step.",
         group="run",
         range=Range(low=1, high=_MOST),
         unit="steps",
@@ -163,8 +163,8 @@ class TrainConfig:
     )
     time_budget: float = option(
         0.0,
-        "Training time that replaces `iterations`; 0: no budget. Reading, measuring and writing"
-        " are extra. Schedules adapt to the time, so the run is not reproducible bit by bit.",
+        "Training time that replaces `iterations`; 0: off. Excludes reading, measuring and "
+        "writing. Schedules adapt to the time, so the run is not reproducible bit for bit.",
         group="run",
         unit="s",
         metavar="SECONDS",
@@ -192,9 +192,9 @@ class TrainConfig:
     )
     steps_a_photo: int = option(
         0,
-        "Limit of steps per training photo, against overfitting; doubled for `composite` masks "
-        "without dropout; never below 1,500 in all. 0: no limit. Off with `time_budget`, an "
-        "explicit `--iterations`, or `gscore sequence`; in Python set 0.",
+        "Limit of steps per training photo, against overfitting; at least 1,500 in all; doubled "
+        "for `composite` masks without dropout. 0: no limit. Off with `time_budget`, an explicit "
+        "`--iterations` or `gscore sequence`; in Python set 0.",
         group="run",
         range=Range(high=_MOST),
         unit="steps",
@@ -204,8 +204,8 @@ class TrainConfig:
     splats_a_photo: int = option(
         0,
         "Limit of splats per training photo and model of the `ensemble`, against overfitting; "
-        "never below 300,000 in all. 0: no limit. Off with `composite` masks, an explicit "
-        "`--max-splats`, or `gscore sequence`; in Python set 0.",
+        "at least 300,000 in all. 0: no limit. Off with `composite` masks, an explicit "
+        "`--max-splats` or `gscore sequence`; in Python set 0.",
         group="run",
         range=Range(high=_MOST),
         unit="splats",
@@ -214,7 +214,7 @@ class TrainConfig:
     )
     max_splats: int = option(
         400_000,
-        "Limit of the number of splats; memory and time grow with it.",
+        "Limit of the number of splats. Memory and time grow with it.",
         group="run",
         range=Range(low=1, high=_MOST),
         unit="splats",
@@ -233,17 +233,17 @@ class TrainConfig:
     )
     ensemble_below: float = option(
         0.0,
-        "Several models only where `stereo` matches less than this share of the pixels; with "
-        "`composite` masks and `drop_rate`, where it matches at least 3/4 of the unmasked ones."
-        " 0, or an explicit `--ensemble`: always.",
+        "Train several models only if `stereo` matches less than this share of the pixels; with "
+        "`composite` masks and `drop_rate`, if it matches at least 3/4 of the unmasked ones. "
+        "0, or an explicit `--ensemble`: always.",
         group="run",
         range=Range(high=1),
         when="ensemble",
     )
     strategy: Strategy = option(
         Strategy.DEFAULT,
-        "Densification: how splats are added and removed. `mcmc` relocates dead splats; for "
-        "long runs, much worse in a few hundred steps.",
+        "Densification: how splats are added and removed. `mcmc` relocates dead splats: good in "
+        "long runs, much worse than `default` in a few hundred steps.",
         group="run",
         basic=True,
     )
@@ -266,8 +266,8 @@ class TrainConfig:
     )
     seed: int = option(
         0,
-        "Same seed, same result, bit for bit. For the same capture and options, with any number "
-        "of threads.",
+        "Random seed; the same seed gives the same bits. For the same capture and options, with "
+        "any number of threads.",
         group="run",
         range=Range(high=_LARGEST_SEED),
         metavar="N",
@@ -290,8 +290,8 @@ class TrainConfig:
     )
     antialias: bool = option(
         False,
-        "Draw splats below the size of a pixel fainter. Opacity compensation of the "
-        "screen-space dilation (Mip-Splatting, Yu et al. 2024).",
+        "Draw splats smaller than a pixel fainter. Opacity compensation of the screen-space "
+        "dilation (Mip-Splatting, Yu et al. 2024).",
         group="run",
         basic=True,
     )
@@ -370,7 +370,7 @@ class TrainConfig:
     )
     start_splats: Path | None = option(
         None,
-        "Start from these splats, a PLY in the capture's world, instead of SfM points.",
+        "Initial splats, a PLY in the capture's world, instead of SfM points.",
         group="start",
         metavar="FILE.ply",
         basic=True,
@@ -409,7 +409,7 @@ class TrainConfig:
         False,
         "Add a distant sphere of splats in the colours of the background, for outdoor scenes. "
         "Fills background that no photo shows; hides the scene from outside. Opacity resets "
-        "then only with an explicit `reset_every`.",
+        "then need an explicit `reset_every`.",
         group="start",
         when="points",
     )
@@ -417,7 +417,7 @@ class TrainConfig:
         Stereo.MISSING,
         "Add initial points by multi-view stereo of the training photos; takes seconds. `auto`:"
         " unless SfM points reach half of `max_splats`; `missing`: only for captures without "
-        "points, which else start from random ones.",
+        "points, which otherwise start from random ones.",
         group="start",
         when="points",
     )
@@ -478,7 +478,7 @@ class TrainConfig:
     guide_surface: Path | None = option(
         None,
         "Surface mesh that splats should lie on (wall, floor, scan), PLY or OBJ in the "
-        "capture's world. Inactive where SfM points lie in front of it; docs/steer.md. `gscore "
+        "capture's world. Inactive where SfM points are in front of it; docs/steer.md. `gscore "
         "sequence` replaces {frame:06d} by the frame number.",
         group="guides",
         metavar="FILE",
@@ -486,9 +486,9 @@ class TrainConfig:
     )
     guide_free: Path | None = option(
         None,
-        "Free-space mesh, PLY or OBJ in the capture's world: splats between it and a training "
-        "camera are removed at every `refine_every`-th and the last step, unless more than a "
-        "fifth. `gscore sequence` replaces {frame:06d} by the frame number.",
+        "Free-space mesh, PLY or OBJ in the capture's world: remove splats between it and a "
+        "training camera at every `refine_every`-th and the last step, unless more than a fifth. "
+        "`gscore sequence` replaces {frame:06d} by the frame number.",
         group="guides",
         metavar="FILE",
         free=True,
@@ -561,8 +561,8 @@ class TrainConfig:
     )
     drop_below: float = option(
         0.0,
-        "Dropout only where `stereo` matches less than this share of the unmasked pixels, as it"
-        " costs fine detail elsewhere; with `composite` masks, where it matches at least half. "
+        "Use dropout only if `stereo` matches less than this share of the unmasked pixels, as it"
+        " costs fine detail elsewhere; with `composite` masks, if it matches at least half. "
         "0, or an explicit `--drop-rate`: always.",
         group="loss",
         range=Range(high=1),
@@ -582,8 +582,8 @@ class TrainConfig:
     )
     coarse_factor: float = option(
         0.0,
-        "Initial downscaling of the photos, decreasing until `coarse_until`. 0: up to 8 with at"
-        " least 75 pixels left, or 1 with `start_splats`; 1: full size from the first step.",
+        "Initial downscaling of the photos, decreasing until `coarse_until`. 0: up to 8, leaving "
+        "at least 75 pixels, or 1 with `start_splats`; 1: full size from the first step.",
         group="photos",
         range=Range(low=1, high=LARGEST, also=0),
         when="small_photos",
@@ -598,9 +598,9 @@ class TrainConfig:
     )
     grow_with_photos: bool = option(
         True,
-        "`default`: the splat limit rises with the size of the photos, from the initial number "
-        "to `max_splats`, so that small photos add no excess splats. Runs of 1,000 steps and "
-        "more that start below about 0.4 of the size; no gain for `mcmc`.",
+        "`default`: raise the splat limit with the photo size, from the initial number to "
+        "`max_splats`, so that small photos add no excess splats. Applies to runs of at least "
+        "1,000 steps that start below about 0.4 of the size; no gain for `mcmc`.",
         group="refinement",
         when="default",
     )
@@ -704,8 +704,8 @@ class TrainConfig:
     hidden_share: float = option(
         0.05,
         "`ignore` masks: remove splats with less than this share of their weight in unmasked "
-        "pixels, after 1/3 and 2/3 of the training. No photo defines their look, and they cover"
-        " other views. 0: off.",
+        "pixels, after 1/3 and 2/3 of the training, because no photo determines their colour and "
+        "they occlude other views. 0: off.",
         group="refinement",
         range=Range(high=1, below=True),
         when="hiding_masks",
@@ -837,11 +837,11 @@ LIFTED_BY = {
 
 
 def unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
-    """Options before the limits derived from the photos, for the same limits to be applied again.
+    """Options without the limits derived from the photos, which will be applied again.
 
     Args:
         train: Options of a run.
-        asked: Value by option, of those that photos limited, before they did.
+        asked: Requested value of each option that was limited.
     """
     was = {
         option: asked[option]
@@ -852,11 +852,11 @@ def unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
 
 
 def limited_as(train: TrainConfig, asked: Mapping[str, int], run: TrainConfig) -> TrainConfig:
-    """The options with those values of a `run` that photos limited, where the same was asked for.
+    """The options with the limited values of a `run`, where the same values were requested.
 
     Args:
-        train: Options that were given anew.
-        asked: As `unlimited`, of the run.
+        train: Options given again.
+        asked: As in `unlimited`, of the run.
         run: Options of the run.
     """
     same = {

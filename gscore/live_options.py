@@ -7,12 +7,12 @@ from .options import Range, check_options, option
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions:
-    """Where viewers may connect to."""
+    """Address and port of the viewer server."""
 
     port: int = option(
         0,
-        "Port at which viewers of 3DGS can watch the training; theirs is 6009. 0: none can. "
-        "docs/view.md says more.",
+        "Port for 3DGS viewers to watch the training; their default is 6009; 0: off. See "
+        "docs/view.md.",
         group="watching",
         range=Range(high=65535),
         metavar="PORT",
@@ -21,8 +21,8 @@ class LiveOptions:
     )
     ip: str = option(
         "127.0.0.1",
-        "Address that viewers connect to. The default is reached from this computer alone; 0.0.0.0 "
-        "is every address it has, and whoever reaches it can watch.",
+        "Address that viewers connect to. The default accepts this computer only; 0.0.0.0 accepts "
+        "every computer that reaches this one.",
         group="watching",
         metavar="ADDRESS",
         when="port",

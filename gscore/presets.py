@@ -22,15 +22,15 @@ reduce overfitting where the photos disagree."""
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """A first look, in about a quarter of a minute on two cores; with AVX2 in half a minute."""
+    """A first impression in about 15 s on two cores; 30 s with AVX2."""
     # Few steps need a higher weight to fill dark areas (docs/experiments).
     train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1, opaque_weight=0.02)
     return DataConfig(source=source, max_width=400), train
 
 
 def draft(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """Enough to assess a capture, in about a minute and a quarter on two cores."""
-    # Points of stereo are worth the steps that they cost (docs/experiments).
+    """Enough to assess a capture, in about 75 s on two cores."""
+    # Stereo points are worth the time they take from the steps (docs/experiments).
     train = replace(
         _LIMITED,
         iterations=4000,
@@ -49,7 +49,7 @@ def normal(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 def high(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """All that the method gives, ten minutes to an hour on two cores."""
+    """The best quality, in ten minutes to an hour on two cores."""
     # Three models of 200,000 have finer detail than two of 150,000, at the same PSNR.
     train = replace(_LONG, iterations=15_000, max_splats=600_000, splats_a_photo=6000, ensemble=3)
     return DataConfig(source=source, max_width=1600), train

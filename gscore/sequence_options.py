@@ -7,19 +7,19 @@ from .options import Range, check_options, option
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceOptions:
-    """What a sequence has besides the options of its frames."""
+    """Options of a sequence."""
 
     frames: str = option(
         ":",
-        "Which frames: `0,5,12`, `0:30` or `0:30:5` (first, last, step); a colon alone: all.",
+        "Frames to train: `0,5,12`, `0:30` or `0:30:5` (first, last, step); a colon alone: all.",
         group="sequence",
         metavar="LIST",
         basic=True,
     )
     next_iterations: int = option(
         0,
-        "Steps of later frames; 0: a quarter of those of the first. A time budget of the first is "
-        "a quarter for them too.",
+        "Steps of each later frame; 0: a quarter of the first frame's. The time budget of a later "
+        "frame is a quarter too.",
         group="sequence",
         range=Range(),
         unit="steps",
@@ -27,15 +27,15 @@ class SequenceOptions:
     )
     warm_start: bool = option(
         True,
-        "Start each frame from the splats of the one before. Off: every frame starts from its own "
-        "points and takes as many steps as the first.",
+        "Start each frame from the splats of the previous one. Off: each frame starts from its own "
+        "points and takes the steps of the first.",
         group="sequence",
         basic=True,
     )
     keyframe_every: int = option(
         0,
-        "Every how many frames one is a keyframe, trained like the first. From each, frames go on "
-        "to the next by themselves, so several processes can take them in turn. 0: the first only.",
+        "Frames between two keyframes, which are trained like the first; 0: the first only. "
+        "Intervals between keyframes are independent, so several processes can train them.",
         group="sequence",
         range=Range(),
         unit="frames",
@@ -43,22 +43,22 @@ class SequenceOptions:
     )
     carried_opacity: float = option(
         0.6,
-        "Share of its opacity that a splat takes into the next frame. What no photo asks for fades "
-        "so, and what moved away makes room.",
+        "Factor of opacities from one frame to the next. Splats that no photo needs then fade, "
+        "such as those of objects that moved away.",
         group="sequence",
         range=Range(high=1, above=True),
         basic=True,
     )
     fixed_rig: bool = option(
         True,
-        "The cameras do not move from frame to frame. All frames get those of the first, in its "
-        "world; off: the frames' own cameras, which then must be in one world already.",
+        "The cameras are the same in all frames. Poses and world are those of the first frame; "
+        "off: each frame's own cameras, which must share one world.",
         group="sequence",
         basic=True,
     )
     keep_checkpoints: bool = option(
         False,
-        "Keep the last checkpoint of frames that are complete.",
+        "Keep the last checkpoint of completed frames.",
         group="sequence",
     )
 

@@ -25,13 +25,13 @@ from .terminal.status import wrapped
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "word", nargs="?", help="word to search for in names and groups, else in the texts"
+        "word", nargs="?", help="word to search for in names and groups, or else in the texts"
     )
     parser.add_argument("--json", action="store_true", help="all properties as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the matching options."""
+    """Print the options that match."""
     every = list(all_options())
     found = every if args.word is None else matching(args.word, every)
     if args.json:
@@ -111,9 +111,9 @@ def described(one: Option) -> str:
 
 
 def idle_when(one: Option) -> str:
-    """The sentence on conditions under which an option is unused; empty if there are none."""
+    """The sentence on the condition of an option's effect; empty: always effective."""
     reason = reason_of(one)
-    return f" Can be without effect ({reason})." if reason else ""
+    return f" {reason[0].upper()}{reason[1:]}." if reason else ""
 
 
 def facts(one: Option) -> dict[str, Any]:

@@ -35,10 +35,7 @@ _ONE_FRAME = {
 """Options of `gscore train` that concern one frame only, or none."""
 _SELDOM = ("port", "no_sfm")
 """Those that matter less here than what a sequence has besides; `gscore options` lists them."""
-_FRAME = (
-    "train only the frames from the keyframe before this number to the next keyframe, for job "
-    "arrays; other runs of gscore may train the rest into the same folder"
-)
+_FRAME = "train only the keyframe interval of this frame, for job arrays; all share one output"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

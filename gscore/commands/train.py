@@ -64,8 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         choices=tuple(PRESETS),
-        help="quality level (normal): sets --iterations, --max-splats, --sh-degree and the width"
-        " of the photos",
+        help="quality level: sets --iterations, --max-splats, --sh-degree and photo width (normal)",
     )
     parser.add_argument(
         "--config",
@@ -91,8 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--block",
         type=int,
         metavar="N",
-        help="train only this block of a folder made by gscore split, into a folder of its name;"
-        " default: all blocks in turn",
+        help="train only this block of a folder made by gscore split; default: all in turn",
     )
     parser.add_argument(
         "--no-sfm",

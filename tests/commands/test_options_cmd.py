@@ -43,7 +43,7 @@ def test_one_option_with_all_that_is_known(capsys: pytest.CaptureFixture[str]) -
     assert row["default"] == 0.0 and row["range"] == "0 to less than 1" and not row["basic"]
     assert row["flag"] == "--drop-rate" and row["group"] == "loss"
     (row,) = told("mcmc_noise", capsys)
-    assert row["name_3dgs"] == "--noise-lr" and row["idle"] == "--strategy mcmc alone uses it"
+    assert row["name_3dgs"] == "--noise-lr" and row["idle"] == "only with --strategy mcmc"
 
 
 def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -> None:
@@ -59,7 +59,7 @@ def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -
     assert "mention 'ensemble' too: iterations, splats_a_photo." in " ".join(out.split())
     assert main(["options", "seed"]) == 0
     out = capsys.readouterr().out
-    assert "seed = 0 (0 to 9223372036854775807): Same seed, same result" in " ".join(out.split())
+    assert "seed = 0 (0 to 9223372036854775807): Random seed" in " ".join(out.split())
 
 
 def test_a_number_of_steps_that_is_given_is_meant() -> None:

@@ -230,8 +230,8 @@ QUOTES = (
     ),
     Quote(
         "gscore/presets.py",
-        r"about (a quarter of a minute) .* about (a minute and a quarter) .* "
-        r"about (five minutes) .* gives, (ten minutes) to an hour",
+        r"about (15) s .* about (75) s .* about (five minutes) .* quality, in (ten minutes) to an "
+        r"hour",
         _PRESET_SECONDS,
         within=0.15,
     ),

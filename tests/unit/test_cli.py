@@ -238,7 +238,7 @@ def test_every_option_of_a_training_is_explained(capsys: pytest.CaptureFixture[s
         action.dest: action.help for action in parser._actions if action.help != "==SUPPRESS=="
     }
     assert all(texts.values())
-    assert texts["antialias"] == "draw splats below the size of a pixel fainter (off)"
+    assert texts["antialias"] == "draw splats smaller than a pixel fainter (off)"
     assert texts["threads"] == "CPU threads; 0: one per core that this process may use (0)"
     assert "preview 1,500, draft 4,000, normal 7,000, high 15,000" in texts["iterations"]
 

@@ -11,23 +11,23 @@ from gscore.options import Option
 PAGE = Path(__file__).parents[2] / "docs" / "options.md"
 _HEAD = """# Options of a training
 
-`gscore train --help` shows the options that matter most, in bold here. All are given under their
-long flags (`--lr-boost 2`, `--no-watchdog`) or by name, `--set lr_boost=2`, which may be
-repeated; several values are joined by commas there. `gscore options opacity` lists those with a
-word in name or text, `--json` gives programs all that is known. In Python they are the fields of
-`gscore.TrainConfig` and `gscore.DataConfig`, and in config.json they have the same names.
+`gscore train --help` shows the most important options, in bold here. Set any option by its long
+flag (`--lr-boost 2`, `--no-watchdog`) or by name with the repeatable `--set lr_boost=2`, where
+commas separate several values. `gscore options opacity` lists the options with a word in name or
+text; `--json` prints all properties. The same names are fields of `gscore.TrainConfig` and
+`gscore.DataConfig` in Python, and keys in config.json.
 
-An extent is 1.1 times the largest distance of a camera from the middle of all. SH (spherical
-harmonics) are the view-dependent colour, SfM points those that COLMAP found; to refine is to add
-and remove splats. Learning rates are raised in runs of less than 30,000 steps and fall over the
-last tenth of any; `--set lr_boost=1 --set lr_final=1` takes them exactly as given.
+An extent is 1.1 times the largest distance of a camera from the mean of all. SH (spherical
+harmonics) encode the view-dependent colour; SfM points are those of COLMAP; refinement adds and
+removes splats. Learning rates are raised in runs of less than 30,000 steps and decay over the
+last tenth of every run; `--set lr_boost=1 --set lr_final=1` uses them exactly as given.
 
-This page is made by `tools/build/options_table.py` from `gscore/config.py` and `gscore/presets.py`.
+`tools/build/options_table.py` generates this page from `gscore/config.py` and `gscore/presets.py`.
 """
 _NAMES = """
 ## Names of 3DGS
 
-Scripts for the original 3DGS may keep these, with underscores or dashes:
+Accepted for scripts of the original 3DGS, with underscores or dashes:
 
 | there | here |
 |---|---|
@@ -35,11 +35,11 @@ Scripts for the original 3DGS may keep these, with underscores or dashes:
 
 
 def page() -> str:
-    """The whole page."""
+    """The page as Markdown."""
     parts = [_HEAD]
     for group, members in groupby(all_options(), key=lambda one: one.group):
         parts.append(f"\n## {group[0].upper()}{group[1:]}\n\n")
-        parts.append("| option | default | takes | unit | what it does |\n|---|---|---|---|---|\n")
+        parts.append("| option | default | values | unit | effect |\n|---|---|---|---|---|\n")
         parts += [_row(one) for one in members]
     names = [f"| `{row.name}` | {row.here} |\n" for row in rows()]
     return "".join([*parts, _NAMES, *names])

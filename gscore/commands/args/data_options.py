@@ -1,4 +1,4 @@
-"""Data options: how verbs that do not train read a capture."""
+"""Data options: capture, masks and test views, for verbs that do not train."""
 
 import argparse
 from dataclasses import replace
@@ -16,9 +16,8 @@ HOLD_OUT = Option(
     name="hold_out",
     default=None,
     kind=str,
-    text="Held-out photos for the metrics: 8: every eighth by name, the default of --eval unless "
-    "the capture lists its own; first:10 or last:10: the first or last ten; or a text file of "
-    "names, one a line.",
+    text="Held-out photos: 8 (every eighth by name), first:10, last:10, or a text file of names. "
+    "The file has one name per line. Default with --eval: 8, unless the capture lists its own.",
     group="capture",
     metavar="WHICH",
     basic=True,
@@ -29,7 +28,7 @@ _MAX_WIDTH = DataConfig.max_width
 
 
 def add_data_options(parser: argparse.ArgumentParser) -> None:
-    """Declare them, under the names `gscore train` and the 3DGS tools use."""
+    """Declare them under the names of `gscore train` and the 3DGS tools."""
     group = parser.add_argument_group("capture")
     declare(group, DataConfig, names=("images", *_MASKS, "resolution"))
     add_split_options(group)
@@ -55,7 +54,7 @@ def add_split_options(group: argparse._ActionsContainer) -> None:
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:
     """The config with the options of the command line; a split option turns on `eval`."""
     given = passed_options(DataConfig, args)
-    if given.get("resolution") == -1:  # as is; presets and runs may have a width of their own
+    if given.get("resolution") == -1:  # the preset or run may have another width limit
         given["max_width"] = _MAX_WIDTH
     if split := _given_split(args):
         # The offset belongs to the rule that is replaced.
@@ -64,7 +63,7 @@ def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfi
 
 
 def _given_split(args: argparse.Namespace) -> dict[str, Any]:
-    """The values of `SPLIT` where one of them, or `--hold-out`, was given; nothing else.
+    """The values of `SPLIT` if one of them, or `--hold-out`, was given; else empty.
 
     Raises:
         ConfigError: rules that contradict.

@@ -1,4 +1,4 @@
-"""Unused options: one warning for training options that change nothing in a run."""
+"""Unused options: one warning for training options without effect in a run."""
 
 import argparse
 from collections.abc import Callable
@@ -35,50 +35,50 @@ def _beyond(name: str) -> _Idle:
 
 
 _WHEN: dict[str, _Rule] = {
-    "mcmc": ("--strategy mcmc alone uses it", lambda a, d, c: c.strategy is not Strategy.MCMC),
-    "default": ("not used by --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC),
+    "mcmc": ("only with --strategy mcmc", lambda a, d, c: c.strategy is not Strategy.MCMC),
+    "default": ("not with --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC),
     "clone_split": (
-        "--doubling clone-split alone uses it, and not --strategy mcmc",
+        "only with --doubling clone-split, not with --strategy mcmc",
         lambda a, d, c: c.strategy is Strategy.MCMC or c.doubling is not Doubling.CLONE_SPLIT,
     ),
-    "depth": ("depth supervises only with --depths, unless --depth-mode off", _no_depth),
-    "depth_maps": ("there are no depth maps without --depths", lambda a, d, c: not d.depths),
-    "depth_on": ("--depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
-    "poses": ("--refine-poses off", lambda a, d, c: c.refine_poses is Switch.OFF),
-    "exposure": ("--exposure off", lambda a, d, c: c.exposure is Switch.OFF),
-    "bands": ("--sh-degree 0 has no view-dependent colour", _no_bands),
-    "small_photos": ("--without small-photos", _large_photos),
-    "points": ("--start-splats are as they are", lambda a, d, c: c.start_splats is not None),
+    "depth": ("only with --depths, not with --depth-mode off", _no_depth),
+    "depth_maps": ("only with --depths", lambda a, d, c: not d.depths),
+    "depth_on": ("not with --depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
+    "poses": ("not with --refine-poses off", lambda a, d, c: c.refine_poses is Switch.OFF),
+    "exposure": ("not with --exposure off", lambda a, d, c: c.exposure is Switch.OFF),
+    "bands": ("not with --sh-degree 0", _no_bands),
+    "small_photos": ("not with --without small-photos", _large_photos),
+    "points": ("not with --start-splats", lambda a, d, c: c.start_splats is not None),
     "stereo": (
-        "stereo adds no points: --stereo off or --start-splats",
+        "not with --stereo off or --start-splats",
         lambda a, d, c: c.stereo == Stereo.OFF or c.start_splats is not None,
     ),
-    "one_model": ("--start-splats are one model", lambda a, d, c: c.start_splats is not None),
+    "one_model": ("not with --start-splats", lambda a, d, c: c.start_splats is not None),
     "ensemble": (
-        "there is one model: --ensemble 1 or --start-splats",
+        "not with --ensemble 1 or --start-splats",
         lambda a, d, c: c.ensemble == 1 or c.start_splats is not None,
     ),
-    "dropping": ("--drop-rate 0 leaves none out", lambda a, d, c: c.drop_rate == 0),
-    "guide_surface": ("of --guide-surface alone", lambda a, d, c: c.guide_surface is None),
-    "start_splats": ("of --start-splats alone", lambda a, d, c: c.start_splats is None),
-    "viewer": ("--disable-viewer", lambda a, d, c: a.disable_viewer),
+    "dropping": ("not with --drop-rate 0", lambda a, d, c: c.drop_rate == 0),
+    "guide_surface": ("only with --guide-surface", lambda a, d, c: c.guide_surface is None),
+    "start_splats": ("only with --start-splats", lambda a, d, c: c.start_splats is None),
+    "viewer": ("not with --disable-viewer", lambda a, d, c: a.disable_viewer),
     "port": (
-        "only with --port, and not with --disable-viewer",
+        "only with --port, not with --disable-viewer",
         lambda a, d, c: not a.port or a.disable_viewer,
     ),
-    "masks": ("--mask-mode none", lambda a, d, c: d.mask_mode == "none"),
+    "masks": ("not with --mask-mode none", lambda a, d, c: d.mask_mode == "none"),
     "hiding_masks": (
-        "only where masks hide parts of a scene",
+        "only with ignore masks",
         lambda a, d, c: d.mask_mode in ("none", "composite"),
     ),
 }
-"""By `Option.when`: the reason why an option can be idle, and the predicate."""
-_SPLIT: _Rule = ("--no-eval holds no views out", lambda a, d, c: not d.eval)
+"""By `Option.when`: the condition of the effect, and the predicate of an idle option."""
+_SPLIT: _Rule = ("not with --no-eval", lambda a, d, c: not d.eval)
 
 
 def _rule(one: Option) -> _Rule:
     return (
-        ("all after the last step", _beyond(one.name)) if one.when == "steps" else _WHEN[one.when]
+        ("only up to the last step", _beyond(one.name)) if one.when == "steps" else _WHEN[one.when]
     )
 
 
@@ -92,16 +92,16 @@ RULES: dict[str, _Rule] = {
     **dict.fromkeys(("hold_out", *SPLIT), _SPLIT),
     "debug_from": ("there are no debug dumps", lambda a, d, c: True),
     "white_background": (
-        "--background says otherwise",
+        "overridden by --background",
         lambda a, d, c: a.background not in (None, "white"),
     ),
     "random_background": (
-        "--background says otherwise",
+        "overridden by --background",
         lambda a, d, c: a.background not in (None, "random"),
     ),
-    "train_test_exp": ("--exposure says otherwise", lambda a, d, c: c.exposure is not Switch.ON),
+    "train_test_exp": ("overridden by --exposure", lambda a, d, c: c.exposure is not Switch.ON),
     "feature_lr": (
-        "--sh0-lr and --shN-lr are given",
+        "overridden by --sh0-lr and --shN-lr",
         lambda a, d, c: a.sh0_lr is not None and a.shN_lr is not None,
     ),
 }
@@ -109,7 +109,7 @@ RULES: dict[str, _Rule] = {
 
 
 def reason_of(one: Option) -> str:
-    """The condition under which an option is unused; empty if there is none."""
+    """The condition under which an option has an effect; empty: always."""
     return RULES[one.name][0] if one.name in RULES else ""
 
 
