@@ -1,13 +1,19 @@
 """Folder lookup: files by the names in a capture, despite other case, ending or Unicode form."""
 
 import os
+import re
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Sequence
-from pathlib import Path, PurePosixPath
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
+from pathlib import Path, PurePath, PurePosixPath
 
 from ..io.files import is_file
 from ..io.images.read_image import IMAGE_ENDINGS
+
+_MARKED = re.compile(r"[._@#!]mask$", re.IGNORECASE)
+"""Ends the stem of a mask: RealityScan appends one of these signs and the name of the layer to the
+file name of the photo, Metashape's template is `{filename}_mask.png`."""
 
 
 class Folder:
@@ -42,11 +48,20 @@ class Folder:
         return self.root / same[0] if len(same) == 1 else None
 
     def find_mask(self, name: str) -> Path | None:
-        """The mask of image `name`: `name.png` as COLMAP has it, else the same stem."""
+        """The mask of image `name`: `name.png` as COLMAP has it, else the same stem, else one that
+        is marked as a mask, as `name_mask.png`."""
         name = _clean(name)
         if _key(f"{name}.png") in self._files:
             return self.root / self._files[_key(f"{name}.png")]
-        return self.find_image(str(PurePosixPath(name).with_suffix(".png")))
+        plain = self.find_image(str(PurePosixPath(name).with_suffix(".png")))
+        if plain is not None:
+            return plain
+        path = self._marked.get(_key(name)) or self._marked.get(_stem(name))
+        return None if path is None else self.root / path
+
+    @cached_property
+    def _marked(self) -> dict[str, str]:
+        return _masks_by_photo(self._files.values())
 
     def find_images(self, names: Sequence[str]) -> list[Path | None]:
         """The files of images; where none is there, their common folders may lack here, and then
@@ -67,6 +82,41 @@ class Folder:
         return _without_common(self.find_mask, names)
 
 
+def masks_beside(photos: Sequence[Path | None]) -> list[Path | None]:
+    """The masks in the folders of photos whose names are those of the photos and a mark, as
+    `IMG_0.JPG.mask.png` and `IMG_0_mask.png`; None: there is none, or no photo."""
+    known = set(photos)
+    folders = {photo.parent for photo in photos if photo is not None and photo.parent.is_dir()}
+    marked = {
+        folder: _masks_by_photo(
+            file.name
+            for file in folder.iterdir()
+            if file.suffix.lower() in IMAGE_ENDINGS and file not in known
+        )
+        for folder in folders
+    }
+
+    def find(photo: Path | None) -> Path | None:
+        if photo is None or photo.parent not in marked:
+            return None
+        names = marked[photo.parent]
+        name = names.get(_key(photo.name)) or names.get(_stem(photo.name))
+        return None if name is None else photo.parent / name
+
+    return [find(photo) for photo in photos]
+
+
+def without_masks(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
+    """The names of photos without those of masks of one of them, or of one of `others`."""
+    photos = {key for name in (*names, *others) for key in (_key(name), _stem(name))}
+    return [name for name in names if _photo_of_mask(name) not in photos]
+
+
+def is_marked_mask(path: PurePath) -> bool:
+    """Whether a file's name ends as those of masks."""
+    return bool(_photo_of_mask(path.name))
+
+
 def same_name(name: str) -> str:
     """A name as it is compared: of the two ways to write an accented letter the composed one
     (NFC of Unicode's annex 15; macOS and some tools write NFD)."""
@@ -81,6 +131,17 @@ def _without_common(find: Callable[[str], Path | None], names: Sequence[str]) ->
         if any(files) or alone or len({path.parts[0] for path in paths}) != 1:
             return files
         paths = [PurePosixPath(*path.parts[1:]) for path in paths]
+
+
+def _masks_by_photo(paths: Iterable[str]) -> dict[str, str]:
+    """Marked masks by the key of their photo, with or without its ending."""
+    return {owner: path for path in sorted(paths) if (owner := _photo_of_mask(path))}
+
+
+def _photo_of_mask(path: str) -> str:
+    """The key of the photo of a marked mask, with or without its ending; empty: no mask."""
+    stem = _stem(path)
+    return _MARKED.sub("", stem) if _MARKED.search(stem) else ""
 
 
 def _key(path: str) -> str:

@@ -9,6 +9,8 @@ from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import find_model
 from .capture import Capture
 from .colmap_source import read_colmap
+from .folder import masks_beside
+from .masks import masks_inside
 from .origin import about_origin
 from .pku.case import find_video, read_video
 from .programs import find_program, read_program
@@ -36,12 +38,24 @@ def read_capture(
         FormatError: a file is truncated, corrupt or of an unknown kind.
         ConfigError: `frame` was given for a capture that has none.
     """
-    capture = _read(config, photos_required)
+    capture = _with_masks(_read(config, photos_required))
     if config.rig is not None:
         rig = _read(DataConfig(source=config.rig), False)
         capture = with_rig(capture, rig, where=config.source, rig_at=config.rig)
         capture = replace(capture, origin=rig.origin)
     return about_origin(capture, origin)
+
+
+def _with_masks(capture: Capture) -> Capture:
+    """The capture with the masks next to its photos, where it states none and has no folder of
+    masks."""
+    if any(view.mask for view in capture.views) or masks_inside(capture.root) is not None:
+        return capture
+    found = masks_beside([view.image for view in capture.views])
+    if not any(found):
+        return capture
+    views = [replace(view, mask=mask) for view, mask in zip(capture.views, found, strict=True)]
+    return replace(capture, views=views)
 
 
 def _read(config: DataConfig, photos_required: bool) -> Capture:

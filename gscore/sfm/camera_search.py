@@ -115,8 +115,7 @@ class _Search:
         doubtful = doubt(self._root, names, len(photos.by_camera(read)))
         for sentence in filter(None, (*sentences, doubtful, other_cameras(self._request.photos))):
             self._progress.warn(sentence)
-        folder = masks.mask_folder(self._root, self._request.masks)
-        found = masks.find_masks(folder if self._request.use_masks else None, read)
+        found = self._masks([photo.name for photo in read])
         resumed = self._space.open(self._state(found))
         self._opened = True
         self._space.link_photos(read, self._stamps)
@@ -275,6 +274,12 @@ class _Search:
             tick=lambda: progress(done(), under_way()),
             cancelled=self._stopping,
         )
+
+    def _masks(self, names: list[str]) -> dict[str, Path]:
+        if not self._request.use_masks:
+            return {}
+        folder = masks.mask_folder(self._root, self._request.masks)
+        return masks.find_masks(folder, self._root, names)
 
     def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:
         if not found:

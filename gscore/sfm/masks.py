@@ -1,9 +1,9 @@
 """SfM masks in COLMAP's format: no features where they are black."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..datasets.folder import Folder
+from ..datasets.folder import Folder, masks_beside
 from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
 from ..io.images.read_image import is_scaled, read_mask, resize_mask, write_png
@@ -29,13 +29,16 @@ def mask_folder(root: Path, asked: Path | None) -> Path | None:
     return found
 
 
-def find_masks(folder: Path | None, photos: list[Photo]) -> dict[str, Path]:
-    """Mask files by the names of their photos."""
+def find_masks(folder: Path | None, root: Path, names: Sequence[str]) -> dict[str, Path]:
+    """Mask files by the names of their photos below `root`: those in their folder, else those next
+    to the photos."""
     if folder is None:
-        return {}
-    there = Folder(folder)
-    found = {photo.name: there.find_mask(photo.name) for photo in photos}
-    return {name: path for name, path in found.items() if path is not None}
+        found = masks_beside([root / name for name in names])
+    else:
+        there = Folder(folder)
+        found = [there.find_mask(name) for name in names]
+    pairs = zip(names, found, strict=True)
+    return {name: path for name, path in pairs if path is not None}
 
 
 def write_masks(

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..datasets.capture import listing
 from ..datasets.dataset import map_threads
+from ..datasets.folder import without_masks
 from ..datasets.shots import Shot, repeats, shot_of
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images.pillow_images import check_whole, opened_picture
@@ -70,7 +71,8 @@ def photo_folder(path: Path) -> Path:
 
 def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], list[str]]:
     """Names of the photos below a folder in the order in which people count, and of files that are
-    photos of a kind that is not read; hidden files, and folders to `leave_out`, have none."""
+    photos of a kind that is not read; hidden files, and folders to `leave_out`, have none, and
+    masks next to their photos are none."""
     skipped = {folder.resolve() for folder in leave_out}
     names, unread = [], []
     for folder, below, files in os.walk(root):
@@ -82,6 +84,7 @@ def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], lis
                 names.append(shown)
             elif name[0] != "." and name.lower().endswith(UNREAD):
                 unread.append(shown)
+    names = without_masks(names, unread)
     return sorted(names, key=natural), sorted(unread, key=natural)
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from ..control import Control
-from ..datasets.folder import Folder
 from ..datasets.masks import MASK_FOLDER
 from ..errors import Cancelled, ConfigError, DatasetError, GsError
 from ..events import Event, SfmProgress
@@ -160,19 +159,20 @@ class _Gathering:
                 f"{root} holds no photo. Leave it out, or give the folder of the photos."
             )
         asked = self._request.masks if not self._name else None  # one for all is asked for later
-        place = masks.mask_folder(root, asked) if self._request.use_masks else None
-        folder = Folder(place) if place is not None else None
+        found = {}
+        if self._request.use_masks:
+            found = masks.find_masks(masks.mask_folder(root, asked), root, photos)
         for done, name in enumerate(photos, 1):
             if self._control.stopping:
                 raise Cancelled("Gathering the photos was stopped.")
-            self._put(root / name, name, folder)
+            self._put(root / name, name, found.get(name))
             self._show(SfmProgress(phase=_PHASE, done=done, total=len(photos), eta_s=math.nan))
 
     @property
     def _target(self) -> Path:
         return self._work / IMAGES / self._name
 
-    def _put(self, path: Path, name: str, folder: Folder | None) -> None:
+    def _put(self, path: Path, name: str, mask: Path | None) -> None:
         changed = heic.is_heic(name)
         kept = heic.jpeg_name(name) if changed else name
         target = self._target / kept
@@ -181,7 +181,7 @@ class _Gathering:
             heic.write_jpeg(path, target)
         else:
             link_or_copy(path, target)
-        if folder is not None and (mask := folder.find_mask(name)) is not None:
+        if mask is not None:
             link_or_copy(mask, self._work / MASK_FOLDER / self._name / f"{kept}.png")
 
 

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
-from gscore.datasets.folder import Folder
+from gscore.datasets.folder import Folder, masks_beside
 from gscore.errors import DatasetError
 from gscore.io.images.read_image import resize_mask, write_png
-from gscore.sfm.masks import mask_folder
+from gscore.sfm.masks import find_masks, mask_folder
+from gscore.sfm.photos import list_photos
 from gscore.transforms import viewmat_from_opengl
 
 SHAPE = (48, 64)
@@ -77,6 +79,41 @@ def test_folders_of_a_colmap_capture(folder: str, make_capture: Callable) -> Non
     _write(capture.root / folder, [image.name for image in capture.model.images])
     _check(load_dataset(DataConfig(source=capture.root)))
     assert mask_folder(capture.root / "images", None) == capture.root / folder
+
+
+@pytest.mark.parametrize("name", ["{0.stem}_mask.png", "{0.name}.mask.png", "{0.stem}_MASK.tif"])
+def test_masks_next_to_photos(name: str, make_capture: Callable) -> None:
+    """Oracle: those of a COLMAP capture are found and are no photos of a search; a photo of the
+    capture is no mask, and a folder of masks counts first."""
+    capture = make_capture(views=4)
+    images, names = capture.root / "images", [image.name for image in capture.model.images]
+    for i, photo in enumerate(names):
+        Image.fromarray(_mask(i)).save(images / name.format(Path(photo)))
+    _check(load_dataset(DataConfig(source=capture.root)))
+    assert sorted(list_photos(images, ())[0]) == sorted(names)
+    found = find_masks(None, images, names)
+    assert found == {photo: images / name.format(Path(photo)) for photo in names}
+    (capture.root / "masks").mkdir()
+    assert load_dataset(DataConfig(source=capture.root)).mask_mode == "none"
+
+
+def test_marked_masks_of_a_search_in_a_folder(tmp_path: Path) -> None:
+    """Oracle: the names that Metashape's and RealityScan's templates give."""
+    names = [f"{i}.jpg" for i in range(3)]
+    _write(tmp_path, ["0_mask.png", "1.jpg_mask.png", "2.jpg.mask.png"])
+    assert [path.name for path in find_masks(tmp_path, tmp_path, names).values()] == [
+        "0_mask.png",
+        "1.jpg_mask.png",
+        "2.jpg.mask.png",
+    ]
+
+
+def test_a_photo_called_mask_is_a_photo(tmp_path: Path) -> None:
+    """Oracle: one without a photo that it could belong to is searched, and is no mask."""
+    _write(tmp_path, ["a_mask.png", "b.png", "b_mask.png", "c.png"])
+    assert list_photos(tmp_path, ())[0] == ["a_mask.png", "b.png", "c.png"]
+    photos = [tmp_path / name for name in ("b.png", "b_mask.png")]
+    assert masks_beside(photos) == [None, None]
 
 
 @pytest.mark.parametrize("shape", [(96, 128), (143, 191), (60, 80), (24, 32), (49, 65)])

@@ -271,7 +271,10 @@ def test_points_of_the_folder(rig: Rig, tmp_path: Path) -> None:
     [
         (files.write_rs_csv, "images/{stem}.png.mask.png"),
         (files.write_rs_csv, "images/{stem}.png_mask.png"),
+        (files.write_metashape, "images/{stem}_mask.png"),
+        (files.write_metashape, "images/{stem}_Mask.tif"),
         (files.write_metashape, "masks/{stem}_mask.png"),
+        (files.write_metashape, "mask/{stem}_mask.png"),
         (files.write_opensfm, "masks/{stem}.png.png"),
     ],
 )
@@ -283,9 +286,12 @@ def test_masks(write: Callable, name: str, rig: Rig, tmp_path: Path) -> None:
     for photo in rig.names:
         path = tmp_path / name.format(stem=Path(photo).stem)
         path.parent.mkdir(exist_ok=True)
-        write_png(path, mask)
+        Image.fromarray(mask).save(path)
     data = load_dataset(DataConfig(source=tmp_path))
     assert data.mask_mode != "none" and len(data) == 8
+    assert not [s for s in data.warnings if "have no mask" in s]
+    for i in range(8):
+        np.testing.assert_array_equal(data.mask(i), mask)
 
 
 def test_photos_that_exif_turns(rig: Rig, tmp_path: Path) -> None:

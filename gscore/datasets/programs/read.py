@@ -1,6 +1,5 @@
 """Reader of a capture from another program's camera file and the photos in its folder."""
 
-import re
 from collections import defaultdict
 from pathlib import Path, PurePosixPath
 
@@ -15,7 +14,7 @@ from ...io.ply.points import read_point_cloud
 from ...scene import PointCloud, camera_centers
 from ...text_format import count_words
 from ..capture import Capture, View, listing, repeated
-from ..folder import same_name
+from ..folder import is_marked_mask, masks_beside, same_name
 from .find import ProgramFile
 from .llff import read_llff
 from .metashape import read_metashape
@@ -25,9 +24,6 @@ from .realityscan import read_csv, read_xmps, sidecars_in
 
 _POINTS = ("points3D.ply", "points3d.ply", "sparse_pc.ply", "points.ply", "pointcloud.ply")
 """Names that are points for sure; else the only PLY of the folder is taken."""
-_MASK = re.compile(r"[._@#!]mask$")
-"""Ends the stem of a mask: RealityScan's name of the photo with one of these signs and the name of
-the layer, in the same folder, and Metashape's `{filename}_mask.png`."""
 _LOOKED_AT = 1000
 """Points of which it is asked whether a photo shows them."""
 _MARGIN = 1.2
@@ -63,8 +59,8 @@ def read_program(
     told += _told_of_missing(found, photos, missing, len(files), photos_required)
     views = [
         view
-        for shot, file in zip(listed.photos, files, strict=True)
-        if (view := _view(found, photos, shot, file, photos_required)) is not None
+        for shot, file, mask in zip(listed.photos, files, masks_beside(files), strict=True)
+        if (view := _view(photos, shot, file, mask, photos_required)) is not None
     ]
     if twice := repeated([view.name for view in views]):
         raise DatasetError(f"{found.path} has several cameras for {listing(twice)}. Export again.")
@@ -181,21 +177,21 @@ def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
 def _is_apart(path: Path) -> bool:
     """Whether a picture is a mask or hidden, which no camera took."""
     hidden = any(part.startswith(".") for part in path.parts)
-    return hidden or path.parts[0] in ("masks", "mask", "depths") or bool(_MASK.search(path.stem))
+    return hidden or path.parts[0] in ("masks", "mask", "depths") or is_marked_mask(path)
 
 
 def _view(
-    found: ProgramFile,
     photos: _Photos,
     shot: PosedPhoto,
     image: Path | None,
+    mask: Path | None,
     photos_required: bool,
 ) -> View | None:
     """The view of a posed photo; None where the photo is missing and required, or the file states
     neither its size nor a name that may be one."""
     if image is not None:
         size = shot.size or _size(image)
-        name, mask = image.relative_to(photos.root).as_posix(), _mask(found.root, image)
+        name = image.relative_to(photos.root).as_posix()
         return View(
             name=name, image=image, viewmat=shot.viewmat, camera=shot.camera(size), mask=mask
         )
@@ -210,14 +206,6 @@ def _size(image: Path) -> Size:
     """Width and height as the photo is stored."""
     info = read_info(image)
     return info.width, info.height
-
-
-def _mask(root: Path, image: Path) -> Path | None:
-    """The mask of a photo as RealityScan or Metashape names it; others are found by the rule for
-    all captures."""
-    places = [image.with_name(f"{image.name}{sign}mask.png") for sign in "._@#!"]
-    places.append(root / "masks" / f"{image.stem}_mask.png")
-    return next((place for place in places if place.is_file()), None)
 
 
 def _points(
