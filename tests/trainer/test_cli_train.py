@@ -248,14 +248,14 @@ def test_resuming_with_other_options_says_which(
     again = ["train", "-o", str(tmp_path), "--resume", "--quiet"]
     assert main([*again, "-r", "20"]) == 2
     err = capsys.readouterr().err
-    assert "another run: -r was -1, is 20. A run that goes on takes its options from" in err
+    assert "another run: -r was -1, is 20. A resumed run takes its options from" in err
     assert "--iterations, --time-budget" in err
     assert "cameras" not in err
     assert main([*again, "--preset", "draft"]) == 2
     err = capsys.readouterr().err
     changed = "max_splats was 200, is 150000; ensemble was 2, is 1; ensemble_below was 0.35, is 0; "
     changed += "sh_degree was 0, is 2; drop_rate was 0.1, is 0; drop_below was 0.35, is 0"
-    assert f"another run: {changed}. A run" in err
+    assert f"another run: {changed}. A resumed" in err
     same = ["--preset", "normal", *SHORT]
     assert main([*again, *same, "--iterations", "14"]) == 0
 
@@ -351,7 +351,7 @@ def test_a_folder_that_is_refused_keeps_no_files(
     capsys.readouterr()
     assert main(line) == 2
     err = capsys.readouterr().err
-    assert "holds another run" in err and "they stay" not in err
+    assert "contains another run" in err and "they stay" not in err
 
 
 def test_flags_of_3dgs_scripts_mean_what_they_mean_there() -> None:
@@ -378,12 +378,12 @@ def test_black_masks_are_refused_and_some_are_warned_about(
         write_png(masks / photo.name, np.zeros(read_image(photo).shape[:2], np.uint8))
     run = ["train", str(tmp_path / "in"), "-o", str(tmp_path / "out"), *SHORT]
     assert main([*run, "--quiet"]) == 2
-    assert "are black, so there is nothing to train on" in capsys.readouterr().err
+    assert "are black, so there are no pixels to train on" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     for photo in photos:
         write_png(masks / photo.name, np.full(read_image(photo).shape[:2], 255, np.uint8))
     assert main([*run, "--quiet", "--invert-masks"]) == 2
-    assert "are white, so inverted they leave nothing" in capsys.readouterr().err
+    assert "are white, so inverted they leave no" in capsys.readouterr().err
     write_png(masks / photos[0].name, np.zeros(read_image(photos[0]).shape[:2], np.uint8))
     for photo in photos[1:]:
         mask = np.zeros(read_image(photo).shape[:2], np.uint8)

@@ -302,7 +302,7 @@ def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> 
     nowhere = DataConfig(source=capture / "nothing")
     with pytest.raises(DatasetError):
         train(CONFIG, nowhere, tmp_path, overwrite=True)
-    with pytest.raises(ConfigError, match="holds another run"):
+    with pytest.raises(ConfigError, match="contains another run"):
         train(CONFIG, data_of(capture), tmp_path)
     with pytest.raises(ConfigError, match="sh_degree was 1, is 2"):
         train(replace(CONFIG, sh_degree=2), data_of(capture), tmp_path, resume=True)

@@ -204,7 +204,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         (["{video}", "-o", "{out}", "--frames", "3"], "the sequence has 3 frames, 0, 5, 10."),
         (["{video}", "-o", "{out}", "--frames", "a-b"], "frames is 'a-b'; expected numbers"),
         (["{video}", "-o", "{out}", "--frames", "0:10:0"], "expected numbers such as"),
-        (["{video}", "-o", "{out}", "--frame", "3"], "--frame 3 is none of the frames"),
+        (["{video}", "-o", "{out}", "--frame", "3"], "--frame 3 is not in the sequence"),
         (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one training"),
         (["{video}", "-o", "{out}", "--resume"], "holds no run to resume"),
         (["{video}", "-o", "{out}", "--next-iterations", "-1"], "next_iterations must be"),

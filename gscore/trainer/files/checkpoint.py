@@ -1,7 +1,7 @@
 """Checkpoints: one safetensors file with all state of a run; read without running any code.
 
-The tensors are those of `Trainer.tensors`; everything else is JSON in the file's metadata. Both are
-checked by CRC-32 when a checkpoint is read, because a flipped bit would go on silently.
+The tensors are those of `Trainer.tensors`; everything else is JSON in the file's metadata. CRC-32s
+of both are checked when a checkpoint is read, because a flipped bit would go unnoticed.
 """
 
 import hashlib
@@ -32,33 +32,32 @@ from ..trainer import Trainer
 FORMAT = 3
 _DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.uint8: "U8", torch.int64: "I64"}
 FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.free)
-"""Options that may change when a run goes on."""
+"""Options that may change when a run is resumed."""
 _OPENINGS = 16
-"""How often a file is opened while its tensors are read, at most, and once more."""
+"""Largest number of openings of a file while its tensors are read, minus one."""
 _OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
-"""The most wanted of them, for messages."""
+"""The `FREE` options that messages name."""
 _DEPTHS, _REGION, _GUIDE = "depths", "region", "guide"
-"""Keys of the depth maps, of a region and what stands around it, and of the meshes that guide it,
-in a checkpoint's capture."""
+"""Keys in a checkpoint's `capture`: depth maps, region with frozen splats, and guide meshes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """A checkpoint that was read."""
+    """Content of a checkpoint file."""
 
     path: Path
     config: TrainConfig
-    """Of the run that wrote it."""
+    """Options of the run that wrote it."""
     capture: dict[str, Any]
     """`fingerprint` of its capture."""
     trainer: dict[str, Any]
     """`Trainer.state`."""
     session: dict[str, Any]
-    """What the session keeps: clock, history, evaluations."""
+    """State of the session: clock, history, evaluations."""
     tensors: dict[str, torch.Tensor]
     """`Trainer.tensors`."""
     isa: str | None = None
-    """Instruction set it was written under; None: it does not say, as older ones."""
+    """Instruction set of the run that wrote it; None: not recorded, as in older checkpoints."""
 
     @property
     def steps(self) -> int:
@@ -67,7 +66,7 @@ class Checkpoint:
 
 
 def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
-    """Write a checkpoint completely or not at all.
+    """Write a checkpoint atomically.
 
     Raises:
         GsError: the disk is full or read-only.
@@ -139,7 +138,7 @@ def load(path: Path) -> Checkpoint:
 
 @contextmanager
 def checkpoint_errors(path: Path) -> Iterator[None]:
-    """FormatError where the content of a checkpoint is not what is looked for in it."""
+    """Context that turns errors from invalid checkpoint content into FormatError."""
     try:
         yield
     except (
@@ -151,7 +150,7 @@ def checkpoint_errors(path: Path) -> Iterator[None]:
         RuntimeError,
     ) as error:
         raise FormatError(
-            f"{path} is not a checkpoint that this gscore understands ({type(error).__name__}: "
+            f"{path} is not a checkpoint that this gscore can read ({type(error).__name__}: "
             f"{brief(error)}); use an older one."
         ) from error
 
@@ -159,56 +158,56 @@ def checkpoint_errors(path: Path) -> Iterator[None]:
 def check_compatible(
     checkpoint: Checkpoint, config: TrainConfig, photos: Photos, *, changed: Sequence[str] = ()
 ) -> None:
-    """Raise ConfigError, and say what differs, unless the run can go on with these inputs.
+    """Raise ConfigError with the differences unless the run can be resumed with these inputs.
 
-    `iterations` may change: schedules belong to the length of a run, so an extended run goes on
+    `iterations` may change: schedules depend on the length of a run, so an extended run continues
     with the learning rates and refinements that a run of the new length has at this step.
 
     Args:
-        checkpoint: To go on from.
-        config: How to train.
-        photos: What to train on.
-        changed: Sentences on options of the capture that are not what they were; told instead of
-            what comes of them.
+        checkpoint: Checkpoint to resume.
+        config: Options of the resumed run.
+        photos: Its capture.
+        changed: Changed options of the capture, as sentences, which replace the resulting
+            differences of the capture in the message.
     """
     different = differences(checkpoint.config, config, ignore=FREE)
     now = fingerprint(photos)
-    unlike = [
+    mismatched = [
         k
         for k, was in checkpoint.capture.items()
         if k not in (_DEPTHS, _REGION, _GUIDE) and was != now.get(k)
     ]
-    if unlike:
-        seen = "" if config.region is None else f" that see the region {config.region}"
-        different += changed or [f"{key} of the capture{seen} are not the same" for key in unlike]
+    if mismatched:
+        of = "" if config.region is None else f" that show the region {config.region}"
+        different += changed or [f"{key} of the capture{of} are not the same" for key in mismatched]
     if different:
         free = ", ".join(flag_of(name) for name in _OFTEN_CHANGED)
         raise ConfigError(
-            f"{checkpoint.path} belongs to another run: {'; '.join(different)}. A run that goes on "
-            f"takes its options from its config.json, so leave them out; {free} and what is "
-            "written may change. For anything else start anew in another folder."
+            f"{checkpoint.path} belongs to another run: {'; '.join(different)}. A resumed run "
+            f"takes its options from its config.json, so leave them out; {free} and output "
+            "options may change. For anything else start a new run in another folder."
         )
     if checkpoint.steps > config.iterations and not config.time_budget:
         raise ConfigError(
             f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
-            f"{config.iterations}; ask for more iterations."
+            f"{config.iterations}; increase --iterations."
         )
 
 
 def isa_warning(checkpoint: Checkpoint) -> str | None:
-    """A sentence for the user where the run goes on with another instruction set than it had."""
+    """Return a warning if the run continues with another instruction set than before."""
     was, now = checkpoint.isa, backend.isa()
     if was is None or was == now:
         return None
     return (
-        f"The run was computed with {was} up to step {checkpoint.steps} and goes on with {now}: "
-        "its numbers will differ in their last digits, and so its splats, from those of a run "
-        f"that keeps to one. Where this machine has {was}, GSCORE_ISA={was} keeps to it."
+        f"The run used {was} up to step {checkpoint.steps} and continues with {now}: its splats "
+        "will differ slightly from those of a run with a single instruction set. If this machine "
+        f"has {was}, set GSCORE_ISA={was}."
     )
 
 
 def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
-    """Raise ConfigError unless `trainer` supervises depth with what the checkpoint's did."""
+    """Raise ConfigError unless `trainer` uses the depth maps of the checkpoint in its loss."""
     was, now = checkpoint.capture.get(_DEPTHS), depth_fingerprint(trainer).get(_DEPTHS)
     if was == now:
         return
@@ -220,40 +219,38 @@ def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
         how = "with other depth maps or another alignment of them"
     raise ConfigError(
         f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same --depths "
-        "and depth options, or start anew in another folder."
+        "and depth options, or start a new run in another folder."
     )
 
 
 def check_same_region(checkpoint: Checkpoint, trainer: Trainer) -> None:
-    """Raise ConfigError unless `trainer` trains the region that the checkpoint's did, among the
-    same splats."""
+    """Raise ConfigError unless `trainer` has the region and frozen splats of the checkpoint."""
     now = region_fingerprint(trainer).get(_REGION)
     if checkpoint.capture.get(_REGION) != now:
         given = [path for path in (trainer.config.region, trainer.config.start_splats) if path]
         raise ConfigError(
-            f"{checkpoint.path} belongs to another run: it trained another region, or other splats "
-            f"stood around it. Give back {' and '.join(map(str, given)) or 'its region'} as it "
-            "was, or start anew in another folder."
+            f"{checkpoint.path} belongs to another run: its region or its frozen splats differ. "
+            f"Restore {' and '.join(map(str, given)) or 'its region'}, or start a new run in "
+            "another folder."
         )
 
 
 def check_same_guide(checkpoint: Checkpoint, trainer: Trainer) -> None:
-    """Raise ConfigError unless the meshes that guide `trainer` are those of the checkpoint."""
+    """Raise ConfigError unless `trainer` has the guide meshes of the checkpoint."""
     if checkpoint.capture.get(_GUIDE) != guide_fingerprint(trainer).get(_GUIDE):
         raise ConfigError(
-            f"{checkpoint.path} belongs to another run: other meshes guided it, or none. Give back "
-            "those of --guide-surface and --guide-free as they were, or start anew in another "
-            "folder."
+            f"{checkpoint.path} belongs to another run: its guide meshes differ. Restore those of "
+            "--guide-surface and --guide-free, or start a new run in another folder."
         )
 
 
 def guide_fingerprint(trainer: Trainer) -> dict[str, str]:
-    """Short hash of the meshes that guide a run; nothing where none do."""
+    """Short hash of the guide meshes; empty without any."""
     return {_GUIDE: trainer.guide_digest} if trainer.guide_digest else {}
 
 
 def region_fingerprint(trainer: Trainer) -> dict[str, str]:
-    """Short hash of the region and of what stands around it; nothing where all is trained."""
+    """Short hash of the region and its frozen splats; empty without a region."""
     if trainer.region is None:
         return {}
     around = "" if trainer.still is None else trainer.still.content_hash()
@@ -261,12 +258,12 @@ def region_fingerprint(trainer: Trainer) -> dict[str, str]:
 
 
 def depth_fingerprint(trainer: Trainer) -> dict[str, str]:
-    """Short hash of the depths in the loss; nothing where there are none."""
+    """Short hash of the depth maps in the loss; empty without any."""
     return {} if trainer.depth is None else {_DEPTHS: trainer.depth.targets.content_hash()}
 
 
 def fingerprint(photos: Photos) -> dict[str, Any]:
-    """What makes a capture the same capture, wherever it lies: short hashes by subject."""
+    """Short hashes that identify a capture independently of its path, by subject."""
     cameras = photos.scene.cameras
     parts = {
         "names": "\n".join(cameras.names).encode(),
@@ -281,7 +278,7 @@ def fingerprint(photos: Photos) -> dict[str, Any]:
 
 
 def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
-    """The safetensors format, straight from the tensors' memory: its own writers copy it all."""
+    """Write safetensors from the tensors' memory; the library's own writers copy all of it."""
     header: dict[str, Any] = {"__metadata__": metadata}
     end = 0
     for key, tensor in tensors.items():
@@ -300,16 +297,15 @@ def _write(file: BinaryIO, tensors: dict[str, torch.Tensor], metadata: dict[str,
 
 
 def _memory(tensor: torch.Tensor) -> memoryview:
-    """The bytes of a contiguous tensor."""
+    """Bytes of a contiguous tensor."""
     return tensor.numpy().data.cast("B") if tensor.numel() else memoryview(b"")
 
 
 def _tensors(path: Path, keys: Sequence[str]) -> dict[str, torch.Tensor]:
-    """The tensors called `keys`, in memory of their own.
+    """Read the tensors called `keys` into their own memory.
 
-    Those that safetensors hands out are views of the mapped file, which counts as memory once it
-    was read; opening it anew lets go of that. Each opening parses the whole header, so their number
-    is bounded.
+    safetensors returns views of the mapped file, which counts as memory once it is read; reopening
+    the file releases it. Each opening parses the whole header, so their number is bounded.
     """
     from safetensors import safe_open
 
@@ -328,20 +324,20 @@ def _tensors(path: Path, keys: Sequence[str]) -> dict[str, torch.Tensor]:
 
 
 def _facts(tensor: torch.Tensor) -> list[Any]:
-    """What must come back: dtype, shape and CRC-32 of the bytes."""
+    """Properties that are verified on reading: dtype, shape and CRC-32 of the bytes."""
     return [_DTYPES[tensor.dtype], list(tensor.shape), zlib.crc32(_memory(tensor))]
 
 
 def _check_intact(
     text: str, crc: str | None, content: dict[str, Any], tensors: dict[str, torch.Tensor]
 ) -> None:
-    """ValueError unless metadata and tensors are what was written."""
+    """Raise ValueError unless metadata and tensors are as written."""
     if str(zlib.crc32(text.encode())) != crc:
         raise ValueError("its metadata is damaged")
     found = {key: _facts(tensor.contiguous()) for key, tensor in tensors.items()}
     stated = content.get("tensors")
     if not isinstance(stated, dict):
-        raise ValueError("it does not say which tensors it has")
+        raise ValueError("it has no list of its tensors")
     if found != stated:
         broken = sorted(k for k in found.keys() | stated.keys() if found.get(k) != stated.get(k))
         raise ValueError(f"damaged: {', '.join(broken[:3])}")

@@ -1,4 +1,4 @@
-"""Files named in options: checked before anything slow begins."""
+"""Files named in options: checked before anything slow starts."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,20 +22,19 @@ def check_option_files(
     names: list[str] | None,
     start_checkpoint: Path | None,
 ) -> None:
-    """Read what the options name, as far as tells whether the training can.
+    """Check the files named in options, before the cameras of a capture are estimated.
 
-    For a capture that is yet to be made, whose own files cannot be asked for.
+    The files of the capture itself cannot be checked yet.
 
     Args:
-        config: How to train.
-        data: What to train on, whose source has no cameras yet.
-        names: Of its photos, some of which may be left without a camera; None: not known yet.
-        start_checkpoint: What the training goes on from.
+        config: The options.
+        data: The capture, without cameras.
+        names: Names of its photos, some of which may end up without a camera; None: unknown.
+        start_checkpoint: Checkpoint to start from.
 
     Raises:
-        GsError: a file is missing or is not what it should be, the network for LPIPS or its package
-            is missing, no photo is left to train or to test, or depth maps are asked for, which
-            need cameras.
+        GsError: a file is missing or invalid, the LPIPS network or its package is missing, the
+            training or the test split is empty, or options require depth maps, which need cameras.
     """
     named: list[tuple[Path | None, Callable[[Path], object]]] = [
         (data.test_list, read_bytes),
@@ -51,11 +50,11 @@ def check_option_files(
             read(path)
     if names:
         split_views(sorted(names), data)
-    asked = f"--depths {data.depths}" if data.depths else depth_option_set(config)
+    option = f"--depths {data.depths}" if data.depths else depth_option_set(config)
     maps = Path(data.depths)
-    if asked and not (maps.is_absolute() and maps.is_dir()):  # others lie in the capture
+    if option and not (maps.is_absolute() and maps.is_dir()):  # relative to the capture
         raise ConfigError(
-            f"{data.source} has no cameras yet, so no depth maps either. Leave {asked} out; then "
-            "`gscore depth OUTPUT/capture` makes maps, and `gscore train OUTPUT/capture -d depths` "
-            "uses them."
+            f"{data.source} has no cameras yet, so no depth maps either. Leave {option} out; then "
+            "`gscore depth OUTPUT/capture` writes maps, and `gscore train OUTPUT/capture -d depths`"
+            " uses them."
         )

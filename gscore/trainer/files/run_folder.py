@@ -24,7 +24,7 @@ from ...quoting import brief
 
 
 class RunFolder:
-    """Names of the results of a run."""
+    """Paths of the results of a run."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -36,23 +36,23 @@ class RunFolder:
 
     @property
     def point_cloud(self) -> Path:
-        """The splats at the end."""
+        """Final splats."""
         return self.path / "point_cloud.ply"
 
     def saved(self, step: int) -> Path:
-        """The splats after `step`, where 3DGS tools look for them."""
+        """Splats after `step`, at the path of 3DGS tools."""
         return self.path / "point_cloud" / f"iteration_{step}" / "point_cloud.ply"
 
     def snapshot(self, step: int) -> Path:
-        """The splats after `step`, on request."""
+        """Splats after `step`, written on request."""
         return self.path / "snapshots" / f"step_{step:06d}.ply"
 
     def preview(self, step: int) -> Path:
-        """A picture of one view after `step`."""
+        """Rendered view after `step`."""
         return self.path / "previews" / f"step_{step:06d}.png"
 
     def checkpoint(self, step: int) -> Path:
-        """The checkpoint after `step`."""
+        """Checkpoint after `step`."""
         return checkpoint_path(self.path, step)
 
     def checkpoints(self) -> list[Path]:
@@ -67,21 +67,21 @@ class RunFolder:
             path.unlink(missing_ok=True)
 
     def drop_checkpoints_after(self, step: int) -> None:
-        """Remove the checkpoints of later steps, which lead where the run does not go any more."""
+        """Remove checkpoints after `step`, which a run restarted from there no longer reaches."""
         for path in self.checkpoints():
             if path > self.checkpoint(step):
                 path.unlink(missing_ok=True)
 
     def results(self) -> list[str]:
-        """Names of files and folders here that a run has written."""
+        """Names of files and folders that a run wrote into this folder."""
         return results_in(self.path)
 
     def clear(self) -> None:
-        """Remove what a run has written, and nothing else."""
+        """Remove only files and folders that a run wrote."""
         remove_results(self.path)
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a small file completely or not at all."""
+        """Write a small file atomically."""
         atomic_write(self.path / name, text.encode())
 
 
@@ -89,25 +89,25 @@ class RunFolder:
 def open_folder(
     path: Path, *, resume: bool, overwrite: bool, data: DataConfig | None = None
 ) -> Iterator[RunFolder]:
-    """Hold an output folder, alone, for the duration of a run.
+    """Lock an output folder for the duration of a run.
 
     Args:
-        path: Made if it is not there; removed again if nothing was written into it.
-        resume: It must hold a checkpoint.
-        overwrite: It may hold another run.
-        data: The capture, among which results must not go.
+        path: Created if missing; removed again if it stays empty.
+        resume: The folder must have a checkpoint.
+        overwrite: The folder may contain another run.
+        data: The capture, into which results must not be written.
 
     Raises:
-        ConfigError: it holds another run, something else of that name, or none to resume; or it
-            is no place for results.
-        GsError: another process trains into it, or it cannot be written.
+        ConfigError: the folder contains another run, a foreign file of a result's name, or no
+            checkpoint to resume; or results may not be written there.
+        GsError: another process trains into it, or it is not writable.
     """
     folder = RunFolder(path)
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
         pass
-    except (OSError, ValueError) as error:  # others answer otherwise to `exists` and `glob`
+    except (OSError, ValueError) as error:  # `exists` and `glob` would hide these errors
         raise GsError(f"Cannot use {brief(path)}: {reason(error)}") from error
     check_output_path(path, data)
     if resume:
@@ -128,27 +128,27 @@ def open_folder(
 
 
 def _check_begun(folder: RunFolder) -> None:
-    """ConfigError unless a folder holds a checkpoint."""
+    """Raise ConfigError unless a folder has a checkpoint."""
     if not folder.checkpoints():
         check_free(folder.path)
-        raise ConfigError(f"{folder.path} holds no checkpoint to resume from; leave --resume out.")
+        raise ConfigError(f"{folder.path} has no checkpoint to resume from; leave --resume out.")
 
 
 def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
-    """ConfigError unless another run may be written into a folder."""
+    """Raise ConfigError unless a new run may be written into a folder."""
     path, names = folder.path, folder.results()
     if (path / SEQUENCE_FILE).exists():
-        raise ConfigError(f"{path} holds a sequence, of many runs; choose another folder.")
+        raise ConfigError(f"{path} contains a sequence of many runs; choose another folder.")
     check_replaceable(path)
     if names and not overwrite:
         raise ConfigError(
-            f"{path} holds another run ({', '.join(names)}); continue it with --resume, replace it "
-            "with --overwrite, or choose another folder."
+            f"{path} contains another run ({', '.join(names)}); continue it with --resume, replace "
+            "it with --overwrite, or choose another folder."
         )
 
 
 def check_writable(path: Path, *, resume: bool, overwrite: bool) -> None:
-    """Raise what `open_folder` would, before work that comes first; nothing is made.
+    """Raise the errors of `open_folder` without creating or locking the folder.
 
     Raises:
         ConfigError, GsError: as `open_folder`.
@@ -161,7 +161,7 @@ def check_writable(path: Path, *, resume: bool, overwrite: bool) -> None:
 
 
 def check_free(path: Path) -> None:
-    """Raise unless nobody trains into a folder now.
+    """Check that no other process trains into a folder.
 
     Raises:
         GsError: another process does.

@@ -1,4 +1,4 @@
-"""Run outputs: splats, metrics and reports, each file written completely or not at all."""
+"""Run outputs: splats, metrics and reports, each file written atomically."""
 
 import argparse
 import datetime
@@ -34,7 +34,7 @@ _SNAPSHOTS_KEPT = 2
 
 
 class RunOutputs:
-    """The files of one run."""
+    """Writer of the files of one run."""
 
     def __init__(self, trainer: Trainer, folder: RunFolder, data: DataConfig) -> None:
         self._trainer = trainer
@@ -43,17 +43,17 @@ class RunOutputs:
 
     @property
     def threads(self) -> int:
-        """Threads that the rasterizer uses."""
+        """Number of threads of the rasterizer."""
         return self._trainer.config.threads or backend.default_threads()
 
     def write_inputs(self) -> None:
-        """Options and cameras, known before the first step."""
+        """Write the options and cameras, before the first step."""
         folder, config = self._folder, self._trainer.config
         folder.write_text("config.json", config_json(self._data, config))
         if (block := read_block(self._data.source)) is not None:
             block.write(folder.path, RUN_BLOCK)
         write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
-        # Viewers of the 3DGS authors look here for the SH degree and the background.
+        # The viewers of the 3DGS authors read the SH degree and background from this file.
         arguments = argparse.Namespace(
             sh_degree=config.sh_degree,
             source_path=str(self._data.source.resolve()),
@@ -67,9 +67,9 @@ class RunOutputs:
         folder.write_text("cfg_args", repr(arguments))
 
     def write_splats(self, path: Any) -> None:
-        """The splats as they are now, in COLMAP world."""
+        """Write the current splats in COLMAP world units."""
         trainer = self._trainer
-        # Viewers that know the mark compensate opacities as the training did.
+        # Viewers that know this comment compensate opacities as in training.
         comments = (MIP_COMMENT,) if trainer.config.antialias else ()
         origin = trainer.photos.scene.cameras.origin
         comments += () if origin is None else (origin_comment(origin),)
@@ -84,7 +84,7 @@ class RunOutputs:
         )
 
     def write_snapshot(self) -> Any:
-        """The splats as they are now for a front end to show; the last two are kept."""
+        """Write the current splats for a front end; the last two files are kept."""
         path = self._folder.snapshot(self._trainer.steps)
         self.write_splats(path)
         for old in list(snapshots_in(self._folder.path).values())[:-_SNAPSHOTS_KEPT]:
@@ -92,7 +92,7 @@ class RunOutputs:
         return path
 
     def write_preview(self, picture: np.ndarray) -> Any:
-        """A picture, [H, W, 3] float."""
+        """Write a rendered image, [H, W, 3] float, as a preview."""
         path = self._folder.preview(self._trainer.steps)
         write_png(path, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
         return path
@@ -112,11 +112,20 @@ class RunOutputs:
         asked: Mapping[str, int] | None = None,
         reason: str,
     ) -> dict[str, Any]:
-        """report.html and metrics.json; `evaluation` and `depth` are None if there was none,
-        `learnt` is of `write_learnt`.
+        """Write report.html and metrics.json; return the metrics.
 
-        `decided` are sentences on what the run decided by itself, `asked` is what was asked for of
-        the options that photos limited, `reason` is why training ended.
+        Args:
+            evaluation: Final evaluation; None: there was none.
+            evaluator: Its evaluator.
+            collector: Images for the report.
+            meter: Clock and history of the run.
+            evals: Evaluations during the run.
+            warnings: Warnings for the report, as sentences.
+            depth: Depth report; None: there are no depth maps.
+            photo_parameters: Result of `write_photo_parameters`.
+            decided: Automatic decisions of the run, as sentences.
+            asked: Requested values of options that the number of photos limited.
+            reason: Reason why training ended.
         """
         trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
         names = photos.scene.cameras.names
@@ -164,29 +173,29 @@ class RunOutputs:
         )
 
     def write_photo_parameters(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:
-        """exposure.json and poses.json, of what was learnt of the photos; for metrics.json what.
+        """Write exposure.json and poses.json; return their entries of metrics.json.
 
         Args:
-            exposure: What was found of the photos' exposure; None: nobody asked.
-            poses: Why cameras were moved.
+            exposure: Estimated exposures of the photos; None: not estimated.
+            poses: Reason for pose refinement.
         """
-        trainer, found = self._trainer, {}
+        trainer, entries = self._trainer, {}
         if exposure is not None:
-            found["exposure"] = exposure | {"learnt": trainer.photo_parameters.gains is not None}
+            entries["exposure"] = exposure | {"learnt": trainer.photo_parameters.gains is not None}
         gains, names = trainer.photo_parameters.gains, trainer.photos.scene.cameras.names
         if gains is not None:
             values = np.exp(gains.log_gains)
             by_name = {names[i]: values[i] for i in trainer.photos.train}
             write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
         if trainer.photo_parameters.poses is not None:
-            found["poses"] = {
+            entries["poses"] = {
                 "why": poses,
                 "cameras": self._write_poses(trainer.photo_parameters.poses),
             }
-        return found
+        return entries
 
     def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:
-        """poses.json; how far each training camera moved from where the capture has it."""
+        """Write poses.json; return the displacement of each training camera from the capture."""
         frame, photos = self._trainer.frame, self._trainer.photos
         cameras, train = photos.scene.cameras, list(photos.train)
         now = replace(cameras, viewmats=poses.viewmats)
@@ -203,20 +212,20 @@ class RunOutputs:
 
 
 def _resolved(trainer: Trainer) -> dict[str, Any]:
-    """The trainer's plan under the names of the options, rates as they are applied."""
+    """Return the trainer's plan under the names of the options, with the effective rates."""
     values = asdict(trainer.plan)
-    del values["stages"], values["kept"]  # made of several options
+    del values["stages"], values["kept"]  # combine several options
     values["ensemble"] = values.pop("models")
-    values["max_splats"] = trainer.config.max_splats  # those of each model are its share
+    values["max_splats"] = trainer.config.max_splats  # the plan has that of one model
     values["means_lr"], values["means_lr_final"] = values["means_lr"]
     return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}
 
 
 def _of_ranks(team: ProcessGroup | None) -> dict[str, Any] | None:
-    """What a batch took of the network, as rank 0 has it; None: one process alone."""
+    """Return mean traffic and times of a batch by rank, on rank 0; None: a single process."""
     if team is None or team.batches < 2:
         return None
-    before = team.batches - 1  # what the others have told is of all batches but the last
+    before = team.batches - 1  # the accounts cover all batches but the last
     sent, worked, waited = (team.accounts / before).T.tolist()
     return {
         "count": team.size,

@@ -19,34 +19,36 @@ from .run_folder import RunFolder
 
 @dataclass(frozen=True, kw_only=True)
 class TrainResult:
-    """How a run ended."""
+    """Result of a run."""
 
     reason: str
-    """`finished`; `target` or `converged`: it ended before its last step; or why it was stopped."""
+    """`finished`; `target` or `converged`: ended before the last step; or why it was stopped."""
     steps: int
+    """Number of steps taken."""
     splats: Splats
-    """In COLMAP world, as written to point_cloud.ply."""
+    """Splats in COLMAP world units, as written to point_cloud.ply."""
     train_seconds: float
-    """Spent in steps, without evaluation, files and pauses."""
+    """Time spent in steps, without evaluation, files and pauses."""
     metrics: dict[str, Any]
     """Content of metrics.json."""
     output: Path
+    """Output folder."""
     ended_before: bool = False
-    """It was to go on but had ended already, so that nothing was done."""
+    """Whether the run was to be resumed but had already ended."""
 
     @property
     def psnr(self) -> float | None:
-        """What the model is judged by, dB: `gscore.headline_psnr` of the metrics."""
+        """Headline PSNR, dB: `gscore.headline_psnr` of the metrics."""
         return headline_psnr(self.metrics)
 
     @property
     def headline(self) -> dict[str, Any]:
-        """The metrics without what is long: what `--json` prints and `Done` tells."""
+        """Metrics without long lists, as in the output of `--json` and in `Done`."""
         long = ("history", "evals")
         return {k: v for k, v in headline(self.metrics).items() if k not in long}
 
     def event(self) -> Done:
-        """The last event of a run."""
+        """Return the last event of a run."""
         return Done(
             step=self.steps,
             reason=self.reason,
@@ -60,17 +62,16 @@ class TrainResult:
 def finished_run(
     folder: RunFolder, last: Checkpoint, config: TrainConfig, data: DataConfig
 ) -> TrainResult | None:
-    """The result of the run in `folder` if nothing is left to do and nothing else is asked for.
+    """Return the result of the run in `folder` if it is complete with the same options.
 
     Args:
-        folder: Of the run.
+        folder: Output folder of the run.
         last: Its last checkpoint.
-        config: What is asked for now.
-        data: The same.
+        config: Options now.
+        data: Options of the capture now.
 
     Returns:
-        What the training returned then; None: there are steps left, results are missing, or an
-        option is not what it was.
+        The result; None: steps are left, results are missing, or an option changed.
     """
     metrics = read_metrics(folder.path)
     if metrics.get("steps") != last.steps or metrics.get("psnr") is None:
@@ -94,12 +95,12 @@ def finished_run(
 
 
 def _same_block(run: Path, source: Path) -> bool:
-    """Whether a run was trained on what is in `source` now, where that is a block."""
+    """Whether `source` is still the block that a run was trained on; True without blocks."""
     was, now = read_block(run, RUN_BLOCK), read_block(source)
     return was is None or (now is not None and now.is_cell_of(was))
 
 
 def _reason(metrics: dict[str, Any], last: Checkpoint, config: TrainConfig) -> str:
-    """Why the run ended; `gscore eval` writes metrics.json without it."""
+    """Reason why the run ended; metrics.json of `gscore eval` has none."""
     whole = not config.time_budget and last.steps == config.iterations
     return str(metrics.get("reason") or (FINISHED if whole else ""))

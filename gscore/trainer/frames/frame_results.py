@@ -21,17 +21,17 @@ _MEANS = ("psnr", "psnr_masked", "ssim", "lpips")
 
 @dataclass(frozen=True, kw_only=True)
 class FrameResult:
-    """How the training of one frame ended."""
+    """Result of one frame."""
 
     number: int
     folder: Path
     start: Path | None
-    """PLY it started from; None: from the points of its capture."""
+    """PLY of the start splats; None: started from the points of its capture."""
     metrics: dict[str, Any]
     """metrics.json without its lists."""
 
     def to_dict(self, root: Path) -> dict[str, Any]:
-        """The result as JSON values, with paths relative to the folder of the sequence."""
+        """Return the result as JSON values, with paths relative to `root`, the sequence folder."""
         keys = ("splats", "steps", "train_seconds", "split", *_means_of([self.metrics]))
         return {
             "frame": self.number,
@@ -42,20 +42,21 @@ class FrameResult:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceResult:
-    """How a sequence ended."""
+    """Result of a sequence."""
 
     reason: str
     """`finished`, or why it was stopped."""
     total: int
-    """Frames that were asked for."""
+    """Number of requested frames."""
     frames: list[FrameResult] = field(default_factory=list)
-    """Those that are complete, in order."""
+    """Complete frames, in order."""
     output: Path
+    """Folder of the sequence."""
 
     @property
     def headline(self) -> dict[str, Any]:
-        """Means over the complete frames (None unless all have the value), and their seconds;
-        `psnr_masked` only where masks hide pixels."""
+        """Mean metrics of the complete frames (None unless all have the value), and total seconds;
+        `psnr_masked` only if masks hide pixels."""
         metrics = [frame.metrics for frame in self.frames]
         out: dict[str, Any] = {"frames": len(metrics), "frames_total": self.total}
         for key in _means_of(metrics):
@@ -66,7 +67,7 @@ class SequenceResult:
 
 
 def completed(frame: PlannedFrame) -> FrameResult | None:
-    """The result of a frame that needs no more training, or None.
+    """Return the result of a frame if its training is complete, else None.
 
     Raises:
         ConfigError: it was trained with other options.
@@ -78,9 +79,9 @@ def completed(frame: PlannedFrame) -> FrameResult | None:
     # Paths may be written differently, and the folder may have been moved.
     changed = differences(run.train, config, ignore=checkpoint.FREE)
     changed += differences(run.data, frame.data, ignore=("source", "rig", "test_list"))
-    was, wanted = _frame_before(run.train), _frame_before(config)
-    if was != wanted:
-        changed.append(f"it started from {was or 'no other frame'}, not {wanted or 'from none'}")
+    was, now = _frame_before(run.train), _frame_before(config)
+    if was != now:
+        changed.append(f"it started from {was or 'no other frame'}, not {now or 'from none'}")
     if changed:
         raise ConfigError(
             f"{folder} was trained with other options: {'; '.join(changed)}. Use the same options, "
@@ -98,24 +99,23 @@ def completed(frame: PlannedFrame) -> FrameResult | None:
 
 
 def is_measured(metrics: dict[str, Any]) -> bool:
-    """Whether a training got as far as its evaluation: one that was stopped just before has taken
-    all steps and has nothing to say about them."""
+    """Whether a training was evaluated; one stopped just before has all steps but no metrics."""
     return bool(metrics.get("views"))
 
 
 def result_of(frame: PlannedFrame, metrics: dict[str, Any]) -> FrameResult:
-    """The result of a frame whose training has ended with these metrics."""
+    """Return the result of a frame with these final metrics."""
     short = {key: value for key, value in headline(metrics).items() if key not in _LONG}
     return FrameResult(number=frame.number, folder=frame.folder, start=frame.start, metrics=short)
 
 
 def _frame_before(config: TrainConfig) -> str:
-    """The folder of the frame whose splats a frame starts from; empty: it starts from none."""
+    """Folder name of the frame that a frame starts from; empty: none."""
     start = config.start_splats
     return start.parent.name if start and FRAME_FOLDER.fullmatch(start.parent.name) else ""
 
 
 def _means_of(metrics: list[dict[str, Any]]) -> list[str]:
-    """Keys of the figures that frames are judged by: `psnr_masked` where any has it."""
+    """Keys of the averaged metrics, with `psnr_masked` if any frame has it."""
     masked = any("psnr_masked" in m for m in metrics)
     return [key for key in _MEANS if masked or key != "psnr_masked"]

@@ -1,4 +1,4 @@
-"""Sequence index: sequence.json, kept current by all processes that train frames, lock-free."""
+"""Sequence index: sequence.json, updated without locks by all processes that train frames."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,7 +12,7 @@ from .plan import PlannedFrame
 
 
 class SequenceListing:
-    """The complete frames of a sequence, by whichever process they were trained."""
+    """Complete frames of a sequence, trained by any process."""
 
     def __init__(
         self, output: Path, options: SequenceOptions, frames: Sequence[PlannedFrame]
@@ -21,10 +21,10 @@ class SequenceListing:
         self._known: dict[int, FrameResult] = {}
 
     def refresh(self) -> None:
-        """Find the frames that others have completed.
+        """Find frames that other processes have completed.
 
         Raises:
-            ConfigError: one of them was trained with other options.
+            ConfigError: a frame was trained with other options.
         """
         for place, frame in enumerate(self._frames):
             found = None if place in self._known else completed(frame)
@@ -32,15 +32,15 @@ class SequenceListing:
                 self._known[place] = found
 
     def add(self, place: int, result: FrameResult) -> None:
-        """Note a frame that is complete."""
+        """Add a complete frame."""
         self._known[place] = result
 
     def get(self, place: int) -> FrameResult | None:
-        """The frame at a place, if it is complete and that is known."""
+        """Return the frame at index `place` if it is known to be complete."""
         return self._known.get(place)
 
     def result(self, reason: str, places: Sequence[int]) -> SequenceResult:
-        """How the sequence, or this part of it, ended."""
+        """Return the result of the sequence, or of the part at `places`."""
         return SequenceResult(
             reason=reason,
             total=len(places),
@@ -49,11 +49,11 @@ class SequenceListing:
         )
 
     def write(self) -> None:
-        """Write sequence.json, and again where another process has completed a frame meanwhile: so
-        whoever writes last lists them all, in the order of the frames.
+        """Write sequence.json, and again if another process completed a frame meanwhile, so that
+        the last writer lists all frames in order.
 
         Raises:
-            GsError: it cannot be written.
+            GsError: the file cannot be written.
         """
         written = -1
         self.refresh()

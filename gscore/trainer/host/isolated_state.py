@@ -1,7 +1,7 @@
-"""Isolated torch and numpy state: a host program's settings are set aside during a training.
+"""Isolated torch and numpy state: replaces a host program's settings during a training.
 
-Torch's default dtype and device are not among it: they hold for all threads of the host, so that
-they are left alone, and every tensor is made with its own (`raster.memory`, `host.random`).
+Torch's default dtype and device stay, because they apply to all threads of the host. Every tensor
+is created with an explicit dtype and device instead (`raster.memory`, `host.random`).
 """
 
 from collections.abc import Iterator
@@ -13,10 +13,9 @@ import torch
 
 @contextmanager
 def isolated_torch_state() -> Iterator[None]:
-    """Gradients can be taken, numbers have the precision of their dtype, numpy raises nothing.
+    """Enable gradients, disable autocast and numpy errors, and limit torch to one thread.
 
-    Torch uses one thread: it does little here, and its waiting threads would take cores from the
-    rasterizer.
+    Torch does little work here, and its waiting threads would take cores from the rasterizer.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -32,5 +31,5 @@ def isolated_torch_state() -> Iterator[None]:
 
 
 def isolated_numpy_state() -> np.errstate:
-    """Numpy's own choice of what to do about numbers out of range."""
+    """Numpy's default handling of floating-point errors."""
     return np.errstate(divide="warn", over="warn", under="ignore", invalid="warn")

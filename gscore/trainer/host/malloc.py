@@ -9,12 +9,11 @@ _M_MMAP_THRESHOLD = -3
 
 
 def mmap_large_blocks() -> None:
-    """From now on, have pieces of a megabyte and more mapped each on its own and given back to the
-    system when they are freed.
+    """Make malloc map each block of at least 1 MB separately, and unmap it when it is freed.
 
-    glibc takes pieces of up to 32 MB from its heap once it has seen such pieces freed; the
-    temporary arrays of a refinement then leave holes there that nothing fills again. Other C
-    libraries cannot be told.
+    glibc raises its threshold up to 32 MB once mapped blocks are freed; the temporary arrays of a
+    refinement then leave holes in the heap that are never reused. Other C libraries have no such
+    setting.
     """
     if sys.platform == "linux":
         with contextlib.suppress(AttributeError, OSError):

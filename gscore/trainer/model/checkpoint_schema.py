@@ -1,6 +1,6 @@
-"""Checkpoint schema: values and tensors are checked before a run resumes, else ValueError.
+"""Checkpoint schema: checks of values and tensors before a run resumes; raises ValueError.
 
-A checkpoint whose CRC is right may still come from elsewhere, and the rasterizer trusts shapes.
+A checkpoint with a valid CRC may still come from another source, and the rasterizer trusts shapes.
 """
 
 import math
@@ -14,18 +14,18 @@ from ...splats import Splats
 from .model import Model
 
 _MOST = 1 << 53
-"""Larger counts are none: JSON numbers are not exact beyond."""
+"""Largest count: JSON numbers are not exact beyond."""
 
 
 def as_int(what: str, value: Any, *, low: int = 0, high: int = _MOST) -> int:
-    """`value` if it is an integer from `low` to `high`."""
+    """Return `value` if it is an integer from `low` to `high`."""
     if type(value) is not int or not low <= value <= high:
         raise ValueError(f"{what} is {quoted(value)}, expected a whole number, {low} to {high}")
     return value
 
 
 def as_float(what: str, value: Any, *, finite: bool = True, low: float = -math.inf) -> float:
-    """`value` if it is a number, at least `low` or, where not `finite`, NaN."""
+    """Return `value` if it is a number of at least `low`, or NaN unless `finite`."""
     if type(value) is int:
         value = float(as_int(what, value, low=-_MOST))
     if type(value) is not float or (finite and not math.isfinite(value)) or value < low:
@@ -34,14 +34,14 @@ def as_float(what: str, value: Any, *, finite: bool = True, low: float = -math.i
 
 
 def as_int_list(what: str, value: Any, allowed: Collection[int]) -> list[int]:
-    """`value` if it is a list of integers that are all `allowed`."""
+    """Return `value` if it is a list of `allowed` integers."""
     if not isinstance(value, list) or not all(type(v) is int and v in allowed for v in value):
         raise ValueError(f"{what} is {quoted(value)}, expected views of the capture")
     return list(value)
 
 
 def as_measurements(what: str, value: Any) -> list[tuple[int, float]]:
-    """`value` if it is a list of steps, or views, and numbers."""
+    """Return `value` if it is a list of pairs: step or view, and number."""
     pairs = isinstance(value, list) and all(isinstance(v, list | tuple) for v in value)
     if not pairs or any(len(v) != 2 for v in value):
         raise ValueError(
@@ -51,7 +51,7 @@ def as_measurements(what: str, value: Any) -> list[tuple[int, float]]:
 
 
 def as_records(what: str, value: Any) -> list[dict[str, Any]]:
-    """`value` if it is a list of objects of numbers, each with its step; a phase is text."""
+    """Return `value` if it is a list of objects with a step, numbers or null, and a text phase."""
     if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
         raise ValueError(f"{what} is {quoted(value)}, expected a list of objects")
     for row in value:
@@ -63,29 +63,29 @@ def as_records(what: str, value: Any) -> list[dict[str, Any]]:
 
 
 def as_str_list(what: str, value: Any) -> list[str]:
-    """`value` if it is a list of texts."""
+    """Return `value` if it is a list of strings."""
     if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
         raise ValueError(f"{what} is {quoted(value)}, expected texts")
     return list(value)
 
 
 def as_str_dict(what: str, value: Any) -> dict[str, str]:
-    """`value` if it is an object of texts."""
+    """Return `value` if it is an object of strings."""
     if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
         raise ValueError(f"{what} is {quoted(value)}, expected an object of texts")
     return dict(value)
 
 
 def as_int_dict(what: str, value: Any) -> dict[str, int]:
-    """`value` if it is an object of whole numbers."""
+    """Return `value` if it is an object of whole numbers."""
     if not isinstance(value, dict):
         raise ValueError(f"{what} is {quoted(value)}, expected an object")
     return {name: as_int(f"{name} of {what}", count) for name, count in value.items()}
 
 
 def check_tensors(tensors: Mapping[str, torch.Tensor], like: Model) -> None:
-    """ValueError or KeyError unless the tensors of a trainer fit each other and those of `like`,
-    another model of the same run, in all but the number of splats and of SH coefficients."""
+    """Raise ValueError or KeyError unless a trainer's tensors fit each other and `like`, another
+    model of the run; the numbers of splats and of SH coefficients may differ."""
     splats = Splats(**{name: tensors[f"param/{name}"].numpy() for name in like.params})
     for name in like.params:
         expected = tensors[f"param/{name}"]

@@ -22,20 +22,20 @@ def splats_from_points(
     seed: int,
     near: NearestPoints | None = None,
 ) -> Splats:
-    """One isotropic splat at each point, sized by the distance to its neighbours (Kerbl et al.
-    2023).
+    """Create an isotropic splat at each point, with a scale by the distance to its neighbours
+    (Kerbl et al. 2023).
 
     Args:
-        cloud: P points in the training world.
-        extent: Camera extent in training units; the size of a lone point is a hundredth of it.
-        opacity: Of all splats, in (0, 1).
+        cloud: P points in the training frame.
+        extent: Camera extent, training units; a hundredth of it is the scale of a single point.
+        opacity: Opacity of all splats, in (0, 1).
         scale: Standard deviation in root-mean-square distances to the three nearest neighbours.
-        max_splats: More points than this are thinned at random.
-        seed: Of that thinning.
-        near: Tree of the finite points; None: it is built.
+        max_splats: Most splats; more points are thinned at random.
+        seed: Seed of the thinning.
+        near: Tree of the finite points; None: built here.
 
     Returns:
-        At most `max_splats` splats of SH degree 0, training world.
+        At most `max_splats` splats of SH degree 0, training frame.
 
     Raises:
         DatasetError: no points.
@@ -46,7 +46,7 @@ def splats_from_points(
         points, colors = points[finite], colors[finite]
     if len(points) == 0:
         raise DatasetError(
-            "The capture has no 3D points to start from (0 finite points); "
+            "The capture has no finite 3D points to start from; "
             "run the SfM again so that it writes points3D."
         )
     near = NearestPoints(points, asked=max_splats) if near is None else near
@@ -70,18 +70,18 @@ def splats_from_points(
 
 
 def tensors_from_splats(splats: Splats) -> dict[str, torch.Tensor]:
-    """Copies of the arrays as float32 CPU tensors."""
+    """Copy the arrays to float32 CPU tensors."""
     return {name: torch.from_numpy(getattr(splats, name).copy()) for name in PARAMETERS}
 
 
 def splats_from_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
-    """The tensors as Splats, which share their memory."""
+    """Return the tensors as Splats that share their memory."""
     return Splats(**{name: params[name].detach().numpy() for name in PARAMETERS})
 
 
 def _neighbour_distance(points: np.ndarray, near: NearestPoints, *, lone: float) -> np.ndarray:
-    """[P] root-mean-square distance of some of the points `near` to the three nearest others, at
-    least sqrt(1e-7)."""
+    """Return [P] root-mean-square distances of points in `near` to the three nearest others, at
+    least sqrt(1e-7); `lone` for a single point."""
     neighbours = min(3, len(near) - 1)
     if neighbours == 0:
         return np.full(len(points), lone)

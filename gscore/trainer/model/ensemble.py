@@ -1,4 +1,4 @@
-"""Ensemble: models that were trained in parallel, merged into one."""
+"""Ensemble: merges models that were trained in parallel into one."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -9,33 +9,33 @@ import torch
 from ...splats import PARAMETERS
 
 _DRAWN_FROM = 1 / 255
-"""Nothing fainter is drawn (Kerbl et al. 2023), so this is where the tail of a splat ends."""
+"""Least alpha that is drawn (Kerbl et al. 2023), which ends the tail of a splat."""
 _TOP, _NODES = 1 - 1e-6, 20_001
-"""Last and number of the opacities in the table."""
+"""Last opacity in the table, and number of opacities."""
 
 
 def merge_models(models: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """Raw parameters of one model that renders as the mean of several.
+    """Return the raw parameters of one model that renders as the mean of several.
 
     Args:
-        models: Raw parameters of each, as in `Splats`, of one SH degree.
+        models: Raw parameters of each model, as in `Splats`, with equal SH degree.
     """
-    joined = {name: torch.cat([model[name] for model in models]) for name in PARAMETERS}
-    return joined | {"opacities": divide_opacities(joined["opacities"], len(models))}
+    merged = {name: torch.cat([model[name] for model in models]) for name in PARAMETERS}
+    return merged | {"opacities": divide_opacities(merged["opacities"], len(models))}
 
 
 def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
-    """Opacities with which splats of several `models` in one place absorb as much light as one.
+    """Reduce opacities so that coinciding splats of several `models` absorb as much light as one.
 
-    A splat of opacity o is drawn where alpha = o exp(-r^2 / 2) is 1/255 or more, and there it
-    takes the optical depth -log(1 - alpha), in all 2 pi (Li2(o) - Li2(1/255)) standard deviations
-    squared; the result takes 1 / `models` of that. To share the opacity in the middle alone,
-    1 - (1 - o)^(1 / models), would leave out of the tails of faint splats what falls below 1/255
-    then, and let the background through (docs/experiments/2026-11-ensembles.md).
+    A splat of opacity o is drawn where alpha = o exp(-r^2 / 2) is 1/255 or more. Its optical depth
+    -log(1 - alpha) integrates there to 2 pi (Li2(o) - Li2(1/255)) standard deviations squared; the
+    result has 1 / `models` of that. Dividing only the optical depth at the centre, 1 - (1 - o)^(1 /
+    models), would lose the tails of faint splats that fall below 1/255 then, and let the background
+    through (docs/experiments/2026-11-ensembles.md).
 
     Args:
         opacities: [N] float32 logits.
-        models: At least 1; of 1, nothing changes.
+        models: At least 1; 1 changes nothing.
 
     Returns:
         [N] float32 logits. Splats below the drawing threshold are unchanged.
@@ -43,7 +43,7 @@ def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
     if models == 1:
         return opacities
     shared = _shared(models)
-    o = torch.sigmoid(opacities.double())  # float32 is not the same bits in parts and as a whole
+    o = torch.sigmoid(opacities.double())  # float32 bits depend on the split into parts
     at = (o - _DRAWN_FROM) * ((_NODES - 1) / (_TOP - _DRAWN_FROM))
     at = torch.nan_to_num(at).clamp(0, _NODES - 1.01)
     before, share = at.long(), at.frac()
@@ -53,10 +53,10 @@ def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
 
 @cache
 def _shared(models: int) -> torch.Tensor:
-    """[_NODES] float64: shared opacities of evenly spaced opacities from 1/255 to _TOP."""
-    from scipy.special import spence  # half a second, and only ensembles need it
+    """Return [_NODES] float64: divided opacities for evenly spaced ones from 1/255 to _TOP."""
+    from scipy.special import spence  # imports in half a second, only needed by ensembles
 
     nodes = np.linspace(_DRAWN_FROM, _TOP, _NODES)
-    depths = spence(1 - nodes)  # of 1 - x it is Li2(x)
+    depths = spence(1 - nodes)  # spence(1 - x) is Li2(x)
     depths -= depths[0]
     return torch.from_numpy(np.interp(depths / models, depths, nodes))

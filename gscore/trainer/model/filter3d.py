@@ -15,15 +15,15 @@ from ...raster.request import Frustum
 from .model import Model
 
 _MARGIN = 0.15
-"""Margin around a picture, as a share of its sides, from which splats may still reach into it."""
+"""Margin around a photo, relative to its sides, from which splats may still reach into it."""
 
 
 def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tensor:
-    """Sampling rates of positions: pixels per world unit in the nearest photo whose picture
-    contains the position, occluded or not (Yu et al. 2024, Mip-Splatting, section 4.2).
+    """Return sampling rates of positions: pixels per unit in the nearest photo whose frame contains
+    the position, occluded or not (Yu et al. 2024, Mip-Splatting, section 4.2).
 
     Args:
-        means: [N, 3] float32, world units.
+        means: [N, 3] float32, any unit.
         views: Perspective views.
 
     Returns:
@@ -46,7 +46,7 @@ def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tenso
 
 
 def apply_min_scale(model: Model, views: Iterable[Frustum], pixels: float) -> None:
-    """Lengthen axes to at least `pixels` of the nearest photo.
+    """Raise scales to at least `pixels` of the nearest photo.
 
     Args:
         model: Changed in place; the number of rows stays.

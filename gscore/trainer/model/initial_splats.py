@@ -24,8 +24,8 @@ def splats_from_cloud(
     most: int,
     seed: int,
 ) -> Splats:
-    """One splat for each point of `cloud` (training frame), thinned to `most` by `seed`; `near`:
-    tree of the finite points."""
+    """Create a splat for each point of `cloud` (training frame), thinned to `most` by `seed`;
+    `near`: tree of the finite points."""
     return splats_from_points(
         cloud,
         extent=frame.extent,
@@ -38,7 +38,7 @@ def splats_from_cloud(
 
 
 def splats_from_given(start: Splats, config: TrainConfig, frame: TrainingFrame) -> Splats:
-    """Start splats (world) in the training frame, with at most the SH degree of the config.
+    """Convert start splats from the world to the training frame, cut to the config's SH degree.
 
     Raises:
         ConfigError: there are none, or more than `max_splats`.
@@ -57,6 +57,6 @@ def check_splat_count(start: Splats, config: TrainConfig) -> None:
     """Raise ConfigError unless there are 1 to `max_splats` start splats."""
     if not 0 < len(start) <= config.max_splats:
         raise ConfigError(
-            f"The splats to start from are {number(len(start))}, expected 1 to max_splats = "
+            f"There are {number(len(start))} start splats, expected 1 to max_splats = "
             f"{number(config.max_splats)}; raise --max-splats or start from fewer."
         )

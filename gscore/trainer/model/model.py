@@ -15,7 +15,7 @@ _SEEN, _LAG = "shN_seen", "shN_lag"
 
 
 class ShUpdate(Enum):
-    """Update of the higher SH coefficients in a training step."""
+    """Update of shN in a training step."""
 
     STEP = auto()
     ACCUMULATE = auto()
@@ -30,9 +30,9 @@ class Moments(NamedTuple):
     first: torch.Tensor
     second: torch.Tensor
     steps: int
-    """Taken so far."""
+    """Number of Adam steps so far."""
     gathered: torch.Tensor | None = None
-    """Accumulated gradients for the next step; None: none."""
+    """Accumulated gradients for the next step; None: zeros."""
 
 
 class Model:
@@ -50,7 +50,7 @@ class Model:
     def __init__(
         self, tensors: Mapping[str, torch.Tensor], moments: Mapping[str, Moments] | None = None
     ) -> None:
-        """Take ownership of raw float32 tensors as in `Splats` and their moments; None: zeros."""
+        """Take ownership of raw float32 tensors as in `Splats` and of `moments`; None: zeros."""
         self.params: dict[str, torch.Tensor] = {}
         self.grads: dict[str, torch.Tensor] = {}
         """Gradients, shaped as `params`. Those of shN accumulate until its next step."""
@@ -137,14 +137,14 @@ class Model:
         photos: int = 1,
         threads: int = 0,
     ) -> int:
-        """One Adam step with `grads`; rows that are not finite count as zero.
+        """Take an Adam step with `grads`; gradients that are not finite count as zero.
 
         Args:
-            radii: [N] int32, above 0 where the view showed a splat; None: everywhere.
-            shN: Update of the higher SH coefficients.
-            photos: Photos whose mean gradient `grads` is: steps are counted in photos, and
-                momentum decays as in that number of steps. Higher SH coefficients, whose
-                gradients accumulate anyway, count their own steps.
+            radii: [N] int32, above 0 for visible splats; None: all.
+            shN: Update of shN.
+            photos: Number of photos averaged in `grads`: steps are counted in photos, and momentum
+                decays as in that number of steps. shN, which accumulates gradients anyway, counts
+                its own steps.
             threads: 0: all cores.
 
         Returns:
@@ -164,18 +164,18 @@ class Model:
         return adam.step(slots, radii, threads=threads)
 
     def sync_visible(self, view: Frustum, *, threads: int = 0) -> None:
-        """Let the rows that `view` may show catch up on skipped steps."""
+        """Apply the pending steps of rows that `view` may show."""
         self._settled = None  # a step follows, so the cached copy is not read again
         self._catch_up(view, threads=threads)
 
     def sync(self, *, threads: int = 0) -> None:
-        """Let all rows catch up on skipped steps, for example before rows are reordered."""
+        """Apply the pending steps of all rows, for example before rows are reordered."""
         self._settled = None
         self._catch_up(None, threads=threads)
 
     def synced(self, *, threads: int = 0) -> dict[str, torch.Tensor]:
-        """The parameters as after `sync`, without changing the model: rendering a model changes no
-        bit of its training."""
+        """Return the parameters as after `sync` without changing the model, so that rendering
+        changes no bit of the training."""
         if self._settled is None:
             shN = self.params["shN"]
             if self._waiting():
@@ -185,7 +185,7 @@ class Model:
         return self._settled
 
     def synced_rows(self, rows: slice, *, threads: int = 0) -> dict[str, torch.Tensor]:
-        """Some rows of `synced`, without the memory for all of them."""
+        """Return some rows of `synced`, without the memory for all."""
         if self._settled is not None:
             return {name: p[rows] for name, p in self._settled.items()}
         params = {name: p[rows] for name, p in self.params.items()}
@@ -197,7 +197,7 @@ class Model:
         return params
 
     def drop_moments(self) -> None:
-        """Free moments and gradients, which only further steps need. Call `sync` before."""
+        """Free moments and gradients, which only further steps need. Call `sync` first."""
         self._moments.clear()
         self.grads.clear()
 

@@ -9,7 +9,7 @@ _LEAF = 64
 
 
 def few_queries(points: int, asked: int) -> bool:
-    """Whether the queries are few enough for the tree that is smaller and faster to build."""
+    """Whether `asked` queries are few enough for the tree that is smaller and faster to build."""
     return _MANY * asked < points
 
 
@@ -18,24 +18,24 @@ class NearestPoints:
     preparation, in time and, with 40 bytes per point, in memory."""
 
     def __init__(self, points: np.ndarray, *, asked: int | None = None) -> None:
-        """Take points [P, 3] float64, in any unit; points that are not finite are ignored.
+        """Create the tree.
 
         Args:
-            points: Must not change while this is in use.
+            points: [P, 3] float64, any unit, not copied; points that are not finite are ignored.
             asked: Approximate number of queries; None: the number of points.
         """
         finite = np.isfinite(points).all(axis=1)
         self.points = points if finite.all() else points[finite]
         """[P, 3], the finite points."""
-        self._hurry = asked is not None and few_queries(len(self.points), asked)
+        self._build_fast = asked is not None and few_queries(len(self.points), asked)
         self._tree = None
 
     def __len__(self) -> int:
         return len(self.points)
 
     def distances(self, places: np.ndarray, count: int) -> np.ndarray:
-        """[Q, count] float64, ascending: distances from each query position [Q, 3] to its nearest
-        points, itself included if it is one. Both trees give the same bits."""
+        """Return distances from `places`, [Q, 3], to the nearest points, including a point at the
+        same position: [Q, count] float64, ascending. Both trees give the same bits."""
         if self._tree is None:
             from scipy.spatial import KDTree
 
@@ -43,7 +43,7 @@ class NearestPoints:
             # of the total time.
             self._tree = (
                 KDTree(self.points, leafsize=_LEAF, compact_nodes=False, balanced_tree=False)
-                if self._hurry
+                if self._build_fast
                 else KDTree(self.points)
             )
         found, _ = self._tree.query(places, k=count)

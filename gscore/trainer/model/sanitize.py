@@ -16,8 +16,8 @@ MAX_MEAN = 1e6
 MAX_SCALE = 1e3
 """Largest standard deviation, in camera extents."""
 MAX_SPREAD = 5.0
-"""Upper bound of axes, in camera extents plus the distance from the mean camera position. A splat
-of that size is one colour over every picture. Trained captures reach 1.4 (sky and walls)."""
+"""Upper bound of scales, in camera extents plus the distance from the mean camera position. A splat
+of that size is one colour over every image. Trained captures reach 1.4 (sky and walls)."""
 MAX_VALUE = 1e4
 """Largest quaternion component, logit and SH coefficient."""
 MAX_LOGIT = 20.0
@@ -36,10 +36,10 @@ def clamp_runaways(model: Model, *, extent: float) -> int:
 
     Args:
         model: Changed in place; the number of rows stays.
-        extent: Camera extent in training units.
+        extent: Camera extent, training units.
 
     Returns:
-        Number of rows reset.
+        Number of rows that were reset.
     """
     limits = {
         "means": MAX_MEAN * extent,
@@ -59,7 +59,7 @@ def clamp_runaways(model: Model, *, extent: float) -> int:
                 good = good & (p.reshape(len(p), -1).abs() <= limit).all(dim=1)
         count = len(model) - int(good.sum())
         if count:
-            _remove_rows(model, ~good)
+            _reset_rows(model, ~good)
         model.params["opacities"].clamp_(-MAX_LOGIT, MAX_LOGIT)
         _clamp_spread(model, extent)
         floor = scales.amax(dim=1, keepdim=True) - math.log(MAX_RATIO)
@@ -80,12 +80,12 @@ def _clamp_spread(model: Model, extent: float) -> None:
 
 
 def _all_within(values: torch.Tensor, limit: float) -> bool:
-    """Whether all are in [-limit, limit] and finite; one pass, which propagates NaN."""
+    """Whether all values are in [-limit, limit] and finite, in one pass that propagates NaN."""
     low, high = torch.aminmax(values)
     return -limit <= float(low) and float(high) <= limit and math.isfinite(float(low))
 
 
-def _remove_rows(model: Model, bad: torch.Tensor) -> None:
+def _reset_rows(model: Model, bad: torch.Tensor) -> None:
     for name, value in _NEUTRAL.items():
         model.params[name][bad] = value
         model.grads[name][bad] = 0

@@ -1,4 +1,4 @@
-"""Training frame: its place in COLMAP world, and the lengths that depend on it."""
+"""Training frame: recentred and rescaled world of a training, with its extent and near plane."""
 
 import math
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ _DEGENERATE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingFrame:
-    """Recentred and scaled, so that learning rates and thresholds mean the same for any capture."""
+    """Recentred and rescaled world in which rates and thresholds suit any capture."""
 
     similarity: Similarity
-    """From COLMAP world to the training world."""
+    """From COLMAP world to the training frame."""
     extent: float
     """1.1 times the largest distance of a camera from their mean (Kerbl et al. 2023), training
     units."""
@@ -35,14 +35,14 @@ class TrainingFrame:
 
     @classmethod
     def of(cls, scene: Scene, *, near: float) -> "TrainingFrame":
-        """The frame of a capture.
+        """Compute the frame of a capture.
 
         Args:
             scene: Cameras and points in COLMAP world.
             near: Near plane, world units; lowered if it is more than a hundredth of the extent.
 
         Raises:
-            ShapeError: a camera is farther than `FARTHEST`; such points are ignored.
+            ShapeError: a camera is farther than `FARTHEST`. Points beyond it are ignored.
         """
         centers = scene.cameras.centers
         similarity = Similarity.fit(centers)
@@ -52,7 +52,7 @@ class TrainingFrame:
         points = scene.points.points
         away = distances(points, middle)[within_reach(points)]
         if len(away):
-            # One camera, or all in one place: only the points define a scale.
+            # With one camera, or all in one position, only the points define a scale.
             distance = float(np.median(away))
             if distance > SMALLEST and radius < _DEGENERATE * distance:
                 radius = distance
@@ -67,7 +67,7 @@ class TrainingFrame:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The frame as JSON values, from which `from_dict` restores exactly this frame."""
+        """Return the frame as JSON values, from which `from_dict` restores it exactly."""
         facts = {
             "scale": self.similarity.scale,
             "shift": self.similarity.shift.tolist(),
@@ -78,7 +78,7 @@ class TrainingFrame:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "TrainingFrame":
-        """The frame from the values of `to_dict`; ValueError or KeyError if they are invalid."""
+        """Create a frame from the values of `to_dict`; ValueError or KeyError if invalid."""
         shift = np.array(data["shift"], np.float64)
         scale, extent, near = (as_float(key, data[key]) for key in ("scale", "extent", "near"))
         if not (extent > 0 and near > 0):
@@ -89,5 +89,5 @@ class TrainingFrame:
 
 
 def checkpoint_origin(data: dict[str, Any]) -> np.ndarray:
-    """[3] local origin in the values of `TrainingFrame.to_dict`, zeros if it has none."""
+    """Return the local origin, [3], in the values of `TrainingFrame.to_dict`; zeros without one."""
     return checked_origin(data.get("origin", [0.0, 0.0, 0.0]))

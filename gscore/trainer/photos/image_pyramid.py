@@ -15,13 +15,13 @@ from .raster_skips import tiles_of_mask
 from .view_sampler import Photos, training_camera
 
 AHEAD = 3
-"""Views that are made before they are needed."""
+"""Number of views that are prefetched."""
 _WORKERS = 2
-"""Threads that make them."""
+"""Threads that prefetch."""
 
 
 class SizedView(NamedTuple):
-    """A view with its photo at some size."""
+    """A view with its photo at one size."""
 
     view: Frustum
     image: np.ndarray
@@ -29,25 +29,30 @@ class SizedView(NamedTuple):
     mask: np.ndarray | None
     """[H, W] uint8, or None."""
     tiles: torch.Tensor | None
-    """[ceil(H / 16), ceil(W / 16)] uint8, 0 where an `ignore` mask hides a whole tile; None where
-    every tile counts."""
+    """[ceil(H / 16), ceil(W / 16)] uint8, 0 for tiles that an `ignore` mask hides completely; None:
+    all tiles are used."""
     counted: float = 1.0
-    """Share of the pixels that count: less than 1 where an `ignore` mask hides some."""
+    """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
 
 
 class ImagePyramid:
-    """Photos scaled down on first use; those of one factor are kept at a time.
+    """Photos scaled down on first use, kept for one factor at a time.
 
-    Where not all may be kept, the first ones to come are, which of all choices wastes least when
-    each is used once an epoch, and the next ones are made in the background. The pixels are the
-    same either way.
+    With a memory limit the first photos are kept, which is optimal if each is used once per epoch,
+    and the next ones are prefetched in the background. The pixels do not depend on the limit.
     """
 
     def __init__(
         self, photos: Photos, cameras: Cameras, *, near: float, limit: int | None = None
     ) -> None:
-        """`cameras` are those of `photos` in the training world, `near` is their near plane there;
-        `limit`: bytes to keep."""
+        """Create an empty pyramid.
+
+        Args:
+            photos: The capture.
+            cameras: Cameras of `photos` in the training frame.
+            near: Near plane, training units.
+            limit: Bytes of photos to keep; None: all.
+        """
         self._photos = photos
         self._cameras = cameras
         self._near = near
@@ -59,9 +64,9 @@ class ImagePyramid:
         self._pool = None if limit is None else ThreadPoolExecutor(_WORKERS, "gscore-photos")
 
     def at(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
-        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size.
+        """Return view `index` with sides divided by `factor` >= 1, K exact for the rounded size.
 
-        `upcoming`: views that will be asked for next.
+        `upcoming`: the next views, for prefetching.
         """
         if factor != self._factor:
             self._factor, self._kept, self._nbytes = factor, {}, 0
@@ -86,7 +91,8 @@ class ImagePyramid:
             self._nbytes += nbytes
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
-        """View `index` with sides divided by `factor` >= 1, K exact for the rounded size."""
+        """Return the camera of view `index` with sides divided by `factor` >= 1, K exact for the
+        rounded size."""
         cameras = self._cameras
         old = int(cameras.widths[index]), int(cameras.heights[index])
         new = max(1, round(old[0] / factor)), max(1, round(old[1] / factor))
@@ -101,7 +107,7 @@ class ImagePyramid:
         if new != (image.shape[1], image.shape[0]):
             if mask is None:
                 image = resize(image, *new)
-            else:  # colours that the mask hides do not bleed in
+            else:  # weight by the mask, so that masked colours do not bleed in
                 both = resize(np.dstack([image, mask]), *new)
                 image = np.ascontiguousarray(both[..., :3])
                 mask = np.ascontiguousarray(both[..., 3])

@@ -1,4 +1,4 @@
-"""Photo loading before the first step: memory needed, cache in memory or not, checked masks."""
+"""Photo loading before the first step: memory estimate, cache size and mask checks."""
 
 import math
 import time
@@ -18,17 +18,17 @@ from ..estimate.forecast import Estimate, check_fits, estimate
 _LOADING_PERIOD = 0.5
 """Seconds between two events while photos are read."""
 _DARK_MASK = 32
-"""Of 255: masks that are nowhere brighter hold labels, or are wrong."""
+"""Maximum of a mask, of 255, below which it probably has class labels or is wrong."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedPhotos:
-    """What became of the photos."""
+    """Result of `load_photos`."""
 
     cache: int | None
-    """Bytes of photos that may be kept in memory; None: all are in memory already."""
+    """Bytes of photos that may be kept in memory; None: all are already in memory."""
     warnings: list[str]
-    """Sentences for the user."""
+    """Warnings for the user, as sentences."""
 
 
 def load_photos(
@@ -41,21 +41,21 @@ def load_photos(
     emit: Callable[[Event], None],
     control: Control,
 ) -> LoadedPhotos:
-    """Tell what the training will take, decode the photos where they fit, and check the masks.
+    """Estimate time and memory, decode the photos if they fit, and check the masks.
 
     Args:
-        photos: Their headers have been read.
-        config: How to train.
-        points: Splats that it starts from, as far as that is known.
+        photos: The capture, whose photo headers have been read.
+        config: The options.
+        points: Expected number of splats at the start.
         depths: Whether there are depth maps.
-        announce: Whether to tell what the training will take: all of it, not the rest of it.
-        emit: Told of the estimate and how far reading is.
-        control: Asked whether to stop.
+        announce: Whether to emit the estimate, which is for a whole run.
+        emit: Receives the estimate and progress events.
+        control: Stops the loading.
 
     Raises:
-        GsError: The training would not fit into memory; says what would.
-        DatasetError: The masks leave nothing to train on.
-        Cancelled: Stopped.
+        GsError: the training does not fit into memory; the message has advice.
+        DatasetError: the masks leave no pixels to train on.
+        Cancelled: stopped.
     """
     found = _estimate(photos, config, points, depths)
     check_fits(found, config)
@@ -70,7 +70,7 @@ def load_photos(
     else:
         photos.keep_few()
     warnings = _check_masks(photos, config.threads)
-    if found.photos_anew:  # all of them were good
+    if found.photos_anew:  # preloading has only checked that all can be decoded
         photos.keep_few()
     all_there = found.photos_kept and not found.photos_anew
     return LoadedPhotos(cache=None if all_there else found.photo_bytes, warnings=warnings)
@@ -109,7 +109,8 @@ def progress_of(
     emit: Callable[[Event], None],
     control: Control | None = None,
 ) -> Callable[[int, int], None]:
-    """What tells now and then how much of `what` is read; with `control` it can be stopped."""
+    """Return a progress callback for reading `what`, called with (done, total); it emits Progress
+    events and raises Cancelled if `control` stops."""
     began = last = time.monotonic()
 
     def on_progress(done: int, total: int) -> None:
@@ -138,13 +139,13 @@ def progress_of(
 
 
 def _brightest(photos: Dataset, index: int) -> int:
-    """The largest value of a view's mask, 0 to 255; 255 without a mask."""
+    """Maximum of a view's mask, 0 to 255; 255 without a mask."""
     mask = photos.mask(index)
     return 255 if mask is None else int(mask.max())
 
 
 def _check_masks(photos: Dataset, threads: int) -> list[str]:
-    """Sentences about masks that leave (nearly) nothing to train on; DatasetError if all do."""
+    """Return warnings about masks that are nearly black; raise DatasetError if all are black."""
     if photos.mask_mode == "none":
         return []
     brightest = map_threads(partial(_brightest, photos), photos.train, threads=threads)
@@ -156,12 +157,12 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
         if any(photos.files[i].mask_inverted for i in photos.train):
             raise DatasetError(
                 f"The masks of all {views} in {photos.source} are white, so inverted they leave "
-                "nothing to train on: leave out --invert-masks, or choose --mask-mode none."
+                "no pixels to train on. Leave out --invert-masks, or use --mask-mode none."
             )
         raise DatasetError(
-            f"The masks of all {views} in {photos.source} are black, so there is nothing to train "
-            "on. White is what counts: give --invert-masks if it marks what to leave out, or "
-            "choose --mask-mode none."
+            f"The masks of all {views} in {photos.source} are black, so there are no pixels to "
+            "train on. White pixels are trained: use --invert-masks if white marks pixels to "
+            "ignore, or --mask-mode none."
         )
     warnings = []
     if empty:
@@ -170,8 +171,8 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
     if dark:
         views = count_words(len(dark), "training view")
         warnings.append(
-            f"The masks of {views} are nearly black, for example {dark[0]}: nothing in them "
-            f"reaches {_DARK_MASK} of 255, so these views hardly count. White is what counts; "
-            f"labels of several classes must be made 0 and 255."
+            f"The masks of {views} are nearly black, for example {dark[0]}: no pixel reaches "
+            f"{_DARK_MASK} of 255, so these views have almost no weight. White pixels are trained; "
+            f"convert class labels to 0 and 255."
         )
     return warnings

@@ -16,12 +16,13 @@ _RASTER = {
 
 
 def disabled_skips(without: Collection[Skip]) -> int:
-    """`disable` of `rasterize` for the skips that are switched off."""
+    """Return the flags `disable` of `rasterize` for the disabled skips."""
     return sum(bit for skip, bit in _RASTER.items() if skip in without)
 
 
 def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
-    """[ceil(H / 16), ceil(W / 16)] uint8, 1 where a tile has a pixel that `mask` [H, W] keeps."""
+    """Return [ceil(H / 16), ceil(W / 16)] uint8, 1 for tiles with a non-zero pixel of `mask`, which
+    is [H, W] uint8."""
     tile = backend.TILE
     height, width = mask.shape
     rows, columns = -(-height // tile), -(-width // tile)

@@ -1,8 +1,8 @@
-"""Sky: initial splats on a sphere around everything that the photos show.
+"""Sky: initial splats on a sphere around the scene.
 
-Sky and distant hills have no SfM points, so views between the photos would show black there. Each
-direction of the sphere gets the colour of the photos, and directions without a photo get the mean
-of the nearest ones with one.
+Sky and distant hills have no SfM points, so views between the photos would be black there. Each
+direction of the sphere gets the mean colour of the photos, and directions outside all photos the
+mean of the nearest ones inside.
 """
 
 from collections.abc import Sequence
@@ -36,10 +36,10 @@ _NEIGHBOURS = 8
 def sky_splats(
     config: TrainConfig, photos: Photos, cameras: Cameras, points: np.ndarray
 ) -> Splats | None:
-    """The splats of the sphere, training frame, SH degree 0.
+    """Return the splats of the sphere, training frame, SH degree 0; None without `sky`.
 
     Args:
-        config: Training options; the result is None without `sky`.
+        config: The options.
         photos: Source of the colours, from training views.
         cameras: All of `photos`, training frame.
         points: [P, 3] float64, start points, training frame.
@@ -78,7 +78,7 @@ def sky_splats(
 
 
 def _directions(count: int) -> np.ndarray:
-    """[count, 3] unit: evenly over the sphere, along a spiral that turns by the golden angle."""
+    """Return [count, 3] evenly distributed unit vectors, on a spiral with the golden angle."""
     place = np.arange(count)
     z, turn = 1 - (2 * place + 1) / max(count, 1), place * np.pi * (3 - np.sqrt(5))
     across = np.sqrt(1 - z * z)
@@ -88,8 +88,8 @@ def _directions(count: int) -> np.ndarray:
 def _colors(
     photos: Photos, cameras: Cameras, views: Sequence[int], means: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[N, 3]: mean colour, 0 to 1, of the photos that show the positions `means`; [N] their
-    number."""
+    """Return [N, 3] mean colours, 0 to 1, of the photos that show the positions `means`, and [N]
+    numbers of these photos."""
     sums, seen = np.zeros((len(means), 3)), np.zeros(len(means), int)
     for view in views:
         photo, mask = Image.fromarray(photos.image(view)), photos.mask(view)
@@ -111,13 +111,13 @@ def _colors(
 
 
 def _spread(colors: np.ndarray, seen: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """[N, 3] `colors`; directions `ahead` that are not `seen` get the mean of the nearest seen
-    ones, or grey without any."""
+    """Return `colors`, [N, 3], where directions `ahead` in no photo (`seen` is 0) get the mean of
+    the nearest ones in photos, or grey without any."""
     known, unknown = np.flatnonzero(seen), np.flatnonzero(seen == 0)
     if len(known) == 0:
         return np.full_like(colors, 0.5)
     found = colors.copy()
-    alike = ahead[unknown] @ ahead[known].T
-    nearest = np.argsort(-alike, axis=1, kind="stable")[:, :_NEIGHBOURS]
+    cosine = ahead[unknown] @ ahead[known].T
+    nearest = np.argsort(-cosine, axis=1, kind="stable")[:, :_NEIGHBOURS]
     found[unknown] = colors[known][nearest].mean(axis=1)
     return found

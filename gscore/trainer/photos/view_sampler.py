@@ -1,4 +1,4 @@
-"""View sampler: the training views of a capture, and the order in which steps use them."""
+"""View sampler: random order of the training views, and the interface of a capture."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -12,21 +12,21 @@ from ..host.random import permutation
 
 
 class Photos(Protocol):
-    """What the trainer asks of a dataset; see `gscore.datasets`."""
+    """Interface of a capture, see `gscore.datasets`."""
 
     @property
     def scene(self) -> Scene:
-        """Cameras at training resolution and points."""
+        """Cameras at training resolution, and points."""
         ...
 
     @property
     def train(self) -> Sequence[int]:
-        """Views to train on."""
+        """Training views."""
         ...
 
     @property
     def test(self) -> Sequence[int]:
-        """Views held out."""
+        """Held-out views."""
         ...
 
     @property
@@ -35,22 +35,22 @@ class Photos(Protocol):
         ...
 
     def content_hash(self) -> str:
-        """Changes with any photo or mask."""
+        """Hash of all photos and masks."""
         ...
 
     def image(self, index: int) -> np.ndarray:
-        """[H, W, 3] uint8."""
+        """Photo of a view, [H, W, 3] uint8."""
         ...
 
     def mask(self, index: int) -> np.ndarray | None:
-        """[H, W] uint8, or None."""
+        """Mask of a view, [H, W] uint8, or None."""
         ...
 
 
 def training_camera(
     viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: float
 ) -> Frustum:
-    """A camera of the training world, [4, 4] and [3, 3] float64, as float32 tensors."""
+    """Return a camera in the training frame, [4, 4] and [3, 3] float64, as float32 tensors."""
     return Frustum(
         torch.from_numpy(viewmat.astype(np.float32)),
         torch.from_numpy(K.astype(np.float32)),
@@ -61,55 +61,54 @@ def training_camera(
 
 
 def evenly_spaced(indices: Sequence[int], most: int) -> list[int]:
-    """`indices`, or of more than `most` as many at even distances."""
+    """Return at most `most` evenly spaced elements of `indices`."""
     if len(indices) <= most:
         return list(indices)
     return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
 
 
 class ViewSampler:
-    """Each view once an epoch, in another order each epoch."""
+    """Draws each view once per epoch, in a new random order each epoch."""
 
     def __init__(self, indices: Sequence[int]) -> None:
         self.indices = list(indices)
         self.order: list[int] = []
-        """Views of this epoch."""
+        """Views of this epoch, in order."""
         self.position = 0
-        """Next place in `permutation`."""
+        """Index of the next view in `order`."""
 
     def upcoming(self, count: int, parts: int = 1) -> list[list[int]]:
-        """What `batch_neighbours` gives of the next views as far as they are drawn already, at most
-        `count`."""
+        """Return `batch_neighbours` of the next views of this epoch, at most `count`."""
         ahead = range(self.position, min(self.position + count, len(self.order)))
-        return [self._beside(at, parts) for at in ahead]
+        return [self._views_at(at, parts) for at in ahead]
 
     def batch_neighbours(self, parts: int) -> list[int]:
-        """The view drawn last, and others of its epoch for all but the first of so many `parts`:
-        each of them sees each view once an epoch."""
-        return self._beside(self.position - 1, parts)
+        """Return one view for each of `parts` models: the last drawn one for the first, others of
+        its epoch for the rest. Each model gets each view once per epoch."""
+        return self._views_at(self.position - 1, parts)
 
-    def _beside(self, at: int, parts: int) -> list[int]:
+    def _views_at(self, at: int, parts: int) -> list[int]:
         count = len(self.order)
         return [self.order[(at + part * count // parts) % count] for part in range(parts)]
 
     @property
     def through(self) -> bool:
-        """Whether the next view is the first of an epoch."""
+        """Whether the epoch is complete."""
         return self.position >= len(self.order)
 
     def begin(self, generator: torch.Generator) -> None:
-        """Draw the order of an epoch."""
+        """Draw the order of a new epoch."""
         shuffled = permutation(len(self.indices), generator)
         self.order = [self.indices[i] for i in shuffled]
         self.position = 0
 
     def next(self, generator: torch.Generator) -> int:
-        """The next view; draws an order where an epoch begins."""
+        """Return the next view; starts a new epoch if this one is complete."""
         if self.through:
             self.begin(generator)
         self.position += 1
         return self.order[self.position - 1]
 
     def put_back(self, count: int = 1) -> None:
-        """Let the views of this epoch drawn last come again: a photo was not to be had."""
+        """Return the last `count` views to this epoch, because a photo could not be read."""
         self.position = max(self.position - count, 0)

@@ -1,4 +1,4 @@
-"""Batch size: photos per step, where several processes train together."""
+"""Batch size: photos per step with several processes."""
 
 from collections.abc import Iterable
 
@@ -6,16 +6,16 @@ from collections.abc import Iterable
 def batch_size(
     size: int, taken: int, *, every: Iterable[int], marks: Iterable[int], end: int
 ) -> int:
-    """Photos of the next step: `size`, or as many as are left until something is due.
+    """Return the number of photos of the next step: `size`, or less up to the next event.
 
-    So what is due after some photos is due after as many of them for any number of processes.
+    Events so occur after the same number of photos for any number of processes.
 
     Args:
-        size: Of a full batch, at least 1.
-        taken: Photos before.
-        every: Numbers at whose multiples something is due; those below 1 are none.
-        marks: Numbers after which something is due.
-        end: After which the run ends.
+        size: Size of a full batch, at least 1.
+        taken: Photos before this step.
+        every: Periods of recurring events, in photos; those below 1 are ignored.
+        marks: Numbers of photos after which single events occur.
+        end: Number of photos of the run.
     """
     left = [number - taken % number for number in every if number >= 1]
     left += [mark - taken for mark in (*marks, end) if mark > taken]

@@ -1,22 +1,21 @@
-"""Photo sizes of the coarse-to-fine start, and the steps at which they change."""
+"""Photo sizes of the coarse-to-fine start, and the times at which they change."""
 
 import math
 
 
 def _side(stage: int) -> float:
-    """The side, as a share of the full one, at which the next larger photos come: between two
-    powers of the root of 2."""
+    """Relative side at which stage `stage` begins: between two powers of the root of 2."""
     return 2.0 ** -(stage / 2 + 0.25)
 
 
 def photo_size_stages(coarse: float) -> tuple[float, ...]:
-    """When photos become larger, as shares of the time that they take to reach full size.
+    """Return the times at which photos become larger, relative to the time of full size.
 
-    Entry k is when their sides are divided by 2^(k / 2) and no more; the last entry is below the
-    first size. The number of pixels rises with the square of the time.
+    From entry k on, sides are divided by 2^(k / 2); before the last entry they have the first size.
+    The number of pixels rises with the square of the time.
 
     Args:
-        coarse: What the sides are divided by at first, at least 1.
+        coarse: First divisor of the sides, at least 1.
     """
     count = round(2 * math.log2(coarse))
     if count == 0:

@@ -1,4 +1,4 @@
-"""Plan of a run: numbers that follow from a TrainConfig and its length, for options set to 0."""
+"""Plan of a run: schedules from a TrainConfig, with automatic values for options set to 0."""
 
 import math
 from dataclasses import dataclass
@@ -9,19 +9,20 @@ from .photo_sizes import photo_size_stages
 
 _PAPER_STEPS = 30_000
 _SETTLES = 0.9
-"""Share of a run after which learning rates fall."""
+"""Share of a run after which learning rates decay."""
 _FEWEST_SIZES, _FEWEST_STEPS = 3, 1000
-"""Sizes of small photos, and steps, from which on splats grow with the photos. Shorter runs have
-too few refinements left: at 400 px it cost 0.2 to 1.4 dB in 300 and 600 steps, none in 1000."""
+"""Least number of small photo sizes, and of steps, for the cap of splats to grow with the photos.
+Shorter runs have too few refinements: at 400 px it cost 0.2 to 1.4 dB in 300 and 600 steps, none in
+1000."""
 _KEPT_EVERY = 500
-"""Fewest steps between two states for the watchdog; a tenth of the run if that is more."""
+"""Least steps between two checkpoints of the watchdog; a tenth of the run if that is more."""
 _LONG, _LONG_GRAD = 10_000, 5e-5
-"""Steps from which a cut-out subject uses a lower gradient threshold of growth, and the threshold.
+"""Steps from which a cut-out subject has a lower gradient threshold of growth, and the threshold.
 With the paper's threshold growth ends early where errors are small: lego stopped at a third of
 300,000 splats, and gained 1.0 dB with all of them. Photos without cut-out masks gained nothing.
 Shorter runs use it too with dropout, which keeps the additional splats from overfitting."""
 _COARSE_SIDE = 75
-"""Shorter side of a photo, px, below which a coarse picture has too little detail."""
+"""Shorter side of a photo, px, below which a downscaled photo has too little detail."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,23 +32,23 @@ class Plan:
     iterations: int
     """Last step."""
     models: int
-    """Models trained in parallel; numbers of splats are those of each."""
+    """Number of models trained in parallel; numbers of splats are per model."""
     max_splats: int
     """Most splats."""
     first_cap: int
-    """Splats that small photos may grow to; `max_splats` unless the number rises with them."""
+    """Most splats at the first photo size; `max_splats` unless the cap grows with the photos."""
     pixels: int
-    """Of a photo at full size, on average."""
+    """Mean number of pixels of a photo at full size."""
     sh_degree: int
-    """Degree in use from half of the run on."""
+    """Highest SH degree, in use from half of the run at the latest."""
     sh_every: int
-    """Steps between two SH degrees."""
+    """Steps between increments of the SH degree."""
     shN_every: int
-    """Steps between two of the higher SH coefficients."""
+    """Steps between two updates of shN."""
     coarse_factor: float
     """Divisor of the photos' sides at the first step."""
     coarse_until: int
-    """From this step on photos are used at full size."""
+    """First step with photos at full size."""
     stages: tuple[float, ...]
     """Shares of `coarse_until` at which photos become larger; see `photo_size_stages`."""
     refine_start: int
@@ -61,21 +62,21 @@ class Plan:
     reset_stop: int
     """Last step that may reset."""
     means_lr: tuple[float, float]
-    """Learning rate of positions at the first and after the last step, training units."""
+    """Learning rate of means at the first and after the last step, training units."""
     rates: dict[str, float]
-    """Learning rates of the other parameters, until they fall."""
+    """Learning rates of the other parameters before the decay."""
     lr_final: float
-    """What is left of these at the last step."""
+    """Factor of these rates at the last step."""
     init_opacity: float
-    """Opacity of the first splats."""
+    """Initial opacity."""
     init_scale: float
-    """Size of the first splats in mean distances to their neighbours."""
+    """Initial scale in mean distances to the nearest neighbours."""
     grow_grad: float
     """Mean screen-space gradient above which `default` clones or splits a splat."""
     mcmc_growth: float
     """Share of splats that a refinement of `mcmc` adds; 0 with `default`, which uses gradients."""
     kept: float
-    """Share of the splats that remain after the last refinement."""
+    """Share of the splats kept after the last refinement."""
 
     @classmethod
     def of(
@@ -95,32 +96,32 @@ class Plan:
         Args:
             config: The options.
             extent: Camera extent, training units.
-            points: Number of splats at the start, of each model.
-            side: Shorter side of the smallest photo, pixels.
-            pixels: Of a photo, on average.
-            subject: Whether masks are opacity, so that there is nothing but a subject.
-            drops: Whether splats are left out of its steps.
-            models: How many are trained side by side, which share `max_splats`.
+            points: Number of splats of each model at the start.
+            side: Shorter side of the smallest photo, px.
+            pixels: Mean number of pixels of a photo.
+            subject: Whether masks are opacity, so that only a subject is trained.
+            drops: Whether dropout is used.
+            models: Number of models trained in parallel, which share `max_splats`.
         """
         n, most = config.iterations, max_splats_per_model(config, models)
         mcmc = config.strategy is Strategy.MCMC
-        # Runs shorter than the paper's 30,000 steps keep its proportions where a splat still sees
-        # enough views between two decisions: at least 100 steps at the start, 50 in between.
+        # Runs shorter than the paper's 30,000 steps keep its proportions, but at least 100 steps
+        # before and 50 between refinements, so that splats receive gradients from enough views.
         every = config.refine_every or max(min(50, n), min(100, n // 50))
         start = config.refine_start or max(min(100, n), min(500, n // 20))
-        # Fewer steps have to go as far. On real captures of 200 x 150 px this gained 1.1 dB on
-        # held-out views in 1,000 steps and 0.7 dB in 3000.
+        # Higher rates compensate for fewer steps. On real captures of 200 x 150 px this gained
+        # 1.1 dB on held-out views in 1,000 steps and 0.7 dB in 3000.
         boost = config.lr_boost or min(max((_PAPER_STEPS / n) ** 0.35, 1.0), 4.0)
         root = math.sqrt(boost)
-        # What is far is large, and large splats go after a reset. Given splats get no sky.
+        # Sky splats are large, and large splats are pruned after a reset. Start splats get no sky.
         sky = config.sky and not config.start_splats
         reset = config.reset_every or (3000 if n >= 6000 and not sky else -1)
-        # Given splats hold their detail already; coarse photos would wear it off. On a video of
-        # 240 x 320 px, 500 steps from the frame before ended 1.1 dB higher at full size.
+        # Start splats already have detail, which coarse photos would remove. On a video of
+        # 240 x 320 px, 500 steps from the previous frame ended 1.1 dB higher at full size.
         coarse = 1.0 if config.start_splats else min(max(side / _COARSE_SIDE, 1.0), 8.0)
         coarse = 1.0 if Skip.SMALL_PHOTOS in config.without else config.coarse_factor or coarse
         sizes, coarse_until = photo_size_stages(coarse), round(config.coarse_until * n)
-        # With the photos, splats grow until these are at full size, and a little beyond it.
+        # If the cap grows with the photos, refinement ends soon after they reach full size.
         long_enough = len(sizes) >= _FEWEST_SIZES and n >= _FEWEST_STEPS
         coupled = config.grow_with_photos and long_enough and not mcmc
         stop = n * 5 // 6 if mcmc else n // 2
@@ -128,11 +129,11 @@ class Plan:
             stop = min(max(n * 4 // 5, round(sizes[0] * coarse_until) + 2 * every), n)
         stop = config.refine_stop or stop
         fine = subject and (drops or n >= _LONG)
-        pull = _LONG_GRAD if fine else 2e-4 / min(boost, 2.0)
+        threshold = _LONG_GRAD if fine else 2e-4 / min(boost, 2.0)
         # The cap is reached halfway through the refinements even if the run is short.
         growths = max((stop - start) // (2 * every), 1)
         growth = max(0.05, (most / max(points, 1)) ** (1 / growths) - 1)
-        # Gradients of several views point the way better than one's. Held-out PSNR did not fall.
+        # Gradients of several views have less noise than one's. Held-out PSNR did not fall.
         every_shN = config.shN_every or max(1, min(8, n // 125))
         every_shN = 1 if Skip.RARE_SH in config.without else every_shN
         return cls(
@@ -163,16 +164,16 @@ class Plan:
             lr_final=config.lr_final,
             init_opacity=config.init_opacity or (0.5 if mcmc else 0.1),
             init_scale=config.init_scale or (0.1 if mcmc else 1.0),
-            grow_grad=config.grow_grad or pull,
+            grow_grad=config.grow_grad or threshold,
             mcmc_growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else 0.0,
             kept=1.0 - config.prune_share,
         )
 
     def means_lr_at(self, step: int) -> float:
-        """Exponential from the first to the last rate over the whole run.
+        """Learning rate of means at `step`: exponential decay over the whole run.
 
-        The curve belongs to the length of the run, so a run that is extended goes on at the rate
-        that a longer run has at this step.
+        The decay depends on the length of the run, so an extended run continues at the rate that a
+        run of the new length has at this step.
         """
         first, last = self.means_lr
         if first <= 0 or last <= 0:
@@ -180,11 +181,12 @@ class Plan:
         return first * math.exp(math.log(last / first) * min(step / self.iterations, 1.0))
 
     def rates_at(self, step: int, photos: int = 1) -> dict[str, float]:
-        """Rates of the other parameters: constant, then exponential over the last tenth of the run.
+        """Learning rates of the other parameters: constant, then exponential decay over the last
+        tenth of the run.
 
-        Constant rates leave the parameters jumping about their best by as much as a step. Those of
-        a step that takes many photos are multiplied by the root of their number (Zhao et al. 2024,
-        Grendel-GS). The higher SH coefficients take `shN_every` photos at once anyway.
+        Constant rates leave parameters oscillating around their optimum by the size of a step. For
+        a batch, rates are multiplied by the root of its number of `photos` (Zhao et al. 2024,
+        Grendel-GS); shN accumulates `shN_every` photos anyway.
         """
         done = (step / self.iterations - _SETTLES) / (1 - _SETTLES)
         share = self.lr_final ** min(max(done, 0.0), 1.0)
@@ -194,20 +196,19 @@ class Plan:
 
     @property
     def kept_every(self) -> int:
-        """Steps between two states that a run which diverges may go back to."""
+        """Steps between two checkpoints that the watchdog may restore."""
         return max(_KEPT_EVERY, self.iterations // 10)
 
     def rest_moves_at(self, step: int, photos: int = 1) -> bool:
-        """Whether the higher SH coefficients take a step after `step`, which took so many photos at
-        once.
+        """Whether shN is updated after `step`, the last of a batch of `photos`.
 
-        The last step is one; a run that ends before the end it planned loses what has gathered.
+        The last step updates it; a run that ends early loses the accumulated gradients.
         """
         due = step // self.shN_every > (step - photos) // self.shN_every
         return due or step >= self.iterations
 
     def sh_degree_at(self, step: int) -> int:
-        """SH degree in use at `step`."""
+        """SH degree at `step`."""
         return min(self.sh_degree, (step - 1) // self.sh_every)
 
     def factor_at(self, step: int) -> float:
@@ -221,7 +222,7 @@ class Plan:
         return 1.0 if done >= 1 else 2.0 ** (smaller / 2)
 
     def cap_for(self, factor: float) -> int:
-        """Most splats that photos may lead to whose sides are divided by `factor`."""
+        """Most splats while the photos' sides are divided by `factor`."""
         first = 1 / self.factor_at(1)
         share = (1 / factor - first) / (1 - first) if first < 1 else 1.0
         return round(
@@ -234,22 +235,23 @@ class Plan:
         return inside and step % self.refine_every == 0
 
     def prunes_free_space_at(self, step: int) -> bool:
-        """Whether the free space around cameras is cleared, and axes that are too fine are widened,
-        after `step`: as often as splats are refined, but all along, for those that stay move."""
+        """Whether free space is pruned and minimum scales are applied after `step`: as often as
+        refinements but in the whole run, because splats keep moving."""
         return step % self.refine_every == 0 or step == self.iterations
 
     def prunes_masked_at(self, step: int) -> bool:
-        """Whether splats that masks hide are taken out after `step`: at the first refinement step
-        of the second third and of the last. The rest of the run closes the gaps; without it that
-        costs a decibel."""
+        """Whether masked splats are pruned after `step`: at the first refinement step of the second
+        and of the last third. The rest of the run closes the gaps; without it, pruning costs a
+        decibel."""
         now, before = (3 * at // self.iterations for at in (step, step - self.refine_every))
         return step % self.refine_every == 0 and before < now < 3
 
     def surplus_at(self, step: int, splats: int, pruned: int) -> int:
-        """How many of `splats` are one too many after `step`, where `pruned` went as such before.
+        """Number of `splats` to prune after `step` for their low contribution; `pruned` were pruned
+        before.
 
-        Those are counted in, so that a plan whose refinements end later than was thought, or
-        sooner, does not prune again.
+        `pruned` counts in, so that a changed plan whose refinements end at another step does not
+        prune again.
         """
         if step < min(self.refine_stop, self.iterations - 1):
             return 0

@@ -16,22 +16,24 @@ from .training_views import TrainingView
 
 
 class LossAndGradients(NamedTuple):
-    """What a picture of this rank's view is worth, and its gradients in the picture."""
+    """Loss of this rank's view, and its gradients in the rendered image."""
 
     value: float
+    """Total loss."""
     mse: float
-    """Mean squared error of the pixels that count."""
+    """Mean squared error of the unmasked pixels."""
     v_rgb: torch.Tensor
-    """[H, W, 3]; good until the next comparison."""
+    """[H, W, 3] float32; valid until the next call."""
     v_log_gain: tuple[float, float, float]
+    """Derivatives in ln gain of R, G, B."""
     v_alpha: torch.Tensor | None
-    """[H, W]; None: the loss does not depend on it."""
+    """[H, W] float32; None: the loss does not depend on it."""
     v_inverse_depth: torch.Tensor | None
-    """As `v_alpha`."""
+    """[H, W] float32; None: the loss does not depend on it."""
 
 
 class StepLoss:
-    """Compares pictures with photos, depth maps, guides and masks."""
+    """Loss of rendered views against photos, depth maps, guide meshes and masks."""
 
     def __init__(
         self,
@@ -41,8 +43,8 @@ class StepLoss:
         depth: DepthLoss | None,
         guide: GuideLoss | None,
     ) -> None:
-        """`depth` and `guide` are the losses of inverse depth by maps and by meshes; None: there
-        are none."""
+        """`depth` and `guide`: losses of inverse depth by depth maps and guide meshes; None: not
+        used."""
         self._config = config
         self._mask_mode = mask_mode
         self._depth = depth
@@ -50,11 +52,11 @@ class StepLoss:
         self._v_rgb = empty(0)
 
     def uses_depth(self, training_view: TrainingView, step: int) -> bool:
-        """Whether the inverse depth of a view counts at a step."""
+        """Whether the loss of a view at `step` needs its inverse depth."""
         return bool(self._depth_terms(training_view.index, step))
 
     def of(self, picture: Picture, training_view: TrainingView, step: int) -> LossAndGradients:
-        """Compare a picture with its photo and all else."""
+        """Compute the loss of a rendered view at `step`."""
         _, image, mask, _, counted = training_view.sized
         if self._v_rgb.shape != picture.rgb.shape:
             self._v_rgb = empty(*picture.rgb.shape)
@@ -80,7 +82,7 @@ class StepLoss:
         )
 
     def _depth_terms(self, index: int, step: int) -> list[tuple[float, DepthLoss | GuideLoss]]:
-        """Losses of the inverse depth of a view that count at a step, with their weights."""
+        """Inverse-depth losses of view `index` at `step`, with their weights above 0."""
         found: list[tuple[float, DepthLoss | GuideLoss]] = []
         if self._depth:
             found.append((self._depth.weight(index, step), self._depth))
@@ -91,15 +93,15 @@ class StepLoss:
     def _further_terms(
         self, picture: Picture, training_view: TrainingView, step: int
     ) -> tuple[float, torch.Tensor | None, torch.Tensor | None]:
-        """What depth, guides, masks and holes add to the loss of a view, and its gradients in the
-        picture's opacity and inverse depth; None: it does not depend on them."""
+        """Compute the depth, guide, mask and opacity terms of a view's loss, with their gradients
+        in opacity and inverse depth; None: no dependence."""
         config, mask, composite = (
             self._config,
             training_view.sized.mask,
             self._mask_mode == "composite",
         )
         value, v_alpha, v_inverse_depth = 0.0, None, None
-        if picture.inverse_depth is not None:  # it was drawn because it counts
+        if picture.inverse_depth is not None:  # only rendered if `uses_depth`
             terms = self._depth_terms(training_view.index, step)
             inverse_depth = picture.inverse_depth.detach().requires_grad_()
             alpha = picture.alpha.detach().requires_grad_()
@@ -108,12 +110,12 @@ class StepLoss:
             ]
             term = sum(parts[1:], start=parts[0])
             value += term.item()
-            v_inverse_depth, v_alpha = _slopes(term, inverse_depth, alpha)
+            v_inverse_depth, v_alpha = _gradients(term, inverse_depth, alpha)
         if config.alpha_weight and mask is not None and composite:
             alpha = picture.alpha.detach().requires_grad_()
             term = config.alpha_weight * opacity_loss(alpha, torch.from_numpy(mask))
             value += term.item()
-            (more,) = _slopes(term, alpha)
+            (more,) = _gradients(term, alpha)
             v_alpha = more if v_alpha is None or more is None else v_alpha + more
         if config.opaque_weight and not composite:
             through, slope = see_through(picture.alpha.detach(), mask)
@@ -123,8 +125,8 @@ class StepLoss:
         return value, v_alpha, v_inverse_depth
 
 
-def _slopes(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-    """d term / d leaf; None where the term does not depend on it."""
+def _gradients(term: torch.Tensor, *leaves: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    """Return d term / d leaf; None if the term does not depend on a leaf."""
     if not term.requires_grad:
         return (None,) * len(leaves)
     return torch.autograd.grad(term, leaves, allow_unused=True)

@@ -7,25 +7,25 @@ from ..strategy import Change
 
 
 class StepResult(NamedTuple):
-    """What a step measured and did."""
+    """Measurements and changes of a step."""
 
     loss: float
     mse: float
-    """Mean squared error of the view's pixels that count, before the step."""
+    """Mean squared error of the view's unmasked pixels, before the step."""
     change: Change
-    """What the strategy did."""
+    """Changes by the strategy."""
     bad_rows: int
-    """Splats whose gradients were not finite and were left out."""
+    """Number of splats with gradients that were not finite, which were ignored."""
     skipped: bool
-    """The loss was not finite or came from splats that ran away, so nothing was learnt."""
+    """Whether the update was skipped, because the loss was not finite or came from runaways."""
     lost_rows: int = 0
-    """Splats that ran away and were taken out."""
+    """Number of runaway splats that were reset."""
     cleared_rows: int = 0
-    """Splats that were taken out before a guide."""
+    """Number of splats that were removed in front of a guide mesh."""
 
 
 def combine_results(results: Sequence[StepResult]) -> StepResult:
-    """What the steps of all models measured and did."""
+    """Combine the results of all models: means of the losses, sums of the changes."""
     count = len(results)
     if count == 1:
         return results[0]

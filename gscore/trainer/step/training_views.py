@@ -32,7 +32,7 @@ class TrainingView(NamedTuple):
     """This rank's view with its photo."""
     background: tuple[float, float, float]
     gain: torch.Tensor | None
-    """[3]: learnt gain of its photo; None: no gains."""
+    """[3] float32: gain of its photo; None: no gains."""
 
     @property
     def view(self) -> Frustum:
@@ -70,10 +70,10 @@ class ViewBatcher:
         """Divisor of the photos' sides in the last step."""
 
     def draw(self, plan: Plan, step: int, *, photos: int, models: int) -> list[TrainingView]:
-        """Draw the views of a step that takes `photos` at once, and take out this rank's.
+        """Draw the batch of `photos` for a step, and return this rank's view for each model.
 
         Raises:
-            DatasetError, FormatError: one cannot be had; nothing was done.
+            DatasetError, FormatError: a photo cannot be read; the views go back to the sampler.
         """
         batches = self._next_views(photos, models)
         # A rank without a view in a batch renders another rank's view and discards the result.
@@ -125,10 +125,10 @@ class ViewBatcher:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore the `state` of another batcher.
+        """Restore the values of `state`.
 
         Raises:
-            ValueError, KeyError: it is not what that returns.
+            ValueError, KeyError: they are invalid.
         """
         factor, sampler = state.get("factor"), self._sampler
         self.factor = math.inf if factor is None else as_float("factor", factor, low=1)

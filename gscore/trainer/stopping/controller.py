@@ -11,7 +11,7 @@ from .step_budget import FIRST_STEPS, StepBudget
 
 
 class StoppingController:
-    """Changes the plan of a trainer between two steps, where its options ask for that."""
+    """Changes the length of a trainer's run between two steps, for time budget and criteria."""
 
     def __init__(self, trainer: Trainer, meter: ProgressMeter, evaluator: Evaluator) -> None:
         self._trainer = trainer
@@ -19,13 +19,13 @@ class StoppingController:
         budget = trainer.config.time_budget
         self._pace = StepBudget(budget, trainer.plan_of) if budget else None
         if budget and trainer.plan.iterations < FIRST_STEPS:
-            trainer.replan(FIRST_STEPS)  # a budget knows no number of steps before these
+            trainer.replan(FIRST_STEPS)  # until the pace is measured
         self._goals = StoppingCriteria(trainer.config, trainer, evaluator)
         self._reached = False
 
     @property
     def reason(self) -> str:
-        """Why no more steps are to be taken, one of `events.ENDED`; empty: there are some."""
+        """Reason why the run is complete, one of `events.ENDED`; empty: steps are left."""
         if self._reached:
             return TARGET
         if self._trainer.steps < self._trainer.plan.iterations:
@@ -33,11 +33,11 @@ class StoppingController:
         return CONVERGED if 0 < self._goals.length <= self._trainer.steps else FINISHED
 
     def steer(self) -> float | None:
-        """Look at time and quality; the PSNR if it was measured."""
+        """Update the length of the run; returns the PSNR, dB, if it was measured."""
         trainer, meter, goals = self._trainer, self._meter, self._goals
-        found = None
+        psnr = None
         if goals.due():
-            found = goals.measure()
+            psnr = goals.measure()
             self._reached = goals.reached()
             if goals.converged():
                 trainer.replan(goals.length)
@@ -50,14 +50,14 @@ class StoppingController:
             )
             trainer.replan(min(length, goals.length) if goals.length else length)
         meter.plan = trainer.plan
-        return found
+        return psnr
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
+        """State for `restore`, as JSON values."""
         return self._goals.state()
 
     def restore(self, state: dict[str, Any] | None) -> None:
-        """Go on from what `state` returned; None: from a run that had none."""
+        """Restore the values of `state`; None: the run had none."""
         if state is not None:
             self._goals.restore(state)
         self._reached = self._goals.reached()

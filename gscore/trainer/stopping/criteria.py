@@ -13,21 +13,21 @@ from ..model.checkpoint_schema import as_int, as_measurements
 from ..trainer import Trainer
 
 _MEASURES = 40
-"""Measurements in a run, about."""
+"""Approximate number of measurements in a run."""
 _FEWEST, _MOST = 25, 500
-"""Steps between two of them."""
+"""Limits of the steps between two measurements."""
 _VIEWS = 16
-"""Views that are measured at most."""
+"""Most views that are measured."""
 _WINDOW = 0.15
-"""Share of the run over which the PSNR has to rise."""
+"""Share of the run within which the PSNR must rise."""
 _LEAST_RISE = 0.1
-"""By how much, dB."""
+"""Least rise within `_WINDOW`, dB."""
 _END_PHASE = 0.2
-"""Share of a run that has converged left to its end phase."""
+"""Share of a converged run that remains for its end phase."""
 
 
 class StoppingCriteria:
-    """Measures a run in progress and says when it may end; the same bits, the same end."""
+    """Measures a run in progress and decides when it may end; deterministic, without a clock."""
 
     def __init__(self, config: TrainConfig, trainer: Trainer, evaluator: Evaluator) -> None:
         self._config = config
@@ -36,20 +36,21 @@ class StoppingCriteria:
         count = min(len(evaluator.indices), _VIEWS)
         places = np.linspace(0, len(evaluator.indices) - 1, count).round().astype(int)
         self._views = [evaluator.indices[i] for i in places]
-        self._found: list[tuple[int, float]] = []
+        self._measured: list[tuple[int, float]] = []
+        """Step and PSNR, dB, of each measurement."""
         self.length = 0
-        """Steps after which a run that has converged ends; 0: it has not."""
+        """Last step of a converged run; 0: not converged."""
 
     def due(self) -> bool:
-        """Whether to measure after the step just taken."""
+        """Whether to measure after the last step."""
         config = self._config
         if not (config.target_psnr or (config.early_stop and not self.length)):
             return False
         every = min(max(self._trainer.plan.iterations // _MEASURES, _FEWEST), _MOST)
-        return self._trainer.steps - (self._found[-1][0] if self._found else 0) >= every
+        return self._trainer.steps - (self._measured[-1][0] if self._measured else 0) >= every
 
     def measure(self) -> float:
-        """Mean PSNR of the measured views as they are now, dB, of the pixels that count."""
+        """Measure the mean PSNR over the views, dB, unmasked pixels only."""
         trainer, values = self._trainer, []
         trainer.make_room()
         photos, background = trainer.photos, trainer.renderer.background
@@ -58,35 +59,35 @@ class StoppingCriteria:
             target, weights = target_picture(photo, mask, photos.mask_mode, background)
             if weights is None or weights.any():
                 values.append(psnr(self._evaluator.picture(view), target, mask=weights))
-        found = float(np.mean(values)) if values else math.nan
-        self._found.append((trainer.steps, found))
-        return found
+        mean = float(np.mean(values)) if values else math.nan
+        self._measured.append((trainer.steps, mean))
+        return mean
 
     def reached(self) -> bool:
-        """Whether the last measurement is as high as was asked for."""
+        """Whether the last measurement reaches the target PSNR."""
         target = self._config.target_psnr
-        return bool(target and self._found and self._found[-1][1] >= target)
+        return bool(target and self._measured and self._measured[-1][1] >= target)
 
     def converged(self) -> bool:
-        """Whether the PSNR no longer rises; from then on `length` says when to end."""
-        if not self._config.early_stop or self.length or not self._found:
+        """Whether the PSNR has just stopped rising; sets `length`."""
+        if not self._config.early_stop or self.length or not self._measured:
             return False
-        step, plan = self._found[-1][0], self._trainer.plan
-        if plan.factor_at(step) > 1:  # what larger photos show is still to come
+        step, plan = self._measured[-1][0], self._trainer.plan
+        if plan.factor_at(step) > 1:  # larger photos still add detail
             return False
         since = step - _WINDOW * plan.iterations
-        before = [value for at, value in self._found if at <= since]
-        lately = [value for at, value in self._found if at > since]
-        if not before or max(lately) - max(before) >= _LEAST_RISE:
+        before = [value for at, value in self._measured if at <= since]
+        recent = [value for at, value in self._measured if at > since]
+        if not before or max(recent) - max(before) >= _LEAST_RISE:
             return False
         self.length = min(round(step / (1 - _END_PHASE)), plan.iterations)
         return True
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
-        return {"found": self._found, "length": self.length}
+        """State for `restore`, as JSON values."""
+        return {"found": self._measured, "length": self.length}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned; ValueError or KeyError where it did not."""
-        self._found = as_measurements("found", state["found"])
+        """Restore the values of `state`; ValueError or KeyError if they are invalid."""
+        self._measured = as_measurements("found", state["found"])
         self.length = as_int("length", state["length"]) if self._config.early_stop else 0

@@ -1,4 +1,4 @@
-"""Progress meter: smoothed measurements of a run, its clock, and the history for the report."""
+"""Progress meter: smoothed losses of a run, its clock, and the history for the report."""
 
 import math
 import time
@@ -14,29 +14,35 @@ _EVENTS_PER_SECOND = 5.0
 _HISTORY = 500
 _HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
 _WINDOW = 50
-_WARMING_UP = 5
-"""First steps, whose time tells nothing of the others'."""
+_WARMUP = 5
+"""Number of first steps that are excluded from the pace, because they are slower."""
 _EXPECTED = 0.5
-"""Seconds of the plan that the pace counts for that was expected before: steps soon know better."""
-_REMEMBERED = (2.0, 0.1)
-"""Over which the pace is a mean: seconds of the plan, at least, and a share of what is left of it.
-Where other programs work too, the last dozens of steps alone say one thing now and another then."""
+"""Weight of the initially expected pace, planned seconds: small, because steps soon replace it."""
+_MEMORY = (2.0, 0.1)
+"""Averaging window of the pace: least planned seconds, and share of the remaining ones. With other
+programs running, the last dozens of steps alone vary too much."""
 
 
 class ProgressMeter:
-    """Follows a run step by step; only time spent in steps counts."""
+    """Measures a run step by step; only time spent in steps counts."""
 
     def __init__(
         self, plan: Plan, *, splats: int, pace: float = 1.0, budget: float = math.inf
     ) -> None:
-        """`splats`: how many there are before the first step; `pace`: seconds expected for each
-        second of the plan, before steps tell; `budget`: seconds after which the run ends."""
+        """Create a meter.
+
+        Args:
+            plan: Plan of the run.
+            splats: Number of splats before the first step.
+            pace: Initially expected seconds per planned second.
+            budget: Seconds after which the run ends.
+        """
         self._cost = Cost(plan)
         self.train_seconds = 0.0
         """Seconds spent in steps, without evaluation, files and pauses."""
         self.history: list[dict[str, Any]] = []
-        """Some fields of Progress and what the sides of the photos were divided by, at about 500
-        steps evenly spread; what is not finite is None."""
+        """Fields of Progress and the divisor of the photos' sides, at about 500 evenly spaced
+        steps; None for numbers that are not finite."""
         self._loss = math.nan
         self._mse = math.nan
         self._count = 0
@@ -44,13 +50,13 @@ class ProgressMeter:
         self._splats = splats
         self._budget = budget
         self._expect(pace)
-        self._unsteady = _WARMING_UP
+        self._warmup = _WARMUP
         self._recent: deque[tuple[float, int]] = deque(maxlen=_WINDOW)
         self._last_event = -math.inf
 
     @property
     def plan(self) -> Plan:
-        """What is to come; may be replaced on the way."""
+        """Plan of the run, which may change during the run."""
         return self._cost.plan
 
     @plan.setter
@@ -69,11 +75,11 @@ class ProgressMeter:
         photos: int = 1,
         photo_factor: float = 1.0,
     ) -> None:
-        """Take note of a step that took `seconds`, on so many photos at once, whose sides were
-        divided by `photo_factor`."""
+        """Add a step that took `seconds` on a batch of `photos`, whose sides were divided by
+        `photo_factor`."""
         self.train_seconds += seconds
-        if self._unsteady:
-            self._unsteady -= 1
+        if self._warmup:
+            self._warmup -= 1
         else:
             planned = self._cost.seconds_at(step, self._splats) * photos
             kept = math.exp(-planned / self._memory)
@@ -82,7 +88,7 @@ class ProgressMeter:
         self._recent.append((seconds, photos))
         self._step, self._splats = step, splats
         if math.isfinite(loss) and math.isfinite(mse):
-            # A mean over the first steps, then an exponential one over about _WINDOW.
+            # Arithmetic mean of the first _WINDOW steps, then exponential.
             self._count += 1
             weight = 1.0 / min(self._count, _WINDOW)
             first = self._count == 1
@@ -90,38 +96,37 @@ class ProgressMeter:
             self._mse = mse if first else self._mse + weight * (mse - self._mse)
         every = max(1, self.plan.iterations // _HISTORY)
         if step // every > (step - photos) // every or step == self.plan.iterations:
-            self._remember()
+            self._fit_memory()
             fields = vars(self.progress())
             row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
             self.history.append(row | {"photo_factor": photo_factor})
 
     @property
     def psnr(self) -> float:
-        """The PSNR of the smoothed mean squared error, dB."""
+        """PSNR of the smoothed mean squared error, dB."""
         return -10 * math.log10(max(self._mse, 1e-12))
 
     @property
     def pace(self) -> float:
-        """Seconds to expect for each second of the plan: what was expected before, at first, and
-        more and more what steps take."""
+        """Expected seconds per planned second: first as given, then more and more as measured."""
         return self._spent / self._planned
 
     def _planned_left(self) -> float:
-        """Seconds of the plan that are left."""
+        """Planned seconds that are left."""
         return self._cost.seconds_after(self._step, self._splats)
 
-    def _remember(self) -> None:
-        """Fit the time over which the pace is a mean to what is left."""
-        self._memory = max(_REMEMBERED[0], _REMEMBERED[1] * self._planned_left())
+    def _fit_memory(self) -> None:
+        """Fit the averaging window of the pace to the remaining time."""
+        self._memory = max(_MEMORY[0], _MEMORY[1] * self._planned_left())
 
     def _expect(self, pace: float) -> None:
-        """Take a pace for known, as far as something can be known before the steps."""
+        """Restart the measurement with an expected pace."""
         self._planned = _EXPECTED
         self._spent = _EXPECTED * pace
-        self._remember()
+        self._fit_memory()
 
     def progress(self, *, phase: str = "") -> Progress:
-        """Where the run stands."""
+        """Return the current progress as an event."""
         spent = sum(seconds for seconds, _ in self._recent)
         left = self.pace * self._planned_left()
         rate = sum(photos for _, photos in self._recent) / spent if spent > 0 else 0.0
@@ -138,7 +143,7 @@ class ProgressMeter:
         )
 
     def due(self) -> bool:
-        """Whether a progress event should be sent now; at most a few a second."""
+        """Whether to emit a progress event now: at most a few per second, and at the last step."""
         now = time.monotonic()
         last = self._step >= self.plan.iterations
         if not last and now - self._last_event < 1 / _EVENTS_PER_SECOND:
@@ -147,15 +152,14 @@ class ProgressMeter:
         return True
 
     def rewind(self, step: int, *, splats: int) -> None:
-        """Forget the steps after `step`, at which there were `splats`: they will be taken anew.
-        Their time was spent."""
+        """Discard the steps after `step`, which ended with `splats`, but not their time."""
         self.history = [entry for entry in self.history if entry["step"] <= step]
         self._step, self._splats, self._count = step, splats, 0
         self._expect(self.pace)
         self._recent.clear()
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps, as JSON values; `restore` takes it back."""
+        """State for `restore`, as JSON values."""
         return {
             "train_seconds": self.train_seconds,
             "history": self.history,
@@ -168,7 +172,7 @@ class ProgressMeter:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what `state` returned; ValueError or KeyError where it did not."""
+        """Restore the values of `state`; ValueError or KeyError if they are invalid."""
         self.train_seconds = as_float("train_seconds", state["train_seconds"], low=0)
         self.history = as_records("history", state["history"])
         self._loss = as_float("loss", state["loss"], finite=False)

@@ -1,4 +1,4 @@
-"""Step budget: steps that fit a time limit, so that schedules end when the time does."""
+"""Step budget: number of steps that fit a time limit, so that schedules end in time."""
 
 import math
 from collections.abc import Callable
@@ -8,42 +8,42 @@ from ..schedule.plan import Plan
 
 _MOST_STEPS = 1_000_000
 FIRST_STEPS = 10
-"""Steps after which the speed of the machine is known for the first time."""
+"""Steps before the first measurement of the machine's speed."""
 _SHARE = 0.01
-"""Of the budget: how often the number of steps is fitted to what is left of it."""
+"""Share of the budget between two updates of the number of steps."""
 
 
 class StepBudget:
-    """Fits the length of a run to a budget of seconds, again and again.
+    """Fits the length of a run repeatedly to a budget of seconds.
 
-    Machines slow down, other programs come and go, and captures grow more or fewer splats than
-    one expects. The plan of a run depends on its length alone, so changing the length moves all
-    schedules on, or back, to where they should be.
+    Machines slow down, the load of other programs varies, and the number of splats differs from
+    the forecast. The plan of a run depends only on its length, so a new length adjusts all
+    schedules.
     """
 
     def __init__(self, budget: float, plan_of: Callable[[int], Plan]) -> None:
-        """`budget`: seconds; `plan_of`: the plan of a run of that many steps."""
+        """`budget`: seconds; `plan_of`: returns the plan of a run with a number of steps."""
         self._budget = budget
         self._plan_of = plan_of
         self._last = -math.inf
 
     def due(self, step: int, elapsed: float) -> bool:
-        """Whether the length should be fitted after `step`, `elapsed` seconds into the run."""
+        """Whether to fit the length after `step`, `elapsed` seconds after the start."""
         if step < FIRST_STEPS:
             return elapsed >= self._budget
         return elapsed >= self._budget or elapsed - self._last >= _SHARE * self._budget
 
     def length(self, step: int, *, splats: int, elapsed: float, pace: float) -> int:
-        """Steps of the longest run that ends in time.
+        """Return the number of steps of the longest run within the budget.
 
         Args:
             step: Steps taken.
-            splats: How many there are.
+            splats: Number of splats.
             elapsed: Seconds since the start.
-            pace: Seconds that pass for each second that the plan expects.
+            pace: Seconds per planned second.
 
         Returns:
-            At least `step`: the run is to end now.
+            The number; `step` if the run is to end now.
         """
         self._last = elapsed
         left = self._budget - elapsed

@@ -1,8 +1,8 @@
 """Watchdog: detects divergence, and decides the step to go back to and the lower rates.
 
-Pure bookkeeping on steps and errors, without a clock: the same run comes to the same decisions on
-any machine, and after a resume. The error is the root of the mean squared error of the step's view,
-smoothed: unlike the loss it has no terms that fade in.
+It uses only steps and errors, not a clock, so decisions are the same on any machine and after a
+resume. The error is the smoothed root mean squared error of each step's view: unlike the loss it
+has no terms that fade in.
 """
 
 import math
@@ -15,18 +15,18 @@ from ..schedule.plan import Plan
 MAX_RESCUES = 3
 """Most rescues; a further divergence ends the run with an error."""
 SLOWER = 0.2
-"""Each rescue multiplies all learning rates by this."""
+"""Factor of all learning rates per rescue."""
 _WINDOW = 50
 """Steps over which errors are smoothed; the first ones only initialize the mean."""
 _RATIO, _MARGIN = 1.7, 0.05
-"""Diverged: the error is above `_RATIO` times its best and `_MARGIN` above it (of 1, white against
-black). Healthy runs stay below 1.2 times, with photos that get sharper on the way."""
+"""Diverged: the error is above `_RATIO` times its best and `_MARGIN` above it (white against black
+is 1). Healthy runs stay below 1.2 times, although photos become sharper during the run."""
 _SPOILT = 0.5
 """Diverged: more than this share of the last steps had no finite loss."""
 _LOST = 0.5
-"""Diverged: this share of the splats ran away."""
+"""Diverged: this share of the splats was reset as runaways."""
 _EMPTIED = 0.01
-"""Share of the splats removed at once in front of a guide mesh that leaves holes in pictures."""
+"""Share of the splats, removed in front of a guide mesh in one step, that leaves holes."""
 _FADES = 1000
 """Steps after which the weight of runaway splats has decayed to a third."""
 _HEALTHY = 1.2
@@ -69,8 +69,8 @@ class Watchdog:
             step: The step just taken.
             mse: Mean squared error of its view.
             skipped: Whether its loss was not finite.
-            lost: Share of the splats that were taken out because they ran away.
-            cleared: Share of the splats that were taken out before a guide.
+            lost: Share of the splats that were reset as runaways.
+            cleared: Share of the splats that were removed in front of a guide mesh.
         """
         self._lost += lost - self._lost / _FADES
         self._spoilt += (float(skipped) - self._spoilt) / _WINDOW
@@ -82,11 +82,11 @@ class Watchdog:
                 error if self._count == 1 else self._error + weight * (error - self._error)
             )
         if self.plan.resets_at(step):
-            # Reset opacities darken the picture; the statistics restart once they have recovered.
+            # Resets darken the rendered images; the statistics restart after the recovery.
             self._quiet_until = step + self.plan.reset_every // 2
             self._best = math.inf
         if cleared > _EMPTIED:
-            # So do holes, until the surfaces behind them are trained.
+            # Holes increase the error until the surfaces behind them are trained.
             self._quiet_until = max(self._quiet_until, step + 2 * _WINDOW)
             self._best = math.inf
         if self._spoilt > _SPOILT or self._lost > _LOST:
@@ -97,7 +97,7 @@ class Watchdog:
         return self._error > max(_RATIO * self._best, self._best + _MARGIN)
 
     def worth_keeping(self, step: int) -> bool:
-        """Whether the state after `step` should be kept to go back to."""
+        """Whether the state after `step` should be kept as a good checkpoint."""
         if step % self.plan.kept_every or step < self._quiet_until or self._spoilt > 0.1:
             return False
         return self._count >= _WINDOW and self._error <= _HEALTHY * self._best
@@ -108,22 +108,23 @@ class Watchdog:
         self._good = [*earlier, (step, self._best)][-_GOOD_KEPT:]
 
     def rescue(self, step: int) -> int:
-        """The step to go back to from `step`; drops the statistics since then.
+        """Return the step to go back to from `step`, and discard the statistics since then.
 
-        Another divergence goes back further, unless a new good state was reached before.
+        A further divergence goes back further, unless a new good state was reached before.
 
         Raises:
-            GsError: there is no state to go back to, or it has happened too often.
+            GsError: there is no good checkpoint, or there were too many rescues.
         """
         if self.rescues >= MAX_RESCUES or not self._good:
-            again = f" again, after {self.rescues} times at lower rates" if self.rescues else ""
-            sign = f"the error of pictures was {self._error:.3g}, {self._best:.3g} at best"
+            again = f" again, after {self.rescues} rescues at lower rates" if self.rescues else ""
+            sign = f"the image error was {self._error:.3g}, at best {self._best:.3g}"
             if self._lost > _LOST:
-                sign = f"the numbers of {self._lost:.0%} of the splats ran away"
+                sign = f"{self._lost:.0%} of the splats had runaway values"
             raise GsError(
                 f"Training diverged{again}: at step {step} {sign}. Lower the learning rates "
-                "(--lr-boost 1, --means-lr), and look whether photos and cameras belong together. "
-                "--detect-anomaly says where numbers stop being finite, --no-watchdog goes on."
+                "(--lr-boost 1, --means-lr), and check that photos and cameras match. "
+                "--detect-anomaly finds the first number that is not finite, --no-watchdog "
+                "continues regardless."
             )
         self.rescues += 1
         back, best = self._good.pop() if len(self._good) > 1 else self._good[0]

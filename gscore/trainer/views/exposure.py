@@ -1,4 +1,4 @@
-"""Exposure decision: whether photo gains are learnt, from their differences, and initial gains."""
+"""Exposure decision: whether to optimise photo gains, by their differences, and initial gains."""
 
 import math
 from collections.abc import Sequence
@@ -17,15 +17,15 @@ from .photo_gains import PhotoGains
 from .track_colors import measure_track_colors
 
 LEAST_STOPS = 0.2
-"""Exposure difference to the neighbouring photos, in stops, above which exposure is learnt. Below,
-view-dependent colours absorb it, and fixed gains measured no better."""
+"""RMS exposure difference to the neighbouring photos, in stops, from which gains are optimised.
+Below, view-dependent colours absorb it, and fixed gains measured no better."""
 FAR_STOPS = 1.0
-"""Exposure difference of a single photo, in stops, above which exposure is learnt regardless of the
+"""Exposure difference of a single photo, in stops, from which gains are optimised regardless of the
 others."""
 _NEIGHBOURS = 4
-"""Nearest photos that a photo is compared with."""
+"""Number of nearest photos that a photo is compared with."""
 _SHARED = 20
-"""Fewest observations of the median photo for a measurement by points."""
+"""Least observations of the median photo for a measurement by points."""
 _STOP = math.log(2.0) / 2.2
 """ln of the gain of one stop, in encoded values."""
 
@@ -35,7 +35,7 @@ class Exposure:
     """Exposure decision of a run."""
 
     gains: PhotoGains | None = None
-    """Gains to learn; None: photo colours are used unchanged."""
+    """Gains to optimise; None: photo colours are used unchanged."""
     why: str = ""
     """Message on the decision; empty: no analysis."""
     numbers: dict[str, Any] | None = None
@@ -43,7 +43,7 @@ class Exposure:
 
 
 def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> Exposure:
-    """Measure the exposure of the training photos, and decide whether gains are learnt.
+    """Measure the exposure of the training photos, and decide whether gains are optimised.
 
     Args:
         config: Uses the option `exposure`.
@@ -57,16 +57,16 @@ def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None
         return Exposure()
     train = list(photos.train)
     stated = _stated(photos, train, config.threads)
-    seen = (
+    colors = (
         None
         if tracks is None
         else measure_track_colors(photos, tracks, train, threads=config.threads)
     )
     measured = (
-        seen is not None and np.median(np.bincount(seen.view, minlength=len(train))) >= _SHARED
+        colors is not None and np.median(np.bincount(colors.view, minlength=len(train))) >= _SHARED
     )
     expected = np.zeros((len(train), 3)) if stated is None else stated
-    found = fit_gains(seen, expected) if measured and seen is not None else expected
+    found = fit_gains(colors, expected) if measured and colors is not None else expected
     known = "points seen in several photos" if measured else "EXIF" if stated is not None else ""
     off = stops_off_neighbours(found, photos.scene.cameras.centers[train])
     apart = float(np.sqrt((off**2).mean())) if len(off) else 0.0
@@ -81,7 +81,7 @@ def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None
 
 
 def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[bool, str]:
-    """Whether to learn exposure gains, and a message with the reason.
+    """Decide whether to optimise exposure gains, with the reason as a message.
 
     Args:
         mode: The option `exposure`.

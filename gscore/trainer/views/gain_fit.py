@@ -7,7 +7,7 @@ from .track_colors import TrackColors
 _ROUNDS = 12
 """Rounds of reweighting; the gains change by less than 1e-3 in the last ones."""
 _TUNING = 1.345
-"""Residuals beyond this many standard deviations count less (Huber 1964)."""
+"""Standard deviations beyond which residuals are down-weighted (Huber 1964)."""
 _SIGMA = 1.4826
 """Standard deviation per median absolute value, of a normal distribution."""
 _PRIOR = 1.0
@@ -17,7 +17,7 @@ _SMALLEST = 1e-3
 
 
 def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
-    """ln gain of each photo, zero on average, [V, 3] float64.
+    """Return ln gains of the photos, zero on average, [V, 3] float64.
 
     With c the colour of a point in a photo: ln c = colour of the point + gain of the photo +
     residual. Points are eliminated from the normal equations; Huber weights, by the residual over
@@ -25,8 +25,8 @@ def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
 
     Args:
         seen: Colours of points in photos; V photos.
-        expected: [V, 3] float64: expected ln gain of each photo, for example from EXIF; the result
-            for photos that share no point with others.
+        expected: [V, 3] float64: expected ln gains, for example from EXIF; the result for photos
+            that share no point with others.
     """
     _, point = np.unique(seen.point, return_inverse=True)
     views, points = seen.views, int(point.max(initial=-1)) + 1

@@ -1,4 +1,4 @@
-"""Model renderer: pictures of the splats in training for viewers, metrics and decisions."""
+"""Model renderer: images of the splats in training for viewers, metrics and decisions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,10 +27,10 @@ from .photo_parameters import PhotoParameters
 from .pose_alignment import align_pose
 
 COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
-"""Backgrounds that stay the same."""
+"""Constant backgrounds."""
 _ALIGNED_SIDE = 400
-"""Longer side of the picture by which a held-out camera is aligned, px."""
-_GLANCE = 8
+"""Longer side of the image for the alignment of a held-out camera, px."""
+_CHECK_FACTOR = 8
 """Divisor of a photo's sides for the check whether a view shows any splat."""
 
 _Color = tuple[float, float, float]
@@ -54,11 +54,17 @@ class ModelRenderer:
         cache: int | None = None,
         still: FrozenSplats | None = None,
     ) -> None:
-        """Render the models that `models` returns, merged into one, from `cameras`, those of
-        `photos` in the training frame.
+        """Create the renderer.
 
-        `photo_parameters` are the learnt gains and poses; `cache` is the number of bytes of photos
-        to keep, None: all; `still` are frozen splats, rendered with the model.
+        Args:
+            config: The options.
+            photos: The capture.
+            frame: The training frame.
+            cameras: Cameras of `photos` in the training frame.
+            photo_parameters: Optimised gains and poses.
+            models: Returns the models, which are merged for rendering.
+            cache: Bytes of photos to keep; None: all.
+            still: Frozen splats, rendered with the model.
         """
         self._config = config
         self._photos = photos
@@ -70,7 +76,8 @@ class ModelRenderer:
         """The rasterizer, shared with the training steps to share its memory."""
         self.models = models
         """Returns the models to render."""
-        self._seen: tuple[list[dict[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
+        self._merged: tuple[list[dict[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
+        """Parameters of the models, and of their merged model."""
 
     @property
     def background(self) -> _Color:
@@ -82,15 +89,15 @@ class ModelRenderer:
         parts = [model.synced(threads=self._config.threads) for model in self.models()]
         if len(parts) == 1:
             return parts[0]
-        before, joined = self._seen or ([], {})
+        before, merged = self._merged or ([], {})
         if len(before) != len(parts) or any(a is not b for a, b in zip(before, parts, strict=True)):
-            joined = merge_models(parts)
-            self._seen = parts, joined
-        return joined
+            merged = merge_models(parts)
+            self._merged = parts, merged
+        return merged
 
     def forget(self) -> None:
         """Free the cached parameters for rendering between two steps."""
-        self._seen = None
+        self._merged = None
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
         """View `index` with sides divided by `factor`, at its refined camera pose."""
@@ -114,13 +121,12 @@ class ModelRenderer:
         return background_before_gain(background, gain)
 
     def picture(self, index: int, *, background: _Color) -> torch.Tensor:
-        """Picture of view `index`, [H, W, 3] float32, a copy: with the photo's learnt gain, or
-        neutral without one."""
+        """Render view `index` with the photo's gain, if any: [H, W, 3] float32, a copy."""
         return self._exposed(index, self.view(index), background).clone()
 
     def aligned_picture(self, index: int, *, background: _Color) -> torch.Tensor:
-        """Picture of view `index` at the pose that matches its photo best, [H, W, 3] float32, a
-        copy; its camera is unchanged."""
+        """Render view `index` at the pose that matches its photo best, [H, W, 3] float32, a copy;
+        its camera is unchanged."""
         config, full = self._config, self.view(index)
         factor = max(1.0, max(full.width, full.height) / _ALIGNED_SIDE)
         settings = Settings(
@@ -137,7 +143,7 @@ class ModelRenderer:
         return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
 
     def seen(self, request: FrameRequest) -> torch.Tensor:
-        """Picture for a frame request of a viewer, [height, width, 3] float32."""
+        """Render a frame request of a viewer, [height, width, 3] float32."""
         viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
         size = request.width, request.height
         view = training_camera(viewmats[0], request.K, *size, self._frame.near)
@@ -149,7 +155,7 @@ class ModelRenderer:
     def shows_splats(self, index: int) -> bool:
         """Whether any splat is drawn in view `index`; rendered at an eighth of its size."""
         view = self.view(index)
-        factor = min(_GLANCE, view.width, view.height)
+        factor = min(_CHECK_FACTOR, view.width, view.height)
         width, height = view.width // factor, view.height // factor
         K = view.K / view.K.new_tensor([[factor], [factor], [1]])
         small = replace(view, K=K, width=width, height=height)
@@ -173,14 +179,15 @@ class ModelRenderer:
         return math.sqrt(total / len(indices))
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
-        """Accumulated inverse depth of view `index`, [H, W] float32, 1/world unit, and opacity."""
+        """Render accumulated inverse depth, 1/world unit, and opacity of view `index`, [H, W]
+        float32 each."""
         found = self._show(self.view(index), outputs=OUT_INVERSE_DEPTH)
         assert found.inverse_depth is not None
         scale = np.float32(self._frame.similarity.scale)
         return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
 
     def _exposed(self, index: int, view: Frustum, background: _Color) -> torch.Tensor:
-        """Picture of `view`, the view of photo `index` at any size, with the photo's gain."""
+        """Render `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self._photo_parameters.gain_of(index)
         picture = self._show(view, background=self.background_before_gain(background, gain)).rgb
         return picture if gain is None else picture.mul_(gain)
@@ -189,7 +196,7 @@ class ModelRenderer:
         return self._draw(self.splats(), view, **options)
 
     def _draw(self, splats: dict[str, torch.Tensor], view: Frustum, **options: Any) -> Picture:
-        """The whole view; `options` are those of `Settings`."""
+        """Render a view; `options` are those of `Settings`."""
         config = self._config
         settings = Settings(antialias=config.antialias, threads=config.threads, **options)
         return self.rasterizer.draw(tuple(splats.values()), view, settings)

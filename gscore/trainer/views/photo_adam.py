@@ -1,4 +1,4 @@
-"""Photo Adam: Adam for the parameters of photos, of which a step updates one photo's."""
+"""Photo Adam: Adam for the parameters of photos, updated one photo at a time."""
 
 from collections.abc import Sequence
 
@@ -12,15 +12,15 @@ _BETAS, _EPS = (0.9, 0.999), 1e-15
 
 def rate_at(first: float, last: float, done: float) -> float:
     """Learning rate after the share `done` of a schedule: exponential from `first` to `last`; 0 if
-    one of them is."""
+    either is 0."""
     if first <= 0 or last <= 0:
         return 0.0
     return first * (last / first) ** min(done, 1.0)
 
 
 class PhotoAdam:
-    """Adam moments of W parameters of each of V views (Kingma and Ba 2015), stepped per view: a
-    photo that is not in a step keeps its moments."""
+    """Adam with W parameters for each of V views (Kingma and Ba 2015); a step changes the moments
+    of one view only."""
 
     def __init__(self, views: int, width: int) -> None:
         self._moments = np.zeros((2, views, width))
@@ -47,18 +47,17 @@ class PhotoAdam:
         """Restore the state that `tensors` returned.
 
         Raises:
-            ValueError, KeyError: they are invalid.
+            ValueError, KeyError: the tensors are invalid.
         """
         self._moments = checked_tensor(f"{name}/moments", tensors, self._moments.shape)
         steps = tensors[f"{name}/steps"].tolist()
         if not isinstance(steps, list) or len(steps) != len(self._steps):
-            raise ValueError(f"{name}/steps is not a number of steps a view")
+            raise ValueError(f"{name}/steps does not have one number per view")
         self._steps = np.array([as_int(f"{name}/steps", count) for count in steps], np.int64)
 
 
 def checked_tensor(name: str, tensors: dict[str, torch.Tensor], shape: Sequence[int]) -> np.ndarray:
-    """Copy of a float64 tensor of this shape; ValueError for another type or shape, or values that
-    are not finite."""
+    """Return a copy of a float64 tensor; ValueError unless it is finite and has this shape."""
     found = tensors[name].numpy()
     if found.shape != tuple(shape) or found.dtype != np.float64:
         raise ValueError(f"{name} is {found.dtype} {list(found.shape)}, expected {list(shape)}")

@@ -1,6 +1,6 @@
-"""Photo gains: exposure and white balance of each photo, factors by channel that are learnt.
+"""Photo gains: exposure and white balance of each photo as optimised factors by channel.
 
-The neutral picture times the photo's gain is compared with the photo. Values are encoded (sRGB),
+The rendered image times the photo's gain is compared with the photo. Values are encoded (sRGB),
 where a change of exposure by s stops is a gain of about 2^(s / 2.2), and white balance a gain by
 channel. A gain is stored as three coefficients of `_BASIS`, so that Adam changes the exposure, the
 largest difference between photos, along one axis.
@@ -18,19 +18,19 @@ _Color = tuple[float, float, float]
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
 _NAME = "gain"
-"""Prefix of its tensors in checkpoints."""
+"""Prefix of the tensors in checkpoints."""
 
 
 class PhotoGains:
-    """The gains of the training photos; held-out photos keep a gain of one.
+    """Gains of the training photos; held-out photos keep a gain of one.
 
     Their geometric mean over the training photos is one after every step: otherwise splats could
     become darker and all gains larger, and the exposure of new views would be undefined.
     """
 
     def __init__(self, train: Sequence[int], log_gains: np.ndarray) -> None:
-        """`log_gains`, [V, 3] float64: initial ln gain of R, G, B of all views; those of `train`
-        are learnt, the others unused."""
+        """`log_gains`, [V, 3] float64: initial ln gain of R, G, B of all views; only those of
+        `train` are used."""
         self._train = list(train)
         self._value = np.zeros_like(log_gains)
         self._value[self._train] = log_gains[self._train] @ np.linalg.inv(_BASIS)
@@ -43,7 +43,7 @@ class PhotoGains:
         return self._value @ _BASIS
 
     def of(self, index: int) -> torch.Tensor:
-        """[3] float32: the gain of view `index`."""
+        """Gain of view `index`, [3] float32."""
         return torch.from_numpy(np.exp(self._value[index] @ _BASIS).astype(np.float32))
 
     def learn(self, index: int, v_log_gain: Sequence[float], rate: float) -> None:
@@ -60,7 +60,7 @@ class PhotoGains:
             self._centre()
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All that the next step depends on, by name; no copies."""
+        """State tensors by name; no copies."""
         return {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
 
     @staticmethod
@@ -72,7 +72,7 @@ class PhotoGains:
     def restored(
         cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
     ) -> "PhotoGains":
-        """Gains of `views` photos from the tensors of a checkpoint.
+        """Restore the gains of `views` photos from the tensors of a checkpoint.
 
         Raises:
             ValueError, KeyError: the tensors are invalid.
@@ -87,10 +87,10 @@ class PhotoGains:
 
 
 def background_before_gain(background: _Color, gain: torch.Tensor) -> _Color:
-    """The colour that looks like `background` once it is multiplied by a gain [3].
+    """Return the colour that equals `background` after multiplication by a gain [3].
 
-    Where photos are laid over a background (`composite`), their exposure is not its own: splats are
-    drawn over this colour instead.
+    For photos composited over a background, whose colour does not depend on the exposure: splats
+    are rendered over this colour instead.
     """
     r, g, b = (colour / by for colour, by in zip(background, gain.tolist(), strict=True))
     return (r, g, b)
@@ -103,15 +103,15 @@ def without_background(
     v_rgb: torch.Tensor,
     alpha: torch.Tensor,
 ) -> _Color:
-    """The derivative in ln gain where `background_before_gain` moves with the gain, so that the
-    visible background stays as it is.
+    """Return the derivative in ln gain if `background_before_gain` follows the gain, so that the
+    visible background is constant.
 
     Args:
-        v_log_gain: The derivative for a colour behind the splats that stays.
-        background: The colour that shows.
+        v_log_gain: Derivative for a constant background before the gain.
+        background: Visible background colour.
         gain: [3].
-        v_rgb: [H, W, 3] gradient in the neutral picture.
-        alpha: [H, W] opacity of the picture.
+        v_rgb: [H, W, 3] gradient in the rendered image before the gain.
+        alpha: [H, W] rendered opacity.
     """
     if not any(background):
         return v_log_gain

@@ -16,7 +16,7 @@ from .pose_check import PoseCheck
 
 
 class PhotoParameters:
-    """Gains and poses of photos, each optional, and their updates."""
+    """Gains and poses of the photos, each optional, with their updates."""
 
     def __init__(
         self, config: TrainConfig, gains: PhotoGains | None, poses: PhotoPoses | None
@@ -28,7 +28,7 @@ class PhotoParameters:
         """Poses of the training cameras; None: those of the capture."""
 
     def gain_of(self, index: int) -> torch.Tensor | None:
-        """[3] float32: the gain of photo `index`; None: no gains."""
+        """Gain of photo `index`, [3] float32; None: no gains."""
         return None if self.gains is None else self.gains.of(index)
 
     def at_refined_pose(self, view: Frustum, index: int) -> Frustum:
@@ -55,7 +55,7 @@ class PhotoParameters:
             slopes: [P, 19] float64, one row per view: derivatives of the loss in ln gain of R, G,
                 B, and in the 16 entries of the pose matrix.
             done: Share of the run that is done.
-            factor: All rates are multiplied by this.
+            factor: Factor of all rates.
         """
         pose_rate, config = factor * self.pose_rate(done), self._config
         gain_rate = factor * rate_at(config.exposure_lr, config.exposure_lr_final, done)
@@ -67,7 +67,7 @@ class PhotoParameters:
                 self.gains.learn(index, numbers[:3].tolist(), gain_rate)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All that the next step depends on, by name; no copies."""
+        """State tensors by name; no copies."""
         out: dict[str, torch.Tensor] = {}
         for photo_parameters in (self.gains, self.poses):
             if photo_parameters is not None:

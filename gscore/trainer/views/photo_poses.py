@@ -11,7 +11,7 @@ from .pose_math import moved_pose, pose_distances, pose_gradient
 LIMIT = 0.05
 """Largest change of a refined camera from its initial pose: rad, and shares of the extent."""
 _NAME = "pose"
-"""Prefix of its tensors in checkpoints."""
+"""Prefix of the tensors in checkpoints."""
 
 
 class PhotoPoses:
@@ -30,21 +30,21 @@ class PhotoPoses:
         limit: float = LIMIT,
         learns: bool = True,
     ) -> None:
-        """Begin at `viewmats`, [V, 4, 4] float64.
+        """Create poses that start at `viewmats`.
 
         Args:
-            train: Views whose poses are learnt.
-            viewmats: World to camera, of all views.
+            train: Views whose poses are optimised.
+            viewmats: [V, 4, 4] float64, world to camera, of all views.
             unit: Translation equivalent to a rotation by 1 rad: about the distance of cameras from
                 the scene, training units.
             limit: Largest change of a camera from its initial pose, rad and `unit`.
-            learns: Whether the poses are refined, not only stored.
+            learns: Whether the poses are refined; False: only stored.
         """
         self._train = list(train)
         self._first, self._viewmats = viewmats.copy(), viewmats.copy()
         self._unit, self._limit = unit, limit
         self.learns = learns
-        """Whether the poses are refined, not only stored."""
+        """Whether the poses are refined; False: only stored."""
         self._adam = PhotoAdam(len(viewmats), 6)
 
     @property
@@ -53,7 +53,7 @@ class PhotoPoses:
         return self._viewmats
 
     def of(self, index: int) -> torch.Tensor:
-        """[4, 4] float32: the pose of view `index`."""
+        """Pose of view `index`, world to camera, [4, 4] float32."""
         return torch.from_numpy(self._viewmats[index].astype(np.float32))
 
     def learn(self, index: int, v_viewmat: torch.Tensor, rate: float) -> None:
@@ -62,7 +62,7 @@ class PhotoPoses:
         Args:
             index: Training view.
             v_viewmat: [4, 4] derivative of the loss in the pose; skipped unless finite.
-            rate: Learning rate, rad and units.
+            rate: Learning rate, rad and `unit`.
         """
         before = self._viewmats[index].copy()
         scale = np.repeat([1.0, self._unit], 3)
@@ -71,7 +71,7 @@ class PhotoPoses:
             return
         motion = self._adam.step(index, grad, rate) * scale
         self._viewmats[index] = self._limited(index, moved_pose(before, motion))
-        self._take_back(np.linalg.inv(before) @ self._viewmats[index])
+        self._remove_mean(np.linalg.inv(before) @ self._viewmats[index])
 
     def _limited(self, index: int, pose: np.ndarray) -> np.ndarray:
         """`pose`, or the camera's current pose if `pose` is beyond the limit."""
@@ -79,15 +79,15 @@ class PhotoPoses:
         far = angle[0] > self._limit or distance[0] > self._limit * self._unit
         return self._viewmats[index] if far else pose
 
-    def _take_back(self, motion: np.ndarray) -> None:
-        """Remove the mean of a motion of one camera, [4, 4] in the world, from all cameras."""
+    def _remove_mean(self, motion: np.ndarray) -> None:
+        """Remove the mean over all cameras of a motion of one, [4, 4] in the world."""
         turn, count = motion[:3, :3], len(self._train)
         axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
         mean = np.concatenate([np.array(axis) / 2, motion[:3, 3]]) / count
         self._viewmats[self._train] = self._viewmats[self._train] @ moved_pose(np.eye(4), -mean)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All that the next step depends on, by name; no copies."""
+        """State tensors by name; no copies."""
         facts = [self._unit, self._limit, float(self.learns)]
         return {
             f"{_NAME}/viewmats": torch.from_numpy(self._viewmats),
@@ -104,7 +104,7 @@ class PhotoPoses:
     def restored(
         cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
     ) -> "PhotoPoses":
-        """Poses of `views` photos from the tensors of a checkpoint.
+        """Restore the poses of `views` photos from the tensors of a checkpoint.
 
         Raises:
             ValueError, KeyError: the tensors are invalid.

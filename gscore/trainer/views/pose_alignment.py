@@ -1,4 +1,4 @@
-"""Pose alignment: the camera pose from which trained splats match a photo best."""
+"""Pose alignment: optimisation of a camera pose for trained splats to match a photo."""
 
 from collections.abc import Mapping
 
@@ -26,11 +26,11 @@ def align_pose(
     mask_mode: str,
     unit: float,
 ) -> torch.Tensor:
-    """[4, 4] float32: camera pose that minimizes the photo's loss; the splats are fixed.
+    """Return the camera pose, [4, 4] float32, that minimises the photo's loss for fixed splats.
 
     Args:
-        splats: The raw parameters by name.
-        sized: The view, its photo and mask.
+        splats: Raw parameters by name.
+        sized: View with its photo and mask.
         settings: Render settings.
         mask_mode: Meaning of the mask.
         unit: Translation equivalent to a rotation by 1 rad, world units of the view.

@@ -15,10 +15,10 @@ BAD = 2.0
 """Median reprojection error above which a camera pose is wrong, in pixels of a photo of 1,000 px.
 Structure from motion leaves 0.4 to 1.4."""
 _BETTER = 0.5
-"""Largest share of the error that a new pose may leave."""
+"""Largest error of an accepted new pose relative to the old one."""
 _DOUBT = 0.1
 """Share of training cameras with a wrong pose after resection above which poses are refined from
-the photos: a smaller share may just have wrong points."""
+the photos; a smaller share may just have wrong points."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,35 +44,37 @@ def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> 
     """
     if config.refine_poses is Switch.OFF:
         return PoseCheck()
-    asked = config.refine_poses is Switch.ON
+    forced = config.refine_poses is Switch.ON
     viewmats = photos.scene.cameras.viewmats.copy()
-    seen = _sights(photos, tracks) if tracks is not None else {}
-    errors = {i: _pixels(photos, i, median_residual(viewmats[i], one)) for i, one in seen.items()}
+    observed = _observations(photos, tracks) if tracks is not None else {}
+    errors = {
+        i: _pixels(photos, i, median_residual(viewmats[i], one)) for i, one in observed.items()
+    }
     known = [error for error in errors.values() if np.isfinite(error)]
     if not known:
-        return _unknown(viewmats, asked=asked)
+        return _unknown(viewmats, forced=forced)
     fact = f"{float(np.median(known)):.1f} px of 1,000"
     bad = [i for i, error in errors.items() if error > BAD]
     if not bad:
-        if asked:
+        if forced:
             return PoseCheck(
                 viewmats=viewmats, learns=True, why="Training poses are learnt (asked for)."
             )
         why = f"Cameras agree with the points they saw ({fact}), so they stay where they are."
         return PoseCheck(why=why)
-    better = _place(photos, seen, errors, viewmats, bad)
+    better = _realign(photos, observed, errors, viewmats, bad)
     left = len(bad) - better
     why = (
         f"{count_words(len(bad), 'training camera misses', 'training cameras miss')} the points "
         f"seen from there ({fact} in the median of all): {better} placed anew by these points"
     )
-    learns = asked or left > _DOUBT * len(photos.train)
+    learns = forced or left > _DOUBT * len(photos.train)
     why += ", and poses are learnt from the photos." if learns else "."
     return PoseCheck(viewmats=viewmats, learns=learns, why=why)
 
 
-def _unknown(viewmats: np.ndarray, *, asked: bool) -> PoseCheck:
-    if asked:
+def _unknown(viewmats: np.ndarray, *, forced: bool) -> PoseCheck:
+    if forced:
         return PoseCheck(
             viewmats=viewmats, learns=True, why="Training poses are learnt (asked for)."
         )
@@ -82,7 +84,7 @@ def _unknown(viewmats: np.ndarray, *, asked: bool) -> PoseCheck:
     )
 
 
-def _sights(photos: Dataset, tracks: Tracks) -> dict[int, PointObservations]:
+def _observations(photos: Dataset, tracks: Tracks) -> dict[int, PointObservations]:
     """Observations of each training camera."""
     found = {}
     for i in photos.train:
@@ -93,19 +95,19 @@ def _sights(photos: Dataset, tracks: Tracks) -> dict[int, PointObservations]:
     return found
 
 
-def _place(
+def _realign(
     photos: Dataset,
-    seen: dict[int, PointObservations],
+    observed: dict[int, PointObservations],
     errors: dict[int, float],
     viewmats: np.ndarray,
     bad: Sequence[int],
 ) -> int:
-    """Realign cameras in `viewmats` where that reduces the error; returns the number that are good
+    """Realign cameras in `viewmats` where that reduces the error; return the number that are good
     afterwards."""
     count = 0
     for i in bad:
-        pose = resection_pose(viewmats[i], seen[i])
-        error = _pixels(photos, i, median_residual(pose, seen[i]))
+        pose = resection_pose(viewmats[i], observed[i])
+        error = _pixels(photos, i, median_residual(pose, observed[i]))
         if error <= _BETTER * errors[i]:
             viewmats[i], count = pose, count + (error <= BAD)
     return count

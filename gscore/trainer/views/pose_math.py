@@ -6,7 +6,7 @@ from ...scene import camera_centers
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """[..., 3, 3]: the matrices by which vectors [..., 3] are multiplied crosswise."""
+    """Return skew-symmetric matrices, [..., 3, 3], of the cross products with vectors [..., 3]."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
@@ -14,19 +14,19 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
 
 
 def moved_pose(viewmat: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """A pose after a motion in the axes of its camera.
+    """Apply a motion in camera axes to a pose.
 
     Args:
         viewmat: [..., 4, 4] float64, world to camera.
-        motion: [..., 6] float64: a rotation vector (Rodrigues), rad, then a shift, world units.
+        motion: [..., 6] float64: rotation vector (Rodrigues), rad, then translation, world units.
 
     Returns:
-        [..., 4, 4]: `[R | t] viewmat`.
+        [..., 4, 4] float64: `[R | t] viewmat`.
     """
     vector = motion[..., :3]
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     cross = cross_matrix(vector)
-    # sin(a) / a and (1 - cos(a)) / a^2 = (sin(a / 2) / (a / 2))^2 / 2, right at 0 too.
+    # sin(a) / a and (1 - cos(a)) / a^2 = (sin(a / 2) / (a / 2))^2 / 2, valid at 0 too.
     first, half = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi))
     rotation = np.eye(3) + first * cross + 0.5 * half**2 * (cross @ cross)
     out = np.zeros(np.broadcast_shapes(viewmat.shape, (*motion.shape[:-1], 4, 4)))
@@ -37,7 +37,7 @@ def moved_pose(viewmat: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 
 def pose_distances(viewmats: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far poses [V, 4, 4] lie from others: angles [V] in rad, distances of the centres [V]."""
+    """Return distances between poses [V, 4, 4]: angles [V], rad, and of the centres [V]."""
     turn = viewmats[:, :3, :3] @ others[:, :3, :3].transpose(0, 2, 1)
     # The sine is exact for small angles, where the cosine is not.
     skew = np.stack(
@@ -54,10 +54,10 @@ def pose_distances(viewmats: np.ndarray, others: np.ndarray) -> tuple[np.ndarray
 
 
 def pose_gradient(viewmat: np.ndarray, v_viewmat: np.ndarray) -> np.ndarray:
-    """[6]: derivative of a loss in the motion of `moved`, at none.
+    """Return the derivative [6] of a loss in the motion of `moved_pose`, at zero motion.
 
     Args:
-        viewmat: [4, 4] float64.
+        viewmat: [4, 4] float64, world to camera.
         v_viewmat: [4, 4] derivative in its entries.
     """
     turning = np.cross(viewmat[:3].T, v_viewmat[:3].T).sum(axis=0)

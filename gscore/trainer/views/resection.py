@@ -9,7 +9,7 @@ from .pose_math import cross_matrix, moved_pose
 _ROUNDS = 15
 """Gauss-Newton iterations."""
 _LEAST = 12
-"""Fewest points for a resection."""
+"""Least points for a resection."""
 _TUNING = 2.0
 """Scale of the Cauchy weights, in median residuals."""
 _FLOOR = 1e-4
@@ -27,7 +27,7 @@ class PointObservations:
 
 
 def residuals(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
-    """[M, 2]: reprojected x / z and y / z minus the observed ones; NaN behind the camera."""
+    """Return [M, 2]: reprojected minus observed x / z and y / z; NaN behind the camera."""
     local = seen.points @ viewmat[:3, :3].T + viewmat[:3, 3]
     z = np.where(local[:, 2] > 0, local[:, 2], np.nan)
     return local[:, :2] / z[:, None] - seen.rays
@@ -42,8 +42,8 @@ def median_residual(viewmat: np.ndarray, seen: PointObservations) -> float:
 
 
 def resection_pose(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
-    """Camera pose, [4, 4], with the smallest reprojection error; the given one if there are fewer
-    than twelve points or no better pose is found.
+    """Return the camera pose, [4, 4], of the smallest reprojection error; the given one with fewer
+    than twelve points or if no better pose is found.
 
     Iteratively reweighted least squares over the motion of `moved_pose`, with Cauchy weights.
     """
@@ -62,7 +62,7 @@ def resection_pose(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
 
 
 def _step(pose: np.ndarray, seen: PointObservations) -> np.ndarray | None:
-    """[6]: motion of one Gauss-Newton step; None without a solution."""
+    """Motion [6] of one Gauss-Newton step; None without a solution."""
     off = residuals(pose, seen)
     good = np.isfinite(off).all(axis=1)
     if good.sum() < _LEAST:

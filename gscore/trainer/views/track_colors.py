@@ -10,8 +10,8 @@ from ...datasets.tracks import Tracks
 from ...io.images.read_image import resize
 
 _SIDE = 200
-"""Longer side of the reduced pictures that colours are sampled from, px: pixels large enough to
-tolerate reprojection errors."""
+"""Longer side of the downscaled photos that colours are sampled from, px: large pixels tolerate
+reprojection errors."""
 _DARK, _BRIGHT = 10, 245
 """Range of bytes in which a colour follows the exposure."""
 _SHOWN = 128
@@ -23,7 +23,7 @@ class TrackColors:
     """S colours of P points in V photos."""
 
     view: np.ndarray
-    """[S] int64, 0 to V - 1: position of the view in the measured ones."""
+    """[S] int64, 0 to V - 1: index in the measured views."""
     point: np.ndarray
     """[S] int64, row of the point."""
     log_color: np.ndarray
@@ -38,7 +38,7 @@ class TrackColors:
 def measure_track_colors(
     dataset: Dataset, tracks: Tracks, indices: list[int], *, threads: int
 ) -> TrackColors:
-    """Colours of points at their observations, except dark, clipped and masked ones.
+    """Measure the colours of points at their observations, except dark, clipped and masked ones.
 
     Args:
         dataset: The photos.

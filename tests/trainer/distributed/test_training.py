@@ -292,7 +292,7 @@ def test_a_restart_touches_no_run_of_others(
     monkeypatch.setenv("TORCHELASTIC_RESTART_COUNT", "1")
     refused = train(capture, run, "--iterations", "80")
     assert [rank.code for rank in refused] == [2, 2]
-    assert "holds another run" in refused[0].err
+    assert "contains another run" in refused[0].err
     assert (run / "point_cloud.ply").stat() == before
 
 

@@ -85,7 +85,7 @@ def test_another_capture_is_refused(
     photos.scene.cameras.viewmats[0, 0, 3] += 1e-9
     with pytest.raises(ConfigError, match="cameras of the capture are not the same"):
         checkpoint.check_compatible(found, CONFIG, photos)
-    with pytest.raises(ConfigError, match=r"another run: -r was 1, is 2\. A run"):
+    with pytest.raises(ConfigError, match=r"another run: -r was 1, is 2\. A resumed"):
         checkpoint.check_compatible(found, CONFIG, photos, changed=["-r was 1, is 2"])
     photos = make_photos()
     photos.images[2][0, 0, 0] ^= 1
@@ -234,7 +234,7 @@ def test_content_that_no_run_writes_is_refused(
         inner = inner[key]
     inner[place[-1]] = value
     path.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
-    with pytest.raises(FormatError, match=f"understands .*{told}"):
+    with pytest.raises(FormatError, match=f"can read .*{told}"):
         train(
             replace(config, iterations=6),
             DataConfig(source=capture),
@@ -250,7 +250,7 @@ def test_a_checkpoint_says_which_tensors_it_has(saved: tuple[Trainer, Path], sta
     raw = path.read_bytes()
     content = json.loads(checkpoint_json(raw)) | {"tensors": stated}
     path.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
-    with pytest.raises(FormatError, match="it does not say which tensors it has"):
+    with pytest.raises(FormatError, match="it has no list of its tensors"):
         checkpoint.load(path)
 
 
@@ -330,7 +330,7 @@ def test_a_resume_under_another_instruction_set_is_told(capture: Path, tmp_path:
         raw = path.read_bytes()
         backend.set_isa(other)
         (message,) = _goes_on(capture, out, steps=12)
-        assert f"with {first} up to step 8" in message and f"goes on with {other}" in message
+        assert f"used {first} up to step 8" in message and f"continues with {other}" in message
         assert f"GSCORE_ISA={first}" in message
         assert message in (out / "report.html").read_text(encoding="utf-8")
         assert _goes_on(capture, out, steps=13) == []

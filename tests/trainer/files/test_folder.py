@@ -36,7 +36,7 @@ def test_a_new_folder_is_made_and_removed_if_nothing_was_written(tmp_path: Path)
 def test_another_run_is_refused_and_untouched(tmp_path: Path) -> None:
     """Oracle: the message names what was found and both ways out; every file is as before."""
     a_run(tmp_path, "metrics.json")
-    found = r"holds another run \(config.json, metrics.json\).*--resume.*--overw"
+    found = r"contains another run \(config.json, metrics.json\).*--resume.*--overw"
     with (
         pytest.raises(ConfigError, match=found),
         open_folder(tmp_path, resume=False, overwrite=False),
@@ -225,7 +225,7 @@ def test_a_sequence_is_no_single_run(tmp_path: Path) -> None:
     a_run(tmp_path)
     (tmp_path / "sequence.json").write_text("{}")
     with (
-        pytest.raises(ConfigError, match="holds a sequence"),
+        pytest.raises(ConfigError, match="contains a sequence"),
         open_folder(tmp_path, resume=False, overwrite=True),
     ):
         pass
@@ -262,7 +262,7 @@ def test_resume_needs_a_checkpoint(tmp_path: Path) -> None:
     """Oracle: the message, and no folder made on the way."""
     path = tmp_path / "none"
     with (
-        pytest.raises(ConfigError, match="holds no checkpoint"),
+        pytest.raises(ConfigError, match="has no checkpoint"),
         open_folder(path, resume=True, overwrite=False),
     ):
         pass

@@ -49,7 +49,7 @@ def test_a_frame_is_found_in_its_run() -> None:
     options = SequenceOptions(keyframe_every=2)
     frames, runs = planned(options), independent_runs(5, options)
     assert run_of_frame(frames, runs, 30) == run_of_frame(frames, runs, 20) == range(2, 4)
-    with pytest.raises(ConfigError, match="--frame 3 is none of the frames of this sequence, 0 to"):
+    with pytest.raises(ConfigError, match="--frame 3 is not in the sequence, whose frames"):
         run_of_frame(frames, runs, 3)
 
 

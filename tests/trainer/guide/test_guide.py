@@ -348,9 +348,9 @@ def test_a_run_says_what_guides_it_and_goes_on(
     )
     assert again.splats.means.tobytes() == whole.splats.means.tobytes()
     wall(mesh, offset=0.1)
-    with pytest.raises(ConfigError, match="other meshes guided it"):
+    with pytest.raises(ConfigError, match="its guide meshes differ"):
         train(config, data, tmp_path / "other", start_checkpoint=half)
-    with pytest.raises(ConfigError, match="other meshes guided it"):
+    with pytest.raises(ConfigError, match="its guide meshes differ"):
         train(
             replace(config, guide_surface=None, guide_free=None),
             data,

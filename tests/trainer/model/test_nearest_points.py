@@ -35,9 +35,9 @@ def test_both_trees_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = PointCloud(points=points, colors=colors)
     options = {"extent": 1.0, "opacity": 0.1, "scale": 1.0, "max_splats": 500, "seed": 3}
     quick = splats_from_points(cloud, **options)
-    assert NearestPoints(points, asked=500)._hurry
+    assert NearestPoints(points, asked=500)._build_fast
     monkeypatch.setattr(module, "_MANY", 10**9)
-    assert not NearestPoints(points, asked=500)._hurry
+    assert not NearestPoints(points, asked=500)._build_fast
     even = splats_from_points(cloud, **options)
     for name in PARAMETERS:
         np.testing.assert_array_equal(getattr(quick, name), getattr(even, name))

@@ -64,7 +64,7 @@ def goals_of(photos: Any, course: Callable[[int], float], config: TrainConfig) -
     for step in range(1, config.iterations + 1):
         trainer.steps = step
         if goals.due():
-            goals._found.append((step, course(step)))
+            goals._measured.append((step, course(step)))
             if goals.converged():
                 break
     return goals
