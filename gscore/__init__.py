@@ -1,13 +1,13 @@
 """3D Gaussian Splatting that trains and renders on any CPU.
 
-What scripts use is listed in `__all__`, and what front ends need besides in `gscore.frontend`. Both
-load a name when it is first used: importing gscore costs a few milliseconds and brings in neither
-torch nor the native library.
+`__all__` is the interface of scripts, `gscore.frontend` the additional one of front ends. Both load
+a name on first use: importing gscore takes a few milliseconds and loads neither torch nor the
+native library.
 """
 
 from ._version import __version__
 
-TYPE_CHECKING = False  # type checkers know the name; the module typing takes milliseconds to load
+TYPE_CHECKING = False  # type checkers know the name; importing typing takes milliseconds
 if TYPE_CHECKING:
     from typing import Any
 
@@ -81,7 +81,7 @@ _HOME = {
     "write_splat_file": "formats",
     "write_splats": "io.ply.splats",
 }
-"""Where a public name lives."""
+"""Module of each public name."""
 
 __all__ = [
     "PRESETS",

@@ -1,6 +1,6 @@
 """The program `gscore`, also `python -m gscore`: command line with early signal handlers.
 
-What is imported before the handlers are set stays small: until then Ctrl-C ends in a traceback.
+Few modules are imported before the handlers are set: until then Ctrl-C ends in a traceback.
 """
 
 import os
@@ -14,19 +14,19 @@ def main() -> int:
     """Run the command line of this process; returns its exit code."""
     numbers = ending_signals()
     for number in numbers:
-        signal.signal(number, _leave)  # nothing is open yet, so there is nothing to tidy up
+        signal.signal(number, _leave)  # nothing is open yet, so nothing needs cleanup
     from .commands import main as run
 
     code = run()
     for number in numbers:
-        signal.signal(number, signal.SIG_IGN)  # all is done; Python's own exit takes a moment
+        signal.signal(number, signal.SIG_IGN)  # the work is done; Python's exit takes a moment
     return code
 
 
 def _leave(number: int, frame: object) -> None:
     try:
         os.write(2, b"Stopped.\n")
-    finally:  # perhaps nobody is there to read it
+    finally:  # stderr may be closed
         os._exit(128 + number)
 
 

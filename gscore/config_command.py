@@ -16,21 +16,21 @@ _OF_A_PRESET = ("iterations", "max_splats", "sh_degree")
 
 
 def preset_of(data: DataConfig) -> str:
-    """The preset that limits photos to this width; empty: none does, and no option could."""
+    """The preset with this width limit of photos; empty: none, and no option sets such a limit."""
     widths = {make(data.source)[0].max_width: name for name, make in PRESETS.items()}
     return widths.get(data.max_width, "")
 
 
 def preset_words(data: DataConfig, train: TrainConfig) -> str:
-    """The preset by name, and whether other options replace its own; empty where there is none."""
+    """Name of the preset, and whether options were changed; empty: no preset."""
     name = preset_of(data)
     if not name:
         return ""
     plain = PRESETS[name](data.source)[1]
     for option, limit in LIFTED_BY.items():
-        found = getattr(train, option)
-        if found < getattr(plain, option) and getattr(train, limit):  # as the limit has them
-            plain = replace(plain, **{option: found})
+        value = getattr(train, option)
+        if value < getattr(plain, option) and getattr(train, limit):  # lowered by the limit
+            plain = replace(plain, **{option: value})
     changed = any(getattr(plain, option) != getattr(train, option) for option in _OF_A_PRESET)
     return f"preset {name}, changed" if changed else f"preset {name}"
 
@@ -38,13 +38,13 @@ def preset_words(data: DataConfig, train: TrainConfig) -> str:
 def train_command(
     data: DataConfig, train: TrainConfig, output: Path, *, asked: Mapping[str, int] | None = None
 ) -> str:
-    """The `gscore train` that has these options, for a shell; empty where there is none.
+    """The `gscore train` command with these options, for a shell; empty if there is none.
 
     Args:
         data, train: The options.
         output: Folder for the results.
-        asked: Value by option of what photos limited, before they did: the same photos limit it
-            again, so that nobody needs to give it.
+        asked: Requested value of each option that the photos limited. The same photos limit it
+            again, so the command omits it.
     """
     preset = preset_of(data)
     if not preset or (data.eval and data.test_offset is not None):
@@ -61,29 +61,29 @@ def train_command(
 
 
 def _given(plain: TrainConfig, train: TrainConfig) -> dict[str, Any]:
-    """Value by option of what to give by itself, so that a preset becomes `train`."""
+    """Options to add to a preset to obtain `train`, by name."""
     given = dict(_differences(plain, train))
     if train.time_budget:
-        given.pop("iterations", None)  # a budget finds the steps itself
+        given.pop("iterations", None)  # a time budget determines the steps
     for name, limit in LIFTED_BY.items():
         if name == "iterations" and train.time_budget:
             continue
         before, now = getattr(plain, limit), getattr(train, limit)
-        if before and not now:  # what lifts it is given, even where it is the preset's
+        if before and not now:  # giving the option lifts the limit, even with the preset's value
             del given[limit]
             given[name] = getattr(train, name)
         elif name in given and now:
-            given[limit] = now  # or it would be lifted
+            given[limit] = now  # else giving the option would lift the limit
     return given
 
 
 def depth_command(data: DataConfig) -> str:
-    """The `gscore depth` that makes maps for these views, for a shell; how is left to add. Empty
-    where none has their split."""
+    """The `gscore depth` command for these views, for a shell, without the method. Empty if no
+    command has their split."""
     if data.eval and data.test_offset is not None:
         return ""
     words = ["gscore", "depth", str(data.source)]
-    if data.eval:  # the verb knows no --eval, and its 8 leaves a capture's own split as it is
+    if data.eval:  # the verb has no --eval; its value 8 keeps the split of the capture
         words += ["--hold-out", hold_out_word(data) or str(data.test_every)]
     return shlex.join(words)
 
@@ -100,7 +100,7 @@ def _differences(
 
 
 def _split(data: DataConfig) -> list[str]:
-    """What chooses the test views, the rule that wins alone; a rule implies --eval."""
+    """The option of the rule that selects the test views; a rule implies --eval."""
     if not data.eval:
         return []
     word = hold_out_word(data)
@@ -108,7 +108,7 @@ def _split(data: DataConfig) -> list[str]:
 
 
 def _option(name: str, value: Any) -> list[str]:
-    """The words of one option."""
+    """The arguments of one option."""
     flag = flag_of(name)
     if isinstance(value, bool):
         return [flag if value else "--no-" + flag.removeprefix("--")]

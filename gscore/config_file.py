@@ -21,7 +21,7 @@ _REMOVED = {
     "coarse_by_detail": (False, "photos become larger at times that do not depend on their detail"),
     "reg_final": (1.0, "the penalties of mcmc keep their weight to the end of a training"),
 }
-"""Options that files may still state, by name: the only value that can, and why."""
+"""Removed options that files may still contain: the only accepted value, and the reason."""
 
 
 def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
@@ -33,8 +33,8 @@ def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
     """The config that `to_dict` wrote; options that are missing keep their defaults.
 
     Args:
-        cls: DataConfig or TrainConfig, or another class of data with fields of such types.
-        data: What JSON gave.
+        cls: DataConfig or TrainConfig, or another dataclass with fields of such types.
+        data: The parsed JSON.
         where: Name of the file and section, for messages.
 
     Raises:
@@ -62,7 +62,7 @@ def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
 
 
 def config_json(data: DataConfig, train: TrainConfig) -> str:
-    """Both configs as the text of the config.json that `load_config` reads, paths absolute."""
+    """Both configs as the text of a config.json for `load_config`, with absolute paths."""
     content = {
         "gscore": __version__,
         "data": to_dict(_absolute(data)),
@@ -72,14 +72,14 @@ def config_json(data: DataConfig, train: TrainConfig) -> str:
 
 
 def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
-    """Read a config.json: one that a run left in its output folder, or one written by hand.
+    """Read the config.json of a run, or one written by hand.
 
     Raises:
-        ConfigError: no such file, not JSON, an unknown option or a bad value.
+        ConfigError: no such file, not JSON, an unknown option or an invalid value.
     """
     try:
         if path.exists() and not path.is_file():  # opening a named pipe would wait for its writer
-            raise ConfigError(f"{path}: a config file was expected, and this is none.")
+            raise ConfigError(f"{path}: expected a config file, but this is not a regular file.")
         content = parse_json(path.read_bytes())
     except FileNotFoundError:
         raise ConfigError(f"{path}: there is no such config file.") from None
@@ -88,7 +88,7 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
     except ValueError as error:
         raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
     if not isinstance(content, dict) or not {"data", "train"} <= content.keys():
-        raise ConfigError(f"{path}: expected an object with 'data' and 'train', as runs write it.")
+        raise ConfigError(f"{path}: expected an object with 'data' and 'train', as in a run.")
     return (
         from_dict(DataConfig, content["data"], where=f"{path}: data"),
         from_dict(TrainConfig, content["train"], where=f"{path}: train"),
@@ -108,19 +108,19 @@ def _check_removed(name: str, value: Any, where: str) -> None:
     usual, reason = _REMOVED[name]
     if value != usual:
         raise ConfigError(
-            f"{where}: {name} is {quoted(value)}, but {reason}: there is no such option. Leave "
-            "it out and train anew."
+            f"{where}: {name} is {quoted(value)}, but {reason}; the option was removed. Leave it "
+            "out and train again."
         )
 
 
 def _shown(value: Any) -> Any:
-    if value in ("", "missing"):  # without quotes these read as if nothing had been stated
+    if value in ("", "missing"):  # without quotes these would read like a missing value
         return quoted(str(value))
     return f"{value:g}" if isinstance(value, float) else to_json(value)
 
 
 def _absolute(config: ConfigT) -> ConfigT:
-    """The config with paths that mean the same from any folder."""
+    """The config with absolute paths."""
     values = {f.name: getattr(config, f.name) for f in fields(config)}
     paths = {name: value.absolute() for name, value in values.items() if isinstance(value, Path)}
     return replace(config, **paths)
@@ -155,7 +155,7 @@ def _from_json(value: Any, kind: Any, where: str) -> Any:
         try:
             return float(value)
         except OverflowError:
-            return math.inf if value > 0 else -math.inf  # which the ranges refuse
+            return math.inf if value > 0 else -math.inf  # refused by the range checks
     if kind in (int, bool, str) and type(value) is kind:
         return value
     name = "list of numbers" if options else getattr(kind, "__name__", str(kind)).lower()

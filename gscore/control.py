@@ -56,8 +56,8 @@ class Control:
 
     def take_snapshot(self) -> bool:
         """True after a snapshot request since the last call."""
-        asked, self._snapshots = self._snapshots > 0, 0
-        return asked
+        requested, self._snapshots = self._snapshots > 0, 0
+        return requested
 
     def unknown(self) -> list[str]:
         """Unknown lines since the last call."""
@@ -72,11 +72,11 @@ class Control:
         held: Callable[[], bool] = lambda: False,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
-        """Return when training may go on or must end, or when something else was asked for.
+        """Return when training may continue or must end, or after any other request.
 
         Args:
-            held: Whether somebody else wants it to wait.
-            meanwhile: Called over and over.
+            held: Returns True while another party, such as a viewer, pauses the training.
+            meanwhile: Called repeatedly.
         """
         while (self.paused or held()) and not (self.stopping or self._snapshots or self._unknown):
             meanwhile()
@@ -87,10 +87,10 @@ def listen(control: Control, descriptor: int, *, on_end: Callable[[], None]) -> 
     """Feed the lines of a file descriptor to `control` from a daemon thread.
 
     Args:
-        control: Gets the lines.
-        descriptor: Read until its end. `os.read` holds no lock of Python's, unlike sys.stdin, so
-            a thread that waits in it does not get in the way of the interpreter's exit.
-        on_end: Called at the end of the input if that means that the parent process is gone.
+        control: Receives the lines.
+        descriptor: Read until its end. Unlike sys.stdin, `os.read` takes no Python lock, so a
+            thread waiting in it does not block the interpreter's exit.
+        on_end: Called at the end of the input if that means that the parent process has ended.
     """
 
     def read() -> None:
@@ -108,7 +108,7 @@ def listen(control: Control, descriptor: int, *, on_end: Callable[[], None]) -> 
 
 
 def end_means_parent_gone(descriptor: int) -> bool:
-    """True for pipes and sockets; files, terminals and /dev/null end while the parent lives on."""
+    """True for pipes and sockets; files, terminals and /dev/null end while the parent runs."""
     try:
         mode = os.fstat(descriptor).st_mode
     except OSError:

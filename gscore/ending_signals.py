@@ -4,11 +4,11 @@ import signal
 
 
 def ending_signals() -> list[int]:
-    """The signals that end a command; those that are ignored from the start are left so.
+    """The signals that end a command, without those that were ignored at the start.
 
-    nohup ignores SIGHUP, and a shell without job control SIGINT for what it starts in the
-    background, so that Ctrl-C ends what is before the user alone. Windows has no SIGHUP; a console
-    that closes is a SIGBREAK there.
+    nohup ignores SIGHUP, and a shell without job control ignores SIGINT for background processes,
+    so that Ctrl-C ends only the foreground process. Windows has no SIGHUP; closing a console sends
+    SIGBREAK there.
     """
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from .json_text import parse_json
 
 FINISHED, TARGET, CONVERGED = "finished", "target", "converged"
-"""All steps were taken; a PSNR that was asked for was reached; the PSNR no longer rose."""
+"""Reasons: all steps were taken; the target PSNR was reached; the PSNR no longer rose."""
 ENDED = (FINISHED, TARGET, CONVERGED)
 """Reasons of trainings that need no more steps."""
 
@@ -22,7 +22,7 @@ class Event:
 
 
 Show = Callable[[Event], None]
-"""Takes events as they come."""
+"""Receives each event."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,40 +76,40 @@ class Started(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class Estimated(Event):
-    """What a training will take, told before photos are read; not where it is resumed."""
+    """Expected time and memory of a training, before photos are read; not on resume."""
 
     kind: ClassVar[str] = "estimate"
     seconds: float
-    """Of training, without reading photos, measuring and writing."""
+    """Training time, without reading photos, measuring and writing."""
     peak_bytes: int
     """Largest resident memory."""
     free_bytes: int | None
-    """Memory that is free; null where the system does not tell."""
+    """Available memory; null if unknown."""
     photos_kept: bool
-    """Whether all photos stay in memory; else some are read again and again."""
+    """Whether all photos stay in memory; else some are read repeatedly."""
     photo_bytes: int
     """Memory of photos."""
     max_splats: int
-    """The number of splats that this is for."""
+    """The number of splats of this estimate."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Progress(Event):
-    """Where training stands; at most a few a second."""
+    """Progress of a training; at most a few per second."""
 
     kind: ClassVar[str] = "progress"
     step: int
     iterations: int
     loss: float
     psnr: float
-    """Of the training views' pixels that count, smoothed, dB."""
+    """Of the counted pixels of the training views, smoothed, dB."""
     splats: int
     steps_per_s: float
     eta_s: float
     elapsed_s: float
     phase: str
-    """What is being done: `reading photos 3/60`, `adding splats`, `refining` those that are there
-    once no more are added, `measuring` or `paused`."""
+    """Current activity: `reading photos 3/60`, `adding splats`, `refining` once no more splats are
+    added, `measuring` or `paused`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ class Preview(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot(Event):
-    """The splats as they are now were written as a PLY."""
+    """The current splats were written as a PLY."""
 
     kind: ClassVar[str] = "snapshot"
     step: int
@@ -140,7 +140,8 @@ class Eval(Event):
     step: int
     split: str
     metrics: dict[str, Any]
-    """As in metrics.json; only the PSNR where a goal is watched. See `headline_psnr`."""
+    """As in metrics.json; only the PSNR if measured for a stopping criterion. See
+    `headline_psnr`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +186,7 @@ class Failed(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class DepthProgress(Event):
-    """How far the depth maps of a capture are."""
+    """Progress of the depth maps of a capture."""
 
     kind: ClassVar[str] = "depth_progress"
     done: int
@@ -201,29 +202,29 @@ class DepthProgress(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class DepthDone(Event):
-    """Depth maps were aligned, and predicted before where a network was given."""
+    """Depth maps were aligned, after prediction if a network was given."""
 
     kind: ClassVar[str] = "depth"
     views: int
     accepted: int
     predicted: int
     kept: int
-    """Views whose map was there already."""
+    """Views that had a map already."""
     folder: str
     """Of the maps."""
     params: str
-    """depth_params.json that was written; empty: nothing was."""
+    """Written depth_params.json; empty: none."""
     sheet: str
-    """Contact sheet that was written; empty: nothing was."""
+    """Written contact sheet; empty: none."""
     table: list[dict[str, Any]] = field(default_factory=list)
-    """A row a view, see `gscore.depth.Priors`."""
+    """One row per view, see `gscore.depth.Priors`."""
     why: str = ""
-    """A sentence: whether a training on all views would use depth by itself, and why."""
+    """A sentence: whether a training on all views would use depth automatically, and why."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvalProgress(Event):
-    """How far the measuring of a model is."""
+    """Progress of an evaluation."""
 
     kind: ClassVar[str] = "eval_progress"
     done: int
@@ -246,42 +247,41 @@ class EvalDone(Event):
     views: dict[str, float | None] = field(default_factory=dict)
     """The PSNR of each view as in `headline_psnr`, dB, by its name; null: infinite or missing."""
     error_map: str = ""
-    """The splats in the colours of their errors; empty: not asked for."""
+    """Splats coloured by their errors; empty: not requested."""
     error_bright: float = 0.0
-    """The error that its brightest colour stands for, 0 to 1."""
+    """The error of its brightest colour, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SfmEstimated(Event):
-    """What finding the cameras of photos will take, told once they are read and before each further
+    """Expected time of structure from motion, after the photos are read and before each further
     attempt."""
 
     kind: ClassVar[str] = "sfm_estimate"
     photos: int
     seconds: float
-    """Of the attempt from its beginning, on a machine that does nothing else; those before it teach
-    how fast that is."""
+    """Of the whole attempt, on an otherwise idle machine whose speed is measured in the attempts
+    before."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SfmProgress(Event):
-    """How far the search for cameras of photos is."""
+    """Progress of structure from motion."""
 
     kind: ClassVar[str] = "sfm_progress"
     phase: str
     """reading photos, entering photos, finding features, comparing photos, placing cameras,
-    adjusting cameras or writing the capture; those in the middle come again where a further attempt
-    is made."""
+    adjusting cameras or writing the capture; a further attempt repeats the middle ones."""
     done: int
-    """Photos, or pairs of them where photos are compared."""
+    """Photos, or pairs of photos while they are compared."""
     total: int
     """Of the phase; 0: not known."""
     eta_s: float
     """Seconds left in the phase; NaN: not known."""
     left_s: float = math.nan
-    """Seconds left in all, further attempts left out; NaN: not known."""
+    """Seconds left in total, without further attempts; NaN: not known."""
     share: float = math.nan
-    """Of the attempt that is done, by the time it takes, 0 to 1; NaN: not known."""
+    """Completed share of the attempt's time, 0 to 1; NaN: not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,7 +293,7 @@ class SfmDone(Event):
     registered: int
     """Photos that have a camera."""
     models: int
-    """How many parts did not join; the largest was written."""
+    """Number of separate models; the largest was written."""
     points: int
     reprojection_px: float
     """Mean over the points."""
@@ -304,7 +304,7 @@ class SfmDone(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class FramesProgress(Event):
-    """How far the choice of frames of a video is."""
+    """Progress of the extraction of frames."""
 
     kind: ClassVar[str] = "frames_progress"
     phase: str
@@ -334,34 +334,34 @@ class FramesDone(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStarted(Event):
-    """A sequence goes on to a frame, whose own events follow up to its `done`."""
+    """A sequence begins a frame, whose own events follow until `done`."""
 
     kind: ClassVar[str] = "frame"
     frame: int
     """Number of the frame."""
     place: int
-    """Which one it is, from 1."""
+    """Its position, from 1."""
     frames: int
-    """How many there are."""
+    """Number of all frames."""
     output: str
     """Folder of its results."""
     iterations: int
     start: str
-    """PLY of the frame before, from which it starts; empty: it starts from its own points."""
+    """PLY of the previous frame, used as its initial splats; empty: its own points."""
     complete: bool = False
-    """It is complete from before, so no events of its own follow."""
+    """It was completed before, so no events of its own follow."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceDone(Event):
-    """A sequence ended; `reason` is finished or why it was stopped."""
+    """A sequence ended; `reason` is finished, or why it was stopped."""
 
     kind: ClassVar[str] = "sequence"
     reason: str
     frames: int
-    """How many are complete."""
+    """Number of completed frames."""
     path: str
-    """The list of the frames, sequence.json."""
+    """The list of frames, sequence.json."""
     train_seconds: float
     metrics: dict[str, Any] = field(default_factory=dict)
 
@@ -411,22 +411,22 @@ def finite(value: Any) -> Any:
 
 
 MASKED_OF = "psnr_masked_of"
-"""In metrics.json beside `psnr_masked`: what its pixels lie in, where that is not masks."""
+"""Key of metrics.json next to `psnr_masked`: what contains its pixels, if not masks."""
 
 
 def headline_psnr(metrics: Mapping[str, Any]) -> float | None:
-    """The PSNR that a model is judged by, dB: of the pixels inside the masks where those outside do
-    not count (`psnr_masked` of metrics.json), else of all (`psnr`); None where there is none."""
+    """Headline PSNR of a model, dB: of the pixels inside the masks if those outside do not count
+    (`psnr_masked` of metrics.json), else of all (`psnr`); None if there is none."""
     return metrics.get("psnr_masked", metrics.get("psnr"))
 
 
 def to_line(event: Event) -> str:
-    """`event` as `strict_json`."""
+    """The event as a line of `strict_json`."""
     return strict_json({"event": event.kind} | asdict(event))
 
 
 def from_line(line: str) -> Event | None:
-    """The event in `line`, or None for a line that is no event (other programs print too)."""
+    """Parse an event; None for other lines, since libraries print too."""
     try:
         data = parse_json(line)
     except ValueError:

@@ -26,18 +26,17 @@ _EXTRAS = {
     "torchvision": "lpips-torch",
     "bpy": "blender",
 }
-"""Name of the module to name of the extra in pyproject.toml."""
+"""Module to extra in pyproject.toml."""
 _PACKAGES = {"PIL": "pillow", "pxr": "usd-core", "pillow_heif": "pillow-heif"}
-"""Name of the module to name of the package, where they differ."""
+"""Module to package, where the names differ."""
 _CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-"""Packages of torch without CUDA, for Linux, where the usual one brings gigabytes of it."""
+"""torch without CUDA, for Linux, where the default package includes gigabytes of it."""
 
 
 def how_to_install(*modules: str) -> str:
-    """The command that brings optional packages, with all that the same work needs besides; empty
-    where none of the modules is one of them."""
-    found = (_EXTRAS.get(module.partition(".")[0]) for module in modules)
-    extras = list(dict.fromkeys(extra for extra in found if extra))
+    """The command that installs the extras of optional modules; empty if none is optional."""
+    known = (_EXTRAS.get(module.partition(".")[0]) for module in modules)
+    extras = list(dict.fromkeys(extra for extra in known if extra))
     if not extras:
         return ""
     command = f'pip install "gscore[{",".join(extras)}]"'
@@ -47,11 +46,11 @@ def how_to_install(*modules: str) -> str:
 
 
 def missing(module: str, purpose: str) -> str:
-    """The sentence for a package that is not installed.
+    """The message on a package that is not installed.
 
     Args:
         module: Its name in an import.
-        purpose: What needs it, the beginning of a sentence.
+        purpose: Subject of the sentence, such as "Writing a video".
     """
     package = module.partition(".")[0]
     package = _PACKAGES.get(package, package)
@@ -59,15 +58,15 @@ def missing(module: str, purpose: str) -> str:
 
 
 def need(module: str, purpose: str) -> Any:
-    """The module, loaded, which leaves signals where they went; `purpose` as in `missing`.
+    """Import a module without changes of the signal handlers; `purpose` as in `missing`.
 
     Raises:
-        BackendError: It is not installed.
+        BackendError: The module is not installed.
     """
     loaded = sys.modules.get(module)
     if loaded is not None and not _is_loading(loaded):
         return loaded
-    # Here, for it loads ctypes and threading, which `import gscore` alone has no use for.
+    # A local import, because it loads ctypes and threading, which `import gscore` does not need.
     from .signal_guard import keep_signal_handlers
 
     try:
@@ -78,22 +77,22 @@ def need(module: str, purpose: str) -> Any:
 
 
 def _is_loading(module: Any) -> bool:
-    """Whether another thread, or a caller of this one, is in the middle of importing it."""
+    """True while another thread, or a caller of this one, imports the module."""
     return bool(getattr(getattr(module, "__spec__", None), "_initializing", False))
 
 
 def offered(door: str, name: str, homes: Mapping[str, str]) -> Any:
-    """A name that a module offers but does not hold, for that module's `__getattr__`.
+    """Load a name that a module re-exports lazily, for that module's `__getattr__`.
 
     Args:
-        door: The module's own name, for messages.
-        name: Asked for.
-        homes: Where each name that the module offers lives within gscore, `module:name` where it is
-            called differently there.
+        door: Name of the re-exporting module, for messages.
+        name: The requested name.
+        homes: Module within gscore of each re-exported name; `module:name` if it has another name
+            there.
 
     Raises:
-        AttributeError: the module does not offer it.
-        ModuleNotFoundError: a package that it takes is not installed; the sentence says which.
+        AttributeError: the module does not export the name.
+        ModuleNotFoundError: a required package is not installed; the message names it.
     """
     home = homes.get(name)
     if home is None:

@@ -1,6 +1,6 @@
 """Front-end interface in addition to `gscore`: events, runs, inspection, COLMAP, estimates.
 
-The Blender add-on uses no others. A name is loaded when it is first used.
+The Blender add-on uses only these names. A name is loaded on first use.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -225,7 +225,7 @@ _HOME = {
     "write_nerfstudio_path": "datasets.camera_path_json",
     "write_region": "io.region_file",
 }
-"""Where a name lives; `module:name` where it is called differently there."""
+"""Module of each name; `module:name` if it has another name there."""
 
 __all__ = [
     "GUIDES",

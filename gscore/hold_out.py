@@ -1,4 +1,4 @@
-"""Hold-out option: `--hold-out`, the choice of the held-out views in one word."""
+"""Hold-out option: `--hold-out`, which selects the held-out views."""
 
 import re
 from pathlib import Path
@@ -9,17 +9,17 @@ from .errors import ConfigError
 from .quoting import quoted
 
 SPLIT = ("test_every", "test_list", "test_first", "test_last")
-"""The fields of DataConfig that it stands for."""
+"""The fields of DataConfig that it sets."""
 FORMS = "a number N of at least 2 (every N-th), first:N, last:N, first:N,last:N, or a text file"
 _END = re.compile(r"([A-Za-z]{2,}):(.*)")
-"""One letter would be a drive of Windows."""
+"""A single letter would be a Windows drive."""
 
 
 def parse_hold_out(text: str) -> dict[str, Any]:
-    """The values of `SPLIT` for a word of `FORMS`, those that it does not name at their defaults.
+    """The values of `SPLIT` for a text of `FORMS`; the others have their defaults.
 
     Raises:
-        ConfigError: it is none of them.
+        ConfigError: the text has none of the forms.
     """
     plain = DataConfig(source=Path())
     values = {name: getattr(plain, name) for name in SPLIT}
@@ -37,7 +37,7 @@ def parse_hold_out(text: str) -> dict[str, Any]:
 
 
 def hold_out_word(data: DataConfig) -> str:
-    """The word for the rule that wins in `data`; empty where that is the default one."""
+    """The `--hold-out` value of the rule that applies in `data`; empty: the default rule."""
     if data.test_list is not None:
         listed = str(data.test_list)
         try:

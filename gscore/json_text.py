@@ -4,24 +4,23 @@ import json
 from typing import Any
 
 _MOST_DIGITS = 300
-"""Of a whole number; longer ones are infinite for float64, and Python refuses some of them."""
+"""Digits of an integer; longer ones are infinite in float64, and Python refuses some of them."""
 
 
 def parse_json(text: str | bytes) -> Any:
-    """The value that `text` holds, with or without a byte order mark; bytes are UTF-8, UTF-16 or
-    UTF-32.
+    """Parse JSON, with or without a byte order mark; bytes are UTF-8, UTF-16 or UTF-32.
 
-    Whole numbers that no float can hold become infinite, which whoever checks a range finds out.
+    Integers beyond float64 become infinite, which range checks of callers refuse.
 
     Raises:
-        ValueError: it is no JSON, or buried in more brackets than memory is there for.
+        ValueError: not JSON, or nested too deeply.
     """
     try:
         if isinstance(text, str):
             text = text.removeprefix("\ufeff")
         return json.loads(text, parse_int=_whole)
     except RecursionError:
-        raise ValueError("too many brackets in each other") from None
+        raise ValueError("too many nested brackets") from None
 
 
 def _whole(digits: str) -> int | float:

@@ -8,8 +8,8 @@ _BITS = 21
 def morton_order(means: np.ndarray) -> np.ndarray:
     """[N] indices along the Z-order curve through positions [N, 3] (Morton 1966).
 
-    The grid spans all but the farthest thousandth at each end, so that a few far splats do not
-    make it coarse; those come at its ends.
+    The grid spans the 0.1 % to 99.9 % quantiles, so that a few far splats do not make it coarse;
+    positions outside are clamped to it.
     """
     if not len(means):
         return np.zeros(0, np.intp)
@@ -26,7 +26,7 @@ def morton_order(means: np.ndarray) -> np.ndarray:
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """The 21 bits of each number, two zeros between them."""
+    """The 21 bits of each number, separated by two zeros."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),
@@ -39,13 +39,13 @@ def _spread(values: np.ndarray) -> np.ndarray:
 
 
 def middle_of(means: np.ndarray) -> np.ndarray:
-    """[3] float64, the median of at least one place [N, 3] along each axis."""
+    """[3] float64, median of positions [N, 3] along each axis; N >= 1."""
     return np.percentile(means.astype(np.float64), 50, axis=0, method="lower")
 
 
 def distances_from_middle(means: np.ndarray) -> tuple[np.ndarray, float]:
-    """[N] float64, how far places [N, 3] are from their middle along the axis in which they are
-    farthest; and what half of them do not exceed, above zero."""
+    """Chebyshev distances [N] float64 of positions [N, 3] from their median, and the median of
+    these distances, above zero."""
     if not len(means):
         return np.zeros(0), _LEAST
     away = np.abs(means.astype(np.float64) - middle_of(means)).max(axis=1)
@@ -53,4 +53,4 @@ def distances_from_middle(means: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 _LEAST = 1e-30
-"""World units, for places that are all the same."""
+"""World units, for positions that are all equal."""

@@ -1,4 +1,4 @@
-"""Option declarations: metadata at the field, from which help, checks and panels are derived."""
+"""Option declarations: metadata of config fields, used by help, checks and panels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -57,9 +57,9 @@ class Option:
     name: str = ""
     default: Any
     kind: type
-    """bool, int, float, str, Path or a StrEnum; of the members where `several`."""
+    """bool, int, float, str, Path or a StrEnum; type of the members if `several`."""
     several: bool = False
-    """Its value is a tuple."""
+    """The value is a tuple."""
     text: str
     """Help text; `--help` shows its first sentence only."""
     group: str
@@ -67,7 +67,7 @@ class Option:
     range: Range | None = None
     unit: str = ""
     choices: tuple[str, ...] = ()
-    """Allowed values; empty: any of its kind."""
+    """Allowed values; empty: any of this kind."""
     metavar: str = ""
     """Placeholder of the value in `--help`."""
     short: str = ""
@@ -86,7 +86,7 @@ class Option:
 
     @property
     def values(self) -> str:
-        """Description of the allowed values; empty: any of its kind."""
+        """Description of the allowed values; empty: any of this kind."""
         if self.choices:
             return ", ".join(self.choices)
         return "on, off" if self.kind is bool else str(self.range or "")
@@ -98,12 +98,12 @@ class Option:
 
 
 def option(default: T, text: str, **facts: Any) -> T:
-    """A field of a config that is an option of a run.
+    """Declare a config field as an option of a run.
 
     Args:
-        default: Its default.
+        default: Default value.
         text: Help text.
-        **facts: The other fields of `Option`, as far as types do not say them.
+        **facts: Other fields of `Option` that the type annotation does not imply.
     """
     declared: Any = field(default=default, metadata={_KEY: {"text": text} | facts})
     return declared
@@ -111,14 +111,14 @@ def option(default: T, text: str, **facts: Any) -> T:
 
 @cache
 def options_of(cls: type[Any]) -> Mapping[str, Option]:
-    """The options of a config class by name, in the order in which they are declared."""
+    """The options of a config class by name, in the order of declaration."""
     hints = get_type_hints(cls)
-    found = {}
+    result = {}
     for one in fields(cls):
         if _KEY in one.metadata:
             known = _of_type(hints[one.name]) | {"name": one.name, "default": one.default}
-            found[one.name] = Option(**(known | one.metadata[_KEY]))
-    return MappingProxyType(found)
+            result[one.name] = Option(**(known | one.metadata[_KEY]))
+    return MappingProxyType(result)
 
 
 def check_options(config: Any) -> None:
@@ -126,9 +126,9 @@ def check_options(config: Any) -> None:
     for name, declared in options_of(type(config)).items():
         value = getattr(config, name)
         members = value if declared.several else (value,)
-        if any(not _taken(declared, member) for member in members):
+        if any(not _is_allowed(declared, member) for member in members):
             each = f"each of {name}" if declared.several else name
-            raise ConfigError(f"{each} must be {_wanted(declared)}, got {quoted(value)}.")
+            raise ConfigError(f"{each} must be {_expected(declared)}, got {quoted(value)}.")
 
 
 def value_words(value: Any) -> str:
@@ -142,7 +142,7 @@ def value_words(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _taken(declared: Option, value: Any) -> bool:
+def _is_allowed(declared: Option, value: Any) -> bool:
     if declared.choices:
         return value in declared.choices
     return declared.range is None or value is None or value in declared.range
@@ -153,7 +153,7 @@ def flag_of(name: str) -> str:
     return {"resolution": "-r"}.get(name, "--" + name.replace("_", "-"))
 
 
-def _wanted(declared: Option) -> str:
+def _expected(declared: Option) -> str:
     return f"one of {declared.values}" if declared.choices else declared.values
 
 

@@ -11,24 +11,23 @@ _LONGEST = 200
 
 
 def brief(text: str | Path | Exception) -> str:
-    """A path, a name or another error's words: shortened, and with what no output can print
-    replaced."""
+    """A path, name or error message, shortened, with unprintable characters replaced."""
     text = str(text)
     cut = text[: _LONGEST + 1].encode("utf-8", "replace").decode("utf-8").replace("\0", "?")
     return cut if len(cut) <= _LONGEST else f"{cut[: _LONGEST - 3]}..."
 
 
 def as_typed(*words: str | Path) -> str:
-    """A command of gscore as a shell takes it: with quotes where they are needed, and the program
-    as it was called itself where it does not lie on PATH."""
+    """A gscore command for a shell: quoted where needed, with the path of the program if it is not
+    on PATH."""
     called = Path(sys.argv[0])
     away = called.stem == "gscore" and shutil.which("gscore") is None
     return shlex.join([str(called) if away else "gscore", *map(str, words)])
 
 
 def quoted(value: Any) -> str:
-    """A value as Python writes it: whole where it is short, the ends of long texts, the beginning
-    of long lists; millions of numbers are not even looked at."""
+    """The `repr` of a value: shortened in the middle of long texts and at the end of long lists,
+    whose other items are never formatted."""
     return brief(_REPR.repr(value))
 
 

@@ -10,33 +10,33 @@ from .quoting import quoted
 from .splats import check_array
 
 FARTHEST = 1e30
-"""Largest coordinate of a camera or point, world units: beyond it squares leave float64 sooner or
-later, and no capture is measured in such units."""
+"""Largest coordinate of a camera or point, world units: squares of larger ones may overflow
+float64, and no capture has such units."""
 
 FOCAL_RANGE = (1e-3, 1e5)
-"""Focal lengths as multiples of the picture's longer side that any lens may have: from views of
-179.9 degrees, beyond which no pinhole camera serves, to telescopes that see a few arc seconds."""
+"""Plausible focal lengths as multiples of the picture's longer side: from fields of view of 179.9
+degrees, the limit of a pinhole model, to those of a few arc seconds in telescopes."""
 
 
 def is_focal(focal: float, width: float, height: float) -> bool:
-    """Whether a lens may have a focal length, in pixels, for such a picture; NaN is none."""
+    """Whether a focal length in pixels is plausible for this picture size; False for NaN."""
     side = max(width, height)
     return FOCAL_RANGE[0] * side <= focal <= FOCAL_RANGE[1] * side
 
 
 NEAR = 0.01
-"""Near plane where none is known, world units."""
+"""Default near plane, world units."""
 
 
 def near_plane(near: float, extent: float) -> float:
-    """A near plane, lowered where it is more than a hundredth of the extent of a scene."""
+    """The near plane, at most a hundredth of the extent of the scene."""
     return min(near, 0.01 * extent)
 
 
 def splat_near(means: np.ndarray) -> float:
     """Near plane for splats of unknown cameras, world units.
 
-    Their extent is the median distance of the means [N, 3] from the median of these.
+    The extent is the median distance of the means [N, 3] from their median.
     """
     if not len(means):
         return NEAR
@@ -45,11 +45,11 @@ def splat_near(means: np.ndarray) -> float:
 
 
 _BLOCK = 1 << 16
-"""Points that are computed with together: no second copy of millions of them is made."""
+"""Points per block of a computation, which avoids a copy of millions of points."""
 
 
 def within_reach(points: np.ndarray) -> np.ndarray:
-    """[P] bool: which of the points [P, 3] are finite and no farther than `FARTHEST`."""
+    """[P] bool: the points [P, 3] that are finite with coordinates up to `FARTHEST`."""
     good = np.empty(len(points), bool)
     for at in range(0, len(points), _BLOCK):
         part = slice(at, at + _BLOCK)
@@ -58,34 +58,34 @@ def within_reach(points: np.ndarray) -> np.ndarray:
 
 
 def distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """[P] float64: how far the points [P, 3] are from a place [3]; infinite beyond float64."""
-    found = np.empty(len(points))
+    """[P] float64: distances of points [P, 3] from a position [3]; infinite beyond float64."""
+    result = np.empty(len(points))
     with np.errstate(over="ignore"):
         for at in range(0, len(points), _BLOCK):
             part = slice(at, at + _BLOCK)
-            found[part] = np.linalg.norm(points[part] - place, axis=1)
-    return found
+            result[part] = np.linalg.norm(points[part] - place, axis=1)
+    return result
 
 
 def offset_between(origin: np.ndarray | None, other: np.ndarray | None) -> np.ndarray:
-    """[3] float64, `origin` less `other`: local origins in the coordinates of a capture, where None
-    is the origin of these themselves."""
+    """[3] float64, `origin` minus `other`: local origins in the coordinates of a capture; None is
+    the origin of these coordinates."""
     zero = np.zeros(3)
     return (zero if origin is None else origin) - (zero if other is None else other)
 
 
 def moved_viewmats(viewmats: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """World to camera [..., 4, 4] float64 where `shift` [3] was subtracted from the world."""
+    """World to camera [..., 4, 4] float64 after subtracting `shift` [3] from the world."""
     out = viewmats.copy()
     out[..., :3, 3] += viewmats[..., :3, :3] @ shift
     return out
 
 
 def checked_origin(values: object) -> np.ndarray:
-    """[3] float64, a local origin as a file states it.
+    """[3] float64, the local origin stated by a file.
 
     Raises:
-        ValueError: these are no three numbers up to `FARTHEST`.
+        ValueError: not three numbers up to `FARTHEST`.
     """
     origin = np.asarray(values)
     if origin.shape != (3,) or origin.dtype.kind not in "if":
@@ -96,8 +96,8 @@ def checked_origin(values: object) -> np.ndarray:
 
 
 def lie_about(places: np.ndarray, origin: np.ndarray | None) -> bool:
-    """Whether places [P, 3], of which nothing is stated, are about a local origin already: half of
-    them are nearer to it than to the origin of the capture's own coordinates."""
+    """Whether positions [P, 3] from a file without a stated origin are relative to this local one:
+    their median is nearer to zero than to `origin`."""
     if origin is None or not len(places):
         return False
     middle = np.median(places.astype(np.float64), axis=0)
@@ -129,10 +129,10 @@ class Cameras:
     names: tuple[str, ...]
     """Image names as the capture states them, sub-folders with '/'."""
     up: np.ndarray | None = None
-    """[3] float64, unit: up in the world, where the capture states it; else the cameras tell."""
+    """[3] float64, unit: up in the world, if the capture states it; None: see `upright.up_of`."""
     origin: np.ndarray | None = None
-    """[3] float64, where the origin of the world lies in the coordinates of the capture, for
-    captures that are far from their own; None: it is that."""
+    """[3] float64, local origin of the world in the coordinates of the capture, for captures far
+    from the origin of these; None: the same origin."""
 
     def __post_init__(self) -> None:
         check_array("viewmats", self.viewmats, ("C", 4, 4), np.float64)
@@ -145,7 +145,7 @@ class Cameras:
         if self.origin is not None:
             check_array("origin", self.origin, (3,), np.float64)
         if len(self.names) != c:
-            raise ShapeError(f"names must hold {c} entries, one a camera, got {len(self.names)}.")
+            raise ShapeError(f"names must have {c} entries, one per camera, got {len(self.names)}.")
 
     def __len__(self) -> int:
         return len(self.names)
@@ -156,14 +156,14 @@ class Cameras:
         return camera_centers(self.viewmats)
 
     def of_splats(self, origin: np.ndarray | None) -> "Cameras":
-        """The cameras in the world of splats that are about a local origin. Cameras of a file that
-        states none are about it where `lie_about` says so."""
+        """The cameras in the world of splats with a local origin. Cameras of a file that states no
+        origin already have it where `lie_about` is true."""
         if self.origin is None and lie_about(self.centers, origin):
             return replace(self, origin=origin)
         return self.about(origin)
 
     def about(self, origin: np.ndarray | None) -> "Cameras":
-        """The same cameras in a world about another local origin, [3], None as in `origin`."""
+        """The same cameras relative to another local origin, [3], None as in `origin`."""
         shift = offset_between(origin, self.origin)
         if not shift.any():
             return self
@@ -179,7 +179,7 @@ class PointCloud:
     colors: np.ndarray
     """[P, 3] uint8, sRGB."""
     made_up: bool = False
-    """Places drawn at random for want of points: they tell nothing about surfaces."""
+    """Random positions for a capture without points, which contain no information on surfaces."""
 
     def __post_init__(self) -> None:
         check_array("points", self.points, ("P", 3), np.float64)
@@ -190,7 +190,7 @@ class PointCloud:
 
     @property
     def given(self) -> int:
-        """How many the capture has: none where they are made up."""
+        """Number of points from the capture: 0 if they are made up."""
         return 0 if self.made_up else len(self)
 
     def with_more(self, more: "PointCloud") -> "PointCloud":
@@ -215,9 +215,9 @@ class PointCloud:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What structure from motion knows about a capture."""
+    """Cameras and points of a capture."""
 
     cameras: Cameras
     points: PointCloud
     warnings: tuple[str, ...] = field(default=())
-    """Sentences for the user about what was mended or left out while reading."""
+    """Sentences for the user on repaired or skipped content."""

@@ -42,7 +42,7 @@ SH_C4 = (
 """Factors of xy(x²-y²), yz(3x²-y²), xy(6z²-x²-y²), yz(4z²-3x²-3y²), 8z⁴-24z²(x²+y²)+3(x²+y²)²,
 xz(4z²-3x²-3y²), (x²-y²)(6z²-x²-y²), xz(x²-3y²), x⁴-6x²y²+y⁴."""
 MAX_DEGREE = 4
-"""Highest degree that splats store here. Trainers of the 3DGS family write 3 at most."""
+"""Highest degree of stored splats. Trainers of the 3DGS family write at most 3."""
 
 
 def sh_count(degree: int) -> int:
@@ -116,15 +116,15 @@ def _fourth_band(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> list[np.ndarray
 
 
 def sh_rotation(degree: int, rotation: np.ndarray) -> np.ndarray:
-    """Matrix that turns the coefficients of one band along with the world.
+    """Matrix that rotates the coefficients of one band with the world.
 
-    With f(d) = sum of c_i Y_i(d), the turned function is g(d) = f(rotation^T d); its coefficients
+    With f(d) = sum of c_i Y_i(d), the rotated function is g(d) = f(rotation^T d); its coefficients
     are `sh_rotation(degree, rotation) @ c`. The integral of Y_i(d) Y_j(rotation^T d) over the
-    sphere is taken by a quadrature that is exact for its polynomials.
+    sphere is computed by a quadrature that is exact for these polynomials.
 
     Args:
         degree: The band, 0 to 4.
-        rotation: [3, 3] float64, orthogonal; a reflection is as good as a rotation.
+        rotation: [3, 3] float64, orthogonal; reflections are allowed.
 
     Returns:
         [2 degree + 1, 2 degree + 1] float64, orthogonal.

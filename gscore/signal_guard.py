@@ -9,18 +9,18 @@ from contextlib import contextmanager
 from typing import Any
 
 _ROOM = 1024
-"""Bytes of a `struct sigaction`, which is 152 on Linux and 16 on macOS, with room to spare."""
+"""Buffer for a `struct sigaction`, bytes; it has 152 on Linux and 16 on macOS."""
 _lock = threading.Lock()
 
 
 @contextmanager
 def keep_signal_handlers() -> Iterator[None]:
-    """A block after which every signal goes where it went before, from any thread.
+    """Context after which all signal handlers are as before; usable from any thread.
 
-    Libraries that are loaded may take signals over: pycolmap brings a crash handler that answers
-    SIGTERM with a stack trace, so that a run which is asked to end leaves no checkpoint. Python's
-    own `signal.signal` puts nothing back outside the main thread, so the system is asked. Where it
-    knows no `sigaction` (Windows) this does nothing.
+    Imported libraries may replace handlers: pycolmap installs a crash handler that answers SIGTERM
+    with a stack trace, so a terminated run would leave no checkpoint. Python's `signal.signal`
+    works in the main thread only, so this calls the system's `sigaction`. On systems without it
+    (Windows) this does nothing.
     """
     if os.name != "posix":
         yield
@@ -36,10 +36,10 @@ def keep_signal_handlers() -> Iterator[None]:
 
 
 def _handlers() -> dict[int, Any]:
-    """What the system does at each signal that can be handled, as it writes it."""
-    library, found = ctypes.CDLL(None), {}
+    """The raw `struct sigaction` of each signal that can be handled."""
+    library, handlers = ctypes.CDLL(None), {}
     for number in sorted(signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}):
         handler = ctypes.create_string_buffer(_ROOM)
         if library.sigaction(number, None, handler) == 0:
-            found[int(number)] = handler
-    return found
+            handlers[int(number)] = handler
+    return handlers

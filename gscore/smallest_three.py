@@ -3,12 +3,12 @@
 import numpy as np
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""The components besides each."""
+"""The other components, by index of the largest."""
 
 
 def smallest_three(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[N] the index of the largest component, and [N, 3] the others in their order, at most
-    sqrt(1/2) in size, with the signs that they have where the largest is positive.
+    """Index [N] of the largest component, and the others [N, 3] in their order, at most sqrt(1/2)
+    in magnitude, with the signs for a positive largest component.
 
     Args:
         unit: [N, 4] quaternions of length 1, in any order of components; float of any width.
@@ -20,11 +20,10 @@ def smallest_three(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def with_largest(largest: np.ndarray, three: np.ndarray) -> np.ndarray:
-    """[N, 4] quaternions, of the width of `three`: what `smallest_three` was made of, but for the
-    sign of all four.
+    """[N, 4] quaternions, dtype of `three`: the inverse of `smallest_three`, up to the sign.
 
     Args:
-        largest: [N] indices, 0 to 3, of integers of any kind.
+        largest: [N] indices, 0 to 3, any integer dtype.
         three: [N, 3] the other components.
     """
     at = largest.astype(np.intp)

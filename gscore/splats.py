@@ -7,14 +7,14 @@ import numpy as np
 from .errors import ShapeError
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
-"""Of a splat, in the order in which `Splats` holds them and functions take them."""
+"""Parameters of a splat, in the order of the fields of `Splats` and of function arguments."""
 SH_REST_BY_DEGREE = {0: 0, 1: 3, 2: 8, 3: 15, 4: 24}
 """Number of SH coefficients per channel beyond the constant one, by degree."""
 
 
 def check_array(name: str, array: np.ndarray, shape: tuple[int | str, ...], dtype: type) -> None:
     """Raise ShapeError unless `array` has this dtype and shape; a str matches any size."""
-    wanted = "[" + ", ".join(str(s) for s in shape) + "]"
+    expected = "[" + ", ".join(str(s) for s in shape) + "]"
     fits = isinstance(array, np.ndarray) and array.ndim == len(shape)
     if fits:
         fits = all(isinstance(s, str) or s == n for s, n in zip(shape, array.shape, strict=True))
@@ -24,16 +24,16 @@ def check_array(name: str, array: np.ndarray, shape: tuple[int | str, ...], dtyp
             if isinstance(array, np.ndarray)
             else type(array).__name__
         )
-        raise ShapeError(f"{name} must be {wanted} {np.dtype(dtype).name}, got {got}.")
+        raise ShapeError(f"{name} must be {expected} {np.dtype(dtype).name}, got {got}.")
 
 
 def sigmoid(logits: np.ndarray) -> np.ndarray:
-    """Opacities from 0 to 1 of logits of any shape, float64."""
+    """Opacities from 0 to 1, float64, from logits of any shape."""
     return 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -_LARGEST_LOGIT, _LARGEST_LOGIT)))
 
 
 _LARGEST_LOGIT = 700.0
-"""Of which float64 holds the exponential."""
+"""Largest logit whose exponential fits float64."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ class Splats:
         check_array("shN", self.shN, (n, "K-1", 3), np.float32)
         if self.shN.shape[1] not in SH_REST_BY_DEGREE.values():
             raise ShapeError(
-                f"shN must hold 0, 3, 8, 15 or 24 coefficients a splat (degree 0 to 4), "
+                f"shN must have 0, 3, 8, 15 or 24 coefficients per splat (degree 0 to 4), "
                 f"got {self.shN.shape[1]}."
             )
 
@@ -86,7 +86,7 @@ class Splats:
 
 
 def cut_degree(splats: Splats, degree: int) -> Splats:
-    """The model with SH coefficients up to this degree; itself where it has no more."""
+    """The model with SH coefficients up to this degree; unchanged if it has no more."""
     if degree >= splats.sh_degree:
         return splats
     return replace(splats, shN=splats.shN[:, : SH_REST_BY_DEGREE[degree]])

@@ -7,7 +7,7 @@ from .events import ENDED, MASKED_OF, headline_psnr
 
 
 def number_words(value: float | None, digits: int) -> str:
-    """A number with so many decimals."""
+    """A number with this many decimals; n/a for None."""
     return "n/a" if value is None else f"{value:.{digits}f}"
 
 
@@ -17,7 +17,7 @@ def number(count: int | None) -> str:
 
 
 def count_words(count: int, one: str, many: str = "") -> str:
-    """1 view, 42,691 views; with `many` any other words: 1 photo is, 2 photos are."""
+    """1 view, 42,691 views; with `many` any other plural: 1 photo is, 2 photos are."""
     return f"{number(count)} {one if count == 1 else many or one + 's'}"
 
 
@@ -44,7 +44,7 @@ def time_words(seconds: float | None) -> str:
 
 
 def quality_words(metrics: Mapping[str, Any]) -> str:
-    """PSNR, SSIM and LPIPS of a metrics.json, what a model is judged by first; empty: no PSNR."""
+    """PSNR, SSIM and LPIPS of a metrics.json, headline figure first; empty: no PSNR."""
     if (worth := headline_psnr(metrics)) is None:
         return ""
     parts = [f"{psnr_name(metrics)} {worth:.2f} dB"]
@@ -58,18 +58,18 @@ def quality_words(metrics: Mapping[str, Any]) -> str:
 
 
 def colour_words(metrics: Mapping[str, Any]) -> str:
-    """PSNR once colours are matched, to put behind `quality_words`; empty: it was not measured."""
+    """Colour-corrected PSNR, to append to `quality_words`; empty: not measured."""
     worth = metrics.get("psnr_cc")
     return "" if worth is None else f", colour-corrected PSNR {worth:.2f} dB"
 
 
 def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
-    """Where the training of a metrics.json was stopped: "stopped after 500 of 1,500 steps"; empty:
-    it was not, or that is not known.
+    """Step at which a training was stopped: "stopped after 500 of 1,500 steps"; empty: it was not
+    stopped, or this is unknown.
 
     Args:
-        metrics: Its content.
-        iterations: Steps that were asked for; 0: time was.
+        metrics: Content of its metrics.json.
+        iterations: Requested steps; 0: a time budget was requested.
     """
     reason, steps = metrics.get("reason"), metrics.get("steps")
     if not reason or reason in ENDED or steps is None or 0 < iterations <= steps:
@@ -78,19 +78,19 @@ def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
 
 
 def step_words(steps: int, iterations: int) -> str:
-    """How far a training is: 500 of 1,500 steps; without the second where that is 0."""
+    """Progress of a training: 500 of 1,500 steps; without a total if `iterations` is 0."""
     of = f"{number(steps)} of " if iterations else ""
     return f"{of}{count_words(iterations or steps, 'step')}"
 
 
 def has_exposure_correction(metrics: Mapping[str, Any]) -> bool:
-    """Whether the training of a metrics.json learnt how each photo was exposed."""
+    """Whether the training of a metrics.json optimised the exposure of each photo."""
     return bool((metrics.get("exposure") or {}).get("learnt"))
 
 
 def psnr_name(metrics: Mapping[str, Any]) -> str:
-    """What `headline_psnr` is called: where masks hide pixels, it is that of the others; and where
-    a region alone was trained, of the pixels that look at it."""
+    """Name of `headline_psnr`: with masks, or in the training of a region, it is that of the pixels
+    inside."""
     if "psnr_masked" not in metrics:
         return "PSNR"
     return f"PSNR inside the {metrics.get(MASKED_OF, 'masks')}"

@@ -14,14 +14,14 @@ CAMERA_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV camera axes (+y down, +z forward) to OpenGL/Blender ones (+y up), and back."""
 
 SMALLEST = 1e-30
-"""World units; less is no length to go by. Its inverse is still far from overflowing."""
+"""Smallest usable length, world units; its inverse is far from overflow."""
 _UNEVEN = 1e-4
-"""Relative deviation from a similarity that float32 object matrices may show."""
+"""Relative deviation from a similarity that float32 object matrices may have."""
 _BLOCK = 1 << 11
-"""Splats whose SH coefficients are turned at once."""
+"""Splats per block when SH coefficients are rotated."""
 
 
-@np.errstate(under="ignore")  # what is too small to count is zero
+@np.errstate(under="ignore")  # underflow to zero is exact enough
 def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
     """Rotation matrices of quaternions of any non-zero length.
 
@@ -43,8 +43,8 @@ def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
 def rotmat_to_quat(rotations: np.ndarray) -> np.ndarray:
     """Unit quaternions of rotation matrices, with w >= 0.
 
-    Each of the four formulas of Shepperd (1978) divides by another component; the one with the
-    largest divisor is taken, so no rotation loses digits.
+    Each of the four formulas of Shepperd (1978) divides by another component; the largest divisor
+    is used, so no rotation loses digits.
 
     Args:
         rotations: [..., 3, 3] float.
@@ -75,7 +75,7 @@ def rotmat_to_quat(rotations: np.ndarray) -> np.ndarray:
 
 
 def invert_rigid(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of [..., 4, 4] rigid transforms, by transposition: exact where the rotation is."""
+    """Inverse of [..., 4, 4] rigid transforms, by transposition: exact for exact rotations."""
     out = np.zeros_like(matrix)
     rotation = np.swapaxes(matrix[..., :3, :3], -1, -2)
     out[..., :3, :3] = rotation
@@ -98,7 +98,7 @@ def opengl_from_viewmat(viewmat: np.ndarray) -> np.ndarray:
 class Similarity:
     """training = scale * (world - shift): recentring and scaling without rotation.
 
-    Without rotation the way back touches neither quaternions nor SH coefficients.
+    Without rotation the inverse changes neither quaternions nor SH coefficients.
     """
 
     scale: float
@@ -115,9 +115,9 @@ class Similarity:
 
     @classmethod
     def fit(cls, centers: np.ndarray) -> "Similarity":
-        """Put camera centres [C, 3] float64 around the origin, within a radius of 1.
+        """The similarity that moves camera centres [C, 3] float64 into the unit ball.
 
-        The scale is a power of two: multiplying by it is exact in floating point, both ways.
+        The scale is a power of two, so multiplication and division by it are exact.
 
         Raises:
             ShapeError: a coordinate is not finite or beyond `FARTHEST`.
@@ -131,7 +131,7 @@ class Similarity:
             return cls(scale=1.0, shift=np.zeros(3))
         shift = centers.mean(axis=0)
         radius = float(np.linalg.norm(centers - shift, axis=1).max())
-        # One camera, or all in one place: no length to go by.
+        # One camera, or all in one place: no length defines a scale.
         if not radius > max(SMALLEST, 1e-12 * float(np.abs(centers).max())):
             return cls(scale=1.0, shift=shift)
         return cls(scale=2.0 ** -math.ceil(math.log2(radius)), shift=shift)
@@ -200,8 +200,8 @@ def transform_splats(splats: Splats, matrix: np.ndarray) -> Splats:
         does not hold are infinite.
 
     Raises:
-        ShapeError: the matrix stretches or shears, so a splat's colours could not follow; or it is
-            singular, not finite or a projection.
+        ShapeError: the matrix stretches or shears, which SH coefficients cannot represent; or it
+            is singular, not finite or a projection.
     """
     matrix = np.asarray(matrix, np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
@@ -252,13 +252,13 @@ def _quat_multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _turn_harmonics(rest: np.ndarray, orthogonal: np.ndarray) -> np.ndarray:
-    """Coefficients [N, K-1, 3] float32 of the turned functions."""
+    """Coefficients [N, K-1, 3] float32 of the rotated functions."""
     out = np.empty_like(rest)
     rows, turned = (array.reshape(len(rest), 3 * rest.shape[1]) for array in (rest, out))
     degree = math.isqrt(rest.shape[1] + 1) - 1
     for band in range(1, degree + 1):
         columns = slice(3 * (band * band - 1), 3 * ((band + 1) ** 2 - 1))
-        # All channels at once, as they lie: four times faster than with channels brought apart.
+        # All channels together in memory order: four times faster than channel by channel.
         turn = np.kron(sh_rotation(band, orthogonal), np.eye(3)).T
         for at in range(0, len(rest), _BLOCK):
             part = slice(at, at + _BLOCK)

@@ -8,9 +8,9 @@ import numpy as np
 from .scene import Cameras
 
 _LEVEL = 0.05
-"""Sine of the roll (3 degrees) up to which a photo counts as level, and its weight in full."""
+"""Sine of the roll (3 degrees) up to which a photo is level and has its full weight."""
 _PRIOR = 0.003
-"""How much the photos' own upright counts against their horizons, as a squared sine."""
+"""Weight of the mean image up direction relative to the horizons, as a squared sine."""
 _STEEP = 0.35
 """Sine of the angle between optical axis and up (20 degrees) below which a picture has no top."""
 _ROUNDS = 15
@@ -20,22 +20,22 @@ _SHOWN = {
     1: (_X, _Y), 2: (-_X, _Y), 3: (-_X, -_Y), 4: (_X, -_Y),
     5: (_Y, _X), 6: (-_Y, _X), 7: (-_Y, -_X), 8: (_Y, -_X),
 }  # fmt: skip
-"""By EXIF orientation (CIPA DC-008, tag 0x0112): what is to the right and what is down in the
-picture as shown, along the stored picture's axes."""
+"""By EXIF orientation (CIPA DC-008, tag 0x0112): right and down of the displayed picture, along the
+axes of the stored one."""
 
 
 def find_up(viewmats: np.ndarray, orientations: Sequence[int] | None = None) -> np.ndarray:
-    """What is up in the world, from the way people hold cameras.
+    """Up direction of the world, estimated from how people hold cameras.
 
-    A level photo's x axis is horizontal, so up is what all x axes are perpendicular to; rolled
-    photos count less. Where the x axes leave up open (all cameras facing one way), the mean of the
-    photos' own upright decides. Captures held sideways throughout are recognised by y axes that lie
-    in one plane while x axes do not.
+    The x axis of a level photo is horizontal, so up is perpendicular to all x axes; rolled photos
+    have less weight. Where the x axes do not determine up (all cameras face one way), the mean of
+    the image up directions decides. Captures in portrait orientation have y axes in one plane,
+    while the x axes are not.
 
     Args:
         viewmats: [C, 4, 4] float64, world to camera, OpenCV axes; C >= 1.
-        orientations: [C] EXIF orientations, 1 to 8, that say how to turn the pictures of these
-            cameras so that they are upright; others count as 1. None: 1 for all.
+        orientations: [C] EXIF orientations, 1 to 8, which turn the pictures of these cameras
+            upright; other values count as 1. None: 1 for all.
 
     Returns:
         [3] float64, unit, world.
@@ -53,7 +53,7 @@ def find_up(viewmats: np.ndarray, orientations: Sequence[int] | None = None) -> 
         total = weights.sum()
         scatter = (x * weights[:, None]).T @ x / total
         own = -(y * weights[:, None]).sum(axis=0) / total
-        if np.linalg.norm(own) < 0.3:  # straight down, turned in every direction
+        if np.linalg.norm(own) < 0.3:  # looking straight down, with all rolls
             own = own - z.mean(axis=0)
         if np.linalg.norm(own) < 1e-6:
             own = -y[0]
@@ -64,14 +64,14 @@ def find_up(viewmats: np.ndarray, orientations: Sequence[int] | None = None) -> 
 
 
 def up_of(cameras: Cameras) -> np.ndarray:
-    """[3] float64, unit: up in the world, as the capture states it, else as its cameras tell."""
+    """[3] float64, unit: up in the world, as the capture states it, else as `find_up` estimates."""
     return find_up(cameras.viewmats) if cameras.up is None else cameras.up
 
 
 def upright_turns(cameras: Cameras) -> np.ndarray:
-    """How often each picture is turned by a quarter so that up is nearest to its top.
+    """Quarter turns of each picture that bring up nearest to its top.
 
-    A picture taken straight down or up is turned as the one before it.
+    A picture taken straight down or up gets the turns of the one before it.
 
     Returns:
         [C] int64, 0 to 3, counterclockwise as `numpy.rot90` turns pictures.
@@ -86,7 +86,7 @@ def upright_turns(cameras: Cameras) -> np.ndarray:
 
 
 def turn_cameras(cameras: Cameras, turns: np.ndarray) -> Cameras:
-    """The cameras of pictures that were turned by quarters.
+    """The cameras of pictures after quarter turns.
 
     Args:
         cameras: As the pictures are stored.
@@ -106,6 +106,6 @@ def turn_cameras(cameras: Cameras, turns: np.ndarray) -> Cameras:
 
 
 def _is_planar(directions: np.ndarray) -> bool:
-    """Whether unit vectors [C, 3] fill a plane and nothing but it."""
+    """Whether unit vectors [C, 3] span a plane, but neither a line nor the space."""
     low, middle, _ = np.linalg.eigvalsh(directions.T @ directions / len(directions))
     return bool(low < 0.03 and middle > 0.15)

@@ -1,4 +1,4 @@
-"""Warning log: collects the warnings that gscore logs, for callers that show them."""
+"""Warning log: collects logged warnings, for callers that display them."""
 
 import logging
 import threading
@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
-    """The messages gscore logs as warnings within the block, on this thread; who calls shows them.
+    """Context that collects the warnings gscore logs on this thread.
 
-    They reach handlers that are there besides.
+    Other handlers still receive them.
     """
     collected: list[str] = []
     thread = threading.get_ident()

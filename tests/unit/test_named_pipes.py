@@ -74,7 +74,7 @@ def test_every_reader_refuses_a_named_pipe(
 def test_a_config_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
     """Oracle: nothing waits for a writer."""
     os.mkfifo(tmp_path / "config.json")
-    with pytest.raises(ConfigError, match=r"config\.json: a config file was expected"):
+    with pytest.raises(ConfigError, match=r"config\.json: expected a config file"):
         load_config(tmp_path / "config.json")
 
 
