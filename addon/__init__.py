@@ -95,7 +95,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take everything back in reverse order."""
+    """Unregister every module in reverse order."""
     registration = import_module(".registration", __package__)
     for name in reversed(MODULES):
         registration.unregister(import_module(f".{name}", __package__))

@@ -11,7 +11,7 @@
 All float32. `exp` and the sigmoid are evaluated in float64, so that the way back is exact to the
 last bits of float32, with one limit: near 1 an opacity is spaced by 6e-8, so logits above 5 come
 back with an error growing to 1e-3 at logit 10, and those above 16.6 as 16.6 (an opacity of
-1 - 2^-24). None of that can be seen: no splat is drawn with more than 0.99.
+1 - 2^-24). The error is invisible, because no splat is drawn with more than 0.99.
 """
 
 from dataclasses import replace
@@ -53,7 +53,7 @@ FORMATS = {
     "INT16_2D": ("value", 2),
     "INT32_2D": ("value", 2),
 }
-"""The same for all attributes that are kept when points are deleted or joined."""
+"""The same for all attributes that survive deleting and joining points."""
 _BLOCK = 1 << 12
 """Splats rearranged per block."""
 SELECTION = ".select_vert"
@@ -73,7 +73,7 @@ def write(datablock: Any, splats: Splats) -> None:
         splats: Raw parameters.
     """
     made = columns(splats)
-    # All first: adding an attribute moves the others' memory.
+    # Declare all first, because adding an attribute moves the others' memory.
     for name, kind, _ in made:
         declare(datablock, name, kind)
     for name, kind, values in made:
@@ -83,7 +83,7 @@ def write(datablock: Any, splats: Splats) -> None:
 def columns(splats: Splats) -> list[tuple[str, str, np.ndarray]]:
     """Name, data type and values of all attributes of N splats; touches no datablock.
 
-    Values are flat float32, which `foreach_set` copies as they are.
+    Values are flat float32, which `foreach_set` copies without conversion.
     """
     logits = np.clip(splats.opacities.astype(np.float64), -500, 500)  # exp stays finite
     opacities = 1.0 / (1.0 + np.exp(-logits))
@@ -106,7 +106,7 @@ def columns(splats: Splats) -> list[tuple[str, str, np.ndarray]]:
 
 
 def declare(datablock: Any, name: str, kind: str) -> None:
-    """Create a point attribute of this name and data type, in place of any other of the name."""
+    """Create a point attribute; replaces one of this name with another type or domain."""
     old = datablock.attributes.get(name)
     if old is not None and (old.data_type, old.domain) != (kind, "POINT"):
         datablock.attributes.remove(old)
@@ -116,7 +116,7 @@ def declare(datablock: Any, name: str, kind: str) -> None:
 
 
 def fill(datablock: Any, name: str, kind: str, values: np.ndarray) -> None:
-    """Set a declared attribute from flat contiguous numbers of its type."""
+    """Set a declared attribute from a flat contiguous array of its type."""
     datablock.attributes[name].data.foreach_set(FORMATS[kind][0], values)
 
 
@@ -125,12 +125,12 @@ def column(datablock: Any, name: str, *, called: str = "") -> np.ndarray:
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
-        name: Of the attribute.
-        called: The datablock's name in messages, if not its own.
+        name: Attribute name.
+        called: Name of the datablock in messages; empty: its own.
 
     Raises:
         ValueError: the attribute is missing, is no point attribute of a known type, or has
-            numbers that are not finite.
+            non-finite values.
     """
     attribute = check_vectors(datablock, name, called=called)
     key, width = _KINDS[attribute.data_type]
@@ -146,8 +146,8 @@ def check_finite(values: np.ndarray, name: str, called: str) -> None:
 
     Args:
         values: Attribute values.
-        name: Of the attribute.
-        called: The splats' name in messages.
+        name: Attribute name.
+        called: Name of the splats in messages.
     """
     if not np.isfinite(values).all():
         bad = ~np.isfinite(values).all(axis=1)
@@ -195,7 +195,7 @@ def sh_count(datablock: Any, *, called: str = "") -> int:
     if not have:
         return 0
     numbers = [int(n.removeprefix(SH)) for n in have if n.removeprefix(SH).isdecimal()]
-    # Degree 5 and beyond is not used by anything here.
+    # Degrees above 4 are unsupported.
     top = min(max(numbers, default=-1) + 1, SH_COUNTS[-1])
     count = next(c for c in SH_COUNTS if c >= top)
     missing = [f"{SH}{k}" for k in range(count) if f"{SH}{k}" not in have]
@@ -211,12 +211,12 @@ def sh_count(datablock: Any, *, called: str = "") -> int:
 def read(datablock: Any, *, rest: bool = True) -> Splats:
     """Splats of a mesh or point cloud, raw parameters in the datablock's space.
 
-    A vertex added by hand has a scale of zero: such a splat gets the smallest scale and opacity
-    of float32, and so is invisible.
+    A vertex added by hand has a scale of zero. Such a splat gets the smallest scale and opacity
+    of float32, which makes it invisible.
 
     Args:
         datablock: Mesh or PointCloud with `attributes`.
-        rest: Read shN too, which is most of the data.
+        rest: Also read shN, which is most of the data.
 
     Raises:
         ValueError: attributes are missing (the message names them) or have non-finite values.
@@ -246,7 +246,7 @@ def as_splats(columns: dict[str, np.ndarray]) -> Splats:
     """Raw parameters from copies of attributes; touches no datablock.
 
     Args:
-        columns: [N, 3] or [N, 4] of `names`; emptied, as most of it is not needed twice in memory.
+        columns: [N, 3] or [N, 4] by `names`; emptied, to save memory.
     """
     base, scales, quats = (columns.pop(name) for name in (BASE, SCALE, ROTATION))
     quats[~quats.any(axis=1)] = (1, 0, 0, 0)
@@ -271,21 +271,20 @@ def repainted(splats: Splats, rows: np.ndarray, base: np.ndarray) -> Splats:
         base: [K, 4] of `radiance:base`, finite.
     """
     sh0, opacities = splats.sh0.copy(), splats.opacities.copy()
-    never_seen = (splats.scales[rows] <= _SMALLEST_SCALE).all(axis=1)
-    sh0[rows, 0], opacities[rows] = base[:, :3], _logits(base[:, 3], never_seen)
+    invisible = (splats.scales[rows] <= _SMALLEST_SCALE).all(axis=1)
+    sh0[rows, 0], opacities[rows] = base[:, :3], _logits(base[:, 3], invisible)
     return replace(splats, sh0=sh0, opacities=opacities)
 
 
-def _logits(opacities: np.ndarray, never_seen: np.ndarray) -> np.ndarray:
+def _logits(opacities: np.ndarray, invisible: np.ndarray) -> np.ndarray:
     """[K] float32 of opacities [K]; the smallest where a splat has no extent."""
     alpha = np.clip(opacities.astype(np.float64), _TINY, _LARGEST_OPACITY)
-    alpha[never_seen] = _TINY
+    alpha[invisible] = _TINY
     return (np.log(alpha) - np.log1p(-alpha)).astype(np.float32)
 
 
 def check(datablock: Any, *, called: str = "") -> None:
-    """Raise ValueError, which names missing attributes, unless all splat attributes are there;
-    `called` as `column`."""
+    """Raise ValueError with the missing attributes unless all exist; `called` as `column`."""
     missing = [n for n in (POSITION, SCALE, ROTATION, BASE) if n not in datablock.attributes]
     # Blender drops `position` from a mesh without vertices.
     if missing and not (missing == [POSITION] and point_count(datablock) == 0):
@@ -346,7 +345,7 @@ def selected(mesh: Any) -> np.ndarray:
 
 def select(mesh: Any, chosen: np.ndarray) -> None:
     """Select the vertices `chosen` [N] bool of a mesh of points, and no others."""
-    if SELECTION not in mesh.attributes:  # which is a hundred times as fast as the vertices
+    if SELECTION not in mesh.attributes:  # a hundred times faster than the vertices' flags
         mesh.attributes.new(SELECTION, "BOOLEAN", "POINT")
     mesh.attributes[SELECTION].data.foreach_set("value", chosen)
 
@@ -357,13 +356,13 @@ def _by_coefficient(shN: np.ndarray) -> np.ndarray:
     found = np.empty((coefficients, count, 3), np.float32)
     if found.size:
         old, new = _triples(np.ascontiguousarray(shN)), _triples(found)
-        for at in range(0, count, _BLOCK):  # which fits a cache
+        for at in range(0, count, _BLOCK):  # a block fits the cache
             new[:, at : at + _BLOCK] = old[at : at + _BLOCK].T
     return found
 
 
 def _by_splat(columns: list[np.ndarray], count: int) -> np.ndarray:
-    """K times [N, 3] contiguous float32, of N = `count` splats, as [N, K, 3]."""
+    """K arrays [N, 3] of contiguous float32, N = `count`, as [N, K, 3]."""
     found = np.empty((count, len(columns), 3), np.float32)
     if found.size:
         old, new = [_triples(c) for c in columns], _triples(found)
@@ -374,5 +373,5 @@ def _by_splat(columns: list[np.ndarray], count: int) -> np.ndarray:
 
 
 def _triples(values: np.ndarray) -> np.ndarray:
-    """Three floats as one element of twelve bytes, which numpy moves much faster."""
+    """View three floats as one element of twelve bytes, which numpy copies much faster."""
     return values.view("V12")[..., 0]

@@ -41,7 +41,7 @@ def set_modifier_input(modifier: bpy.types.NodesModifier, name: str, value: Any)
 
 
 def curves_of(block: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """F-curves of an animated datablock; since 4.4 its action may also contain those of others."""
+    """F-curves of an animated datablock; since 4.4 datablocks may share an action."""
     animation = block.animation_data
     if not hasattr(animation, "action_slot"):
         return list(animation.action.fcurves)
@@ -59,7 +59,7 @@ def evaluated_geometry(ob: bpy.types.Object) -> Any:
 
 
 def use_nodes(material: bpy.types.Material) -> None:
-    """Give a material its node tree; since 5.0 every material has one."""
+    """Enable the node tree of a material; since 5.0 every material has one."""
     if material.node_tree is None:
         material.use_nodes = True
 

@@ -36,8 +36,8 @@ def absolute(text: str, what: str) -> Path:
         raise ValueError(f"{what} is empty; choose a folder.")
     if text.startswith("//") and not bpy.data.filepath:
         raise ValueError(
-            f"{what} {text} lies beside the .blend file, which is not saved; save it, or choose a "
-            "folder with its whole path."
+            f"{what} {text} is relative to the .blend file, which is not saved; save it, or choose "
+            "a folder by its absolute path."
         )
     return Path(os.path.abspath(bpy.path.abspath(text)))  # noqa: PTH100 - keeps symbolic links
 
@@ -55,7 +55,7 @@ def relative(path: Path, folder: Path | None = None) -> str:
         text = bpy.path.relpath(str(path), start=None if folder is None else str(folder))
     except ValueError:  # another drive
         return str(path)
-    # Far away from the .blend file a relative path only breaks sooner.
+    # A relative path far from the .blend file breaks sooner than an absolute one.
     return str(path) if text.startswith("//../../") else text
 
 
@@ -74,7 +74,7 @@ def capture_folder(scene: bpy.types.Scene) -> Path:
 
 
 def output_folder(scene: bpy.types.Scene, default: str = "") -> Path:
-    """Output folder of the scene, which need not exist.
+    """Output folder of the scene; it may not exist yet.
 
     Args:
         scene: Has an output folder or a capture.

@@ -23,8 +23,8 @@ def _file_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
 
 
 def _python_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
-    for told in PYTHON_CHOSEN:
-        told(prefs)
+    for callback in PYTHON_CHOSEN:
+        callback(prefs)
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -34,35 +34,35 @@ class Preferences(bpy.types.AddonPreferences):
 
     python_path: StringProperty(
         name="Python",
-        description="Python that has gscore and torch, or the folder of its environment; empty: "
-        "the add-on's own environment, or one that is found",
+        description="Python with gscore and torch, or the folder of its environment; empty: the "
+        "add-on's own environment, or one found by Find",
         subtype="FILE_PATH",
         update=_python_chosen,
     )
     found_python: StringProperty(
         name="Found",
-        description="Python that Find has found",
+        description="Python found by Find",
         options={"HIDDEN"},
     )
     torch_source: EnumProperty(
         name="Torch",
-        description="Which torch Make Environment downloads",
+        description="Build of torch that Make Environment downloads",
         items=(
-            ("CPU", "For the CPU", "The small one; on Linux from the registry of torch's makers"),
-            ("USUAL", "The Usual One", "From the usual registry; on Linux with gigabytes of CUDA"),
+            ("CPU", "CPU Only", "Small; on Linux from the PyTorch package index"),
+            ("USUAL", "Default Build", "From PyPI; on Linux it includes gigabytes of CUDA"),
         ),
         default="CPU",
     )
     threads: IntProperty(
         name="Threads",
-        description="CPU threads for training; 0: all. Fewer leave more for Blender",
+        description="CPU threads for training; 0: all. Fewer keep Blender more responsive",
         default=0,
         min=0,
         soft_max=64,
     )
     preview_seconds: FloatProperty(
         name="Test View Every",
-        description="Training time between two pictures of a test view, seconds; 0: none",
+        description="Training time between two pictures of a test view, in seconds; 0: no pictures",
         default=10.0,
         min=0.0,
         soft_max=300.0,
@@ -71,7 +71,7 @@ class Preferences(bpy.types.AddonPreferences):
     )
     live_seconds: FloatProperty(
         name="Live Splats Every",
-        description="Time between two updates of the splats in the viewport, seconds",
+        description="Time between two updates of the splats in the viewport, in seconds",
         default=10.0,
         min=1.0,
         soft_max=300.0,
@@ -79,17 +79,17 @@ class Preferences(bpy.types.AddonPreferences):
         unit="TIME_ABSOLUTE",
     )
     live_most: IntProperty(
-        name="Live Splats at Most",
-        description="Splats shown while training, evenly chosen, so that Blender never waits; the "
-        "result always has all",
+        name="Maximum Live Splats",
+        description="Maximum number of splats shown while training, sampled evenly to keep Blender "
+        "responsive; the result always has all splats",
         default=100_000,
         min=1000,
         soft_max=500_000,
     )
     sequence_memory: IntProperty(
         name="Memory for Frames (MB)",
-        description="Memory for the frames of splat sequences that are read ahead, megabytes; "
-        "100,000 splats in full color take 24",
+        description="Memory for preloaded frames of splat sequences, in megabytes; 100,000 splats "
+        "in full color take 24 MB",
         default=1000,
         min=50,
         soft_max=16_000,
@@ -101,11 +101,11 @@ class Preferences(bpy.types.AddonPreferences):
     )
     depth_network: EnumProperty(
         name="Depth Network",
-        description="Network that predicts depth maps; one that is not on this computer is "
-        "downloaded when a button says so",
+        description="Network that predicts depth maps; a missing one is downloaded only by a "
+        "button that says so",
         items=[
             *((n.name, n.name, f"{n.bytes / 1e6:.0f} MB, {n.licence}") for n in depth_networks()),
-            (FILE, "ONNX File", "A file of your own; docs/depth.md says where there are some"),
+            (FILE, "ONNX File", "Your own file; docs/depth.md lists sources"),
         ],
     )
     depth_model: StringProperty(
@@ -117,8 +117,8 @@ class Preferences(bpy.types.AddonPreferences):
     )
     output_folder: StringProperty(
         name="Default Output Folder",
-        description="Where results go if the scene names no folder; empty: beside the .blend file, "
-        "or beside the capture",
+        description="Folder for results of scenes without an output folder; empty: next to the "
+        ".blend file, or next to the capture",
         subtype="DIR_PATH",
     )
 
@@ -138,7 +138,7 @@ class Preferences(bpy.types.AddonPreferences):
 
 
 def get() -> Preferences:
-    """The preferences, also where a script has registered the add-on without enabling it."""
+    """The preferences; added if a script has registered the add-on without enabling it."""
     addons = bpy.context.preferences.addons
     entry = addons.get(ROOT)
     if entry is None:

@@ -6,46 +6,45 @@ from types import ModuleType
 import bpy
 
 Handler = Callable[..., None]
-"""As Blender calls it, with a scene and a depsgraph, or what it has instead."""
+"""Handler of Blender, called with a scene and a depsgraph, or other arguments of its list."""
 
 
 def register(module: ModuleType) -> None:
-    """Make a module's classes known to Blender, have its handlers called, then call its hook.
+    """Register a module's classes, append its handlers, then call its hook.
 
     Args:
-        module: May have CLASSES, HANDLERS, which are functions by the names of the lists of
-            `bpy.app.handlers`, `on_register()` and `on_unregister()`. After a failure nothing of it
-            stays registered.
+        module: May have CLASSES, HANDLERS (functions by the name of a list in `bpy.app.handlers`),
+            `on_register()` and `on_unregister()`. After a failure nothing of it stays registered.
     """
     done: list[type] = []
-    followed: dict[str, Handler] = {}
+    appended: dict[str, Handler] = {}
     try:
         for cls in getattr(module, "CLASSES", ()):
             bpy.utils.register_class(cls)
             done.append(cls)
         for name, function in getattr(module, "HANDLERS", {}).items():
             getattr(bpy.app.handlers, name).append(function)
-            followed[name] = function
+            appended[name] = function
         getattr(module, "on_register", _nothing)()
     except BaseException:
-        _unfollow(followed)
-        _forget(done)
+        _remove_handlers(appended)
+        _unregister_classes(done)
         raise
 
 
 def unregister(module: ModuleType) -> None:
-    """Take back what `register` did."""
+    """Undo `register`."""
     getattr(module, "on_unregister", _nothing)()
-    _unfollow(getattr(module, "HANDLERS", {}))
-    _forget(getattr(module, "CLASSES", ()))
+    _remove_handlers(getattr(module, "HANDLERS", {}))
+    _unregister_classes(getattr(module, "CLASSES", ()))
 
 
-def _unfollow(handlers: Mapping[str, Handler]) -> None:
+def _remove_handlers(handlers: Mapping[str, Handler]) -> None:
     for name, function in handlers.items():
         getattr(bpy.app.handlers, name).remove(function)
 
 
-def _forget(classes: tuple[type, ...] | list[type]) -> None:
+def _unregister_classes(classes: tuple[type, ...] | list[type]) -> None:
     for cls in reversed(classes):
         bpy.utils.unregister_class(cls)
 

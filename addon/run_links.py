@@ -20,7 +20,7 @@ _KEPT = ("output_path", "result", "preview", "guide_surface", "guide_free", "tra
 
 
 class RunLinks(bpy.types.PropertyGroup):
-    """What belongs to a capture that is not the chosen one."""
+    """Links of a capture other than the chosen one."""
 
     capture_path: StringProperty(
         name="Capture",
@@ -30,55 +30,55 @@ class RunLinks(bpy.types.PropertyGroup):
     )
     output_path: StringProperty(
         name="Output",
-        description="Folder of its results",
+        description="Folder of the capture's results",
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
     )
     result: PointerProperty(
-        name="Result", description="Object that shows its splats", type=bpy.types.Object
+        name="Result", description="Object with the capture's splats", type=bpy.types.Object
     )
     preview: PointerProperty(
-        name="Test View", description="Picture of one of its test views", type=bpy.types.Image
+        name="Test View", description="Picture of a test view", type=bpy.types.Image
     )
     guide_surface: PointerProperty(
-        name="Surface Mesh", description="Its surface meshes", type=bpy.types.Collection
+        name="Surface Mesh", description="Surface meshes", type=bpy.types.Collection
     )
     guide_free: PointerProperty(
-        name="Free-Space Mesh", description="Its free-space meshes", type=bpy.types.Collection
+        name="Free-Space Mesh", description="Free-space meshes", type=bpy.types.Collection
     )
     train_within: PointerProperty(
-        name="Only Within", description="The object around its subject", type=bpy.types.Object
+        name="Limit to Object", description="Object around the subject", type=bpy.types.Object
     )
 
 
 def follow_capture(settings: Any) -> None:
-    """Bring out what belongs to the capture that is chosen now, and put the rest away.
+    """Load the links of the capture that was just chosen, and store those of the previous one.
 
-    A capture whose folder is not there any more is taken to have moved to the one that is chosen.
-    Without a chosen capture everything stays as it is.
+    If the previous capture's folder no longer exists, it counts as moved to the chosen one.
+    Without a chosen capture nothing changes.
 
     Args:
         settings: `Scene.gscore`, whose `capture_path` was just set.
     """
     if settings.outcome_of == settings.capture_path:
-        return  # also while both are rewritten because the file is saved elsewhere
+        return  # also while saving the file elsewhere rewrites both
     before, now = _folder(settings.outcome_of), _folder(settings.capture_path)
     if now is None:
         return
     if before is not None and before.exists() and not same_folder(before, now):
-        _put_away(settings)
-        _bring_out(settings, now)
+        _store(settings)
+        _load(settings, now)
     settings.outcome_of = settings.capture_path
 
 
 def holders(scene: bpy.types.Scene) -> Iterator[Any]:
-    """The scene's settings and its waiting outcomes: all that say where a capture's splats go."""
+    """The scene's settings and the stored links of its other captures."""
     yield scene.gscore
     yield from scene.gscore.outcomes
 
 
 def holds(holder: Any, source: Path) -> bool:
-    """Whether a holder is of a capture, or of none in particular; does not look at the disk."""
+    """True if a holder belongs to a capture, or to no particular one; reads nothing from disk."""
     if not holder.capture_path.strip():
         return True
     try:
@@ -87,28 +87,28 @@ def holds(holder: Any, source: Path) -> bool:
         return False
 
 
-def _put_away(settings: Any) -> None:
+def _store(settings: Any) -> None:
     if any(getattr(settings, name) for name in _KEPT):
-        waiting = settings.outcomes.add()
-        waiting.capture_path = settings.outcome_of
+        stored = settings.outcomes.add()
+        stored.capture_path = settings.outcome_of
         for name in _KEPT:
-            setattr(waiting, name, getattr(settings, name))
+            setattr(stored, name, getattr(settings, name))
     for name in _KEPT:
         settings.property_unset(name)
 
 
-def _bring_out(settings: Any, capture: Path) -> None:
-    for place, waiting in enumerate(settings.outcomes):
-        own = _folder(waiting.capture_path)
+def _load(settings: Any, capture: Path) -> None:
+    for index, stored in enumerate(settings.outcomes):
+        own = _folder(stored.capture_path)
         if own is not None and same_folder(own, capture):
             for name in _KEPT:
-                setattr(settings, name, getattr(waiting, name))
-            settings.outcomes.remove(place)
+                setattr(settings, name, getattr(stored, name))
+            settings.outcomes.remove(index)
             return
 
 
 def _folder(text: str) -> Path | None:
-    """The capture that a path means, or None where it means none."""
+    """The capture at a path; None if the path is empty or relative to an unsaved file."""
     try:
         return find_capture(absolute(text, "Capture"))
     except ValueError:

@@ -15,7 +15,7 @@ from bpy.app.handlers import persistent
 from .paths import relative
 
 SOURCE, PHOTO, RUN = "gs_source", "gs_photo", "gs_run"
-"""Custom properties of objects that hold a path: of a capture, of a photo, of a run."""
+"""Custom properties of objects with the path of a capture, a photo, a run."""
 
 
 def read(ob: bpy.types.Object, key: str) -> str:
@@ -25,13 +25,13 @@ def read(ob: bpy.types.Object, key: str) -> str:
 
 
 def write(ob: bpy.types.Object, key: str, path: str | Path) -> None:
-    """Keep a path in a custom property, relative to the .blend file where it lies near it."""
+    """Store a path in a custom property, relative to the .blend file if near it."""
     ob[key] = relative(Path(path)) if str(path) else ""
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a path is kept."""
+    """Owner and key of a stored path."""
 
     owner: Any
     key: str
@@ -50,18 +50,18 @@ class _Place:
 
 
 _before: list[tuple[_Place, str]] = []
-"""What stood there before the save that is under way."""
+"""Stored paths before the running save."""
 
 
 def _places() -> Iterator[_Place]:
     for scene in bpy.data.scenes:
         if scene.library is None:
             settings = scene.gscore
-            # The capture last: a change of it that `outcome_of` does not know is another capture.
+            # capture_path last: if it differs from `outcome_of`, another capture was chosen.
             keys = ("outcome_of", "output_path", "capture_path")
             yield from (_Place(settings, key) for key in keys)
-            for waiting in settings.outcomes:
-                yield from (_Place(waiting, key) for key in ("capture_path", "output_path"))
+            for links in settings.outcomes:
+                yield from (_Place(links, key) for key in ("capture_path", "output_path"))
     for ob in bpy.data.objects:
         if ob.library is None:
             yield from (_Place(ob, key) for key in (SOURCE, PHOTO, RUN) if key in ob)
@@ -72,8 +72,8 @@ def _places() -> Iterator[_Place]:
 def _save_begins(filepath: str = "", *_: object) -> None:
     """Write paths for the folder that the file is saved to.
 
-    Relative ones stay relative to it where they can; those of a file that was never saved become
-    so, as Blender's own do.
+    Relative paths stay relative where possible; paths of a file that was never saved become
+    relative, as Blender's own do.
     """
     _before.clear()
     old = bpy.data.filepath
@@ -89,7 +89,7 @@ def _save_begins(filepath: str = "", *_: object) -> None:
 
 @persistent
 def _save_ended(filepath: str = "", *_: object) -> None:
-    """A copy was saved, or nothing was: the open file is where it was."""
+    """Restore the paths if a copy was saved or the save failed: the open file has not moved."""
     if bpy.data.filepath != filepath:
         for place, text in _before:
             place.put(text)

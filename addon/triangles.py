@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 WITH_FACES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-"""Types of objects that are meshes or become some."""
+"""Types of objects that are meshes or evaluate to one."""
 
 
 class Triangles(NamedTuple):
@@ -19,7 +19,7 @@ class Triangles(NamedTuple):
 
 
 def triangles_of(ob: bpy.types.Object) -> Triangles:
-    """The faces of an evaluated object, in its own axes; none where it has no mesh."""
+    """Triangles of an evaluated object, in object space; empty if it has no mesh."""
     mesh = ob.to_mesh()
     if mesh is None:
         return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
@@ -30,7 +30,7 @@ def triangles_of(ob: bpy.types.Object) -> Triangles:
 
 
 def triangles_of_mesh(mesh: bpy.types.Mesh) -> Triangles:
-    """The faces of an evaluated mesh."""
+    """Triangles of an evaluated mesh."""
     mesh.calc_loop_triangles()
     vertices = np.empty((len(mesh.vertices), 3), np.float32)
     mesh.vertices.foreach_get("co", vertices.ravel())
@@ -40,7 +40,7 @@ def triangles_of_mesh(mesh: bpy.types.Mesh) -> Triangles:
 
 
 def joined(parts: list[Triangles]) -> Triangles:
-    """One mesh of several, in their order; none of none."""
+    """Several meshes as one, in their order; empty for none."""
     if not parts:
         return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])]).astype(np.int32)
@@ -51,12 +51,12 @@ def joined(parts: list[Triangles]) -> Triangles:
 
 
 def moved(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """[V, 3] vertices through a [4, 4] affine matrix."""
+    """[V, 3] vertices transformed by a [4, 4] affine matrix."""
     return vertices @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def repeated(mesh: Triangles, matrices: np.ndarray) -> Triangles:
-    """A mesh at all places that [K, 4, 4] affine matrices say."""
+    """Copies of a mesh, one for each of the [K, 4, 4] affine matrices."""
     vertices = mesh.vertices @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
     starts = len(mesh.vertices) * np.arange(len(matrices), dtype=np.int32)
     triangles = mesh.triangles[None] + starts[:, None, None]

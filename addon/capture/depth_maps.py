@@ -9,12 +9,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 ACCEPTED, REFUSED, MISSING, UNKNOWN = "accepted", "refused", "missing", "unknown"
-"""Verdicts on a view's map. UNKNOWN: there is one, and it was not compared with the points yet."""
+"""Verdicts on a view's map. UNKNOWN: not compared with the points yet."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthRow:
-    """One view; numbers that are not known are None."""
+    """One view; unknown numbers are None."""
 
     view: str
     """Name of the photo in the capture."""
@@ -24,9 +24,9 @@ class DepthRow:
     offset: float | None = None
     """1/world unit."""
     inliers: float | None = None
-    """Share of the SfM points that agree, 0 to 1."""
+    """Share of the SfM points that agree with the map, 0 to 1."""
     points: int | None = None
-    """SfM points that were compared."""
+    """Compared SfM points."""
     error: float | None = None
     """Median relative difference of map and points."""
     rendered: float | None = None
@@ -34,16 +34,16 @@ class DepthRow:
     split: str = ""
     """`train` or `test`, after a training."""
     reason: str = ""
-    """Why the map is not used with its scale, a clause."""
+    """Reason why the map is not used with its scale, a clause."""
 
     @property
     def name(self) -> str:
-        """The view's without ending, as there is little room."""
+        """Short name: the view's without file extension."""
         return str(PurePosixPath(self.view).with_suffix(""))
 
     @property
     def fit(self) -> str:
-        """How the training compares the map: inverse depth = scale * value + offset, or Pearson."""
+        """Comparison in training: inverse depth = scale * value + offset, or Pearson."""
         if self.verdict == ACCEPTED and self.scale is not None and self.offset is not None:
             return f"{self.scale:.4g} {'+' if self.offset >= 0 else '-'} {abs(self.offset):.3g}"
         return "Pearson" if self.verdict == REFUSED else "-"
@@ -71,13 +71,13 @@ class DepthReport:
     """All views of a capture."""
 
     rows: tuple[DepthRow, ...]
-    """By name."""
+    """Sorted by name."""
     why: str = ""
-    """A sentence: whether the training used depth, and why."""
+    """Sentence on the use of depth in the training, with the reason."""
 
     @cached_property
     def by_view(self) -> Mapping[str, DepthRow]:
-        """The rows by the photo's name."""
+        """Rows by photo name."""
         return {row.view: row for row in self.rows}
 
     @cached_property
@@ -90,19 +90,19 @@ def from_table(table: Sequence[Mapping[str, Any]], *, why: str = "") -> DepthRep
     """A report from the rows that gscore writes.
 
     Raises:
-        ValueError: they are no such rows.
+        ValueError: a row is invalid.
     """
     try:
         rows = sorted((_row(entry) for entry in table), key=lambda row: row.view)
         return DepthReport(tuple(rows), why)
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(
-            f"The depth report holds something else than expected ({error})."
+            f"The depth report has an unexpected entry ({error}); make it again with Check Maps."
         ) from error
 
 
 def read_run_report(output: Path) -> DepthReport | None:
-    """The report in the metrics.json of a run; None if there is none, or it says nothing of depth.
+    """The depth report in the metrics.json of a run; None without the file or a report in it.
 
     Raises:
         ValueError: the file is damaged.

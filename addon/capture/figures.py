@@ -8,7 +8,7 @@ from pathlib import Path
 from ..core import headline_psnr
 
 MEASURED = "errors"
-"""Folder in that of a run: its metrics of all photos, and the splats in the colors of errors."""
+"""Subfolder of a run with the metrics of all photos and the splats coloured by error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,19 +16,19 @@ class Figures:
     """PSNRs of photos."""
 
     path: Path
-    """The file that has them."""
+    """Their file."""
     views: Mapping[str, float | None]
-    """dB by the name of the photo; None: infinite, or there is none."""
+    """dB by photo name; None: infinite or unknown."""
 
     @property
     def ranked(self) -> list[tuple[str, float]]:
         """Photos with a PSNR, the worst first."""
-        found = [(name, psnr) for name, psnr in self.views.items() if psnr is not None]
-        return sorted(found, key=lambda pair: pair[1])
+        known = [(name, psnr) for name, psnr in self.views.items() if psnr is not None]
+        return sorted(known, key=lambda pair: pair[1])
 
 
 def measured(run: Path) -> Figures | None:
-    """Those of all photos, which *Measure Errors* wrote; None: not since the training."""
+    """Figures of all photos, written by *Measure Errors*; None if older than the training."""
     path = run / MEASURED / "metrics.json"
     try:
         if path.stat().st_mtime < (run / "point_cloud.ply").stat().st_mtime:
@@ -39,10 +39,10 @@ def measured(run: Path) -> Figures | None:
 
 
 def figures(run: Path) -> Figures:
-    """Those of all photos where they are there, else of those that the training evaluated.
+    """Figures of all photos if measured, else of the photos that the training evaluated.
 
     Raises:
-        ValueError: there are none, or they cannot be read.
+        ValueError: there are none, or the file cannot be read.
     """
     return measured(run) or _read(run / "metrics.json")
 
@@ -54,6 +54,6 @@ def _read(path: Path) -> Figures:
         known = {name: None if psnr is None else float(psnr) for name, psnr in views.items()}
     except (OSError, ValueError, RecursionError, TypeError, KeyError, AttributeError) as error:
         raise ValueError(
-            f"{path} tells of no photos ({error!r}): train to the end to have them evaluated."
+            f"{path} has no figures of photos ({error!r}): train to the end to evaluate them."
         ) from error
     return Figures(path=path, views=known)

@@ -5,12 +5,12 @@ from pathlib import Path
 
 
 def same_folder(a: Path, b: Path) -> bool:
-    """Whether two paths mean the same folder, which need not exist."""
+    """True if two paths name the same folder, which need not exist."""
     return _plain(a) == _plain(b)
 
 
 def means_capture(chosen: Path, source: Path) -> bool:
-    """Whether a path that was chosen means a capture: its folder, or one inside, as `sparse/0`."""
+    """True if a chosen path is the folder of a capture or inside it, such as `sparse/0`."""
     inside, whole = _plain(chosen), _plain(source)
     return inside == whole or whole in inside.parents
 

@@ -13,11 +13,11 @@ DEPTHS = "depths"
 
 
 class ShownFacts(CaptureFacts):
-    """A capture's facts as panels show them."""
+    """Facts of a capture with the text for panels."""
 
     @cached_property
     def depth_report(self) -> DepthReport:
-        """What is known of the depth maps without reading them; always the same object."""
+        """Depth report from stored scales, without reading the maps; always the same object."""
         return from_table(() if self.depth is None else self.depth.table)
 
     def lines(self) -> list[tuple[str, str]]:
@@ -44,7 +44,7 @@ class ShownFacts(CaptureFacts):
 
 
 def _lenses(models: Mapping[str, int]) -> Iterator[str]:
-    """How many cameras there are of each kind of lens; without a word those that bend no line."""
+    """Number of cameras and kind, for each kind of lens; undistorted lenses have no kind."""
     counts = Counter[str]()
     for name, count in models.items():
         counts[_kind_of(name)] += count
@@ -52,7 +52,7 @@ def _lenses(models: Mapping[str, int]) -> Iterator[str]:
 
 
 def _kind_of(model: str) -> str:
-    """The kind of lens of one of COLMAP's camera models, in words."""
+    """The kind of lens of a COLMAP camera model, for panels."""
     if model in NO_PINHOLE:
         return "panoramic"
     if model.endswith("FISHEYE"):
@@ -63,35 +63,35 @@ def _kind_of(model: str) -> str:
 def inspect(
     path: str | Path, *, images: str = "images", masks: str = "", depths: str = DEPTHS
 ) -> ShownFacts:
-    """Look into a capture; never raises on a bad one, the facts say what is wrong.
+    """Inspect a capture; never raises for a bad one, its facts list the problems.
 
     Args:
-        path: What the user picked.
+        path: Path chosen by the user.
         images: Folder of the photos in a COLMAP capture.
-        masks: Folder of the masks; empty: `masks` if it is there.
+        masks: Folder of the masks; empty: `masks` if it exists.
         depths: Folder of the depth maps.
     """
     if not str(path):
         problem = Problem(is_error=True, text="Choose a folder of photos, or a video.")
         return ShownFacts(source=Path(), problems=(problem,))
     config = DataConfig(source=find_capture(path), images=images, masks=masks)
-    found = inspect_capture(config, depths=depths)
-    notes = [Problem(is_error=False, text=text) for text in _of_blender(found)]
-    return ShownFacts(**{**vars(found), "problems": (*found.problems, *notes)})
+    facts = inspect_capture(config, depths=depths)
+    notes = [Problem(is_error=False, text=text) for text in _blender_limits(facts)]
+    return ShownFacts(**{**vars(facts), "problems": (*facts.problems, *notes)})
 
 
-def _of_blender(found: CaptureFacts) -> list[str]:
-    """What training takes in its stride and Blender does not."""
+def _blender_limits(facts: CaptureFacts) -> list[str]:
+    """Sentences on photos and cameras that training supports and Blender does not."""
     notes = []
-    if found.sideways:
+    if facts.sideways:
         notes.append(
-            f"{found.sideways} photos are stored sideways and turned by EXIF. Training turns "
+            f"{facts.sideways} photos are stored sideways and rotated by EXIF. Training rotates "
             f"them; Blender's camera backgrounds do not."
         )
-    if found.not_square:
+    if facts.not_square:
         notes.append(
-            f"{found.not_square} cameras have pixels that are not square (fx and fy differ by up "
-            f"to {found.aspect:.1%}). Blender keeps pixel aspect per scene; choosing a camera "
+            f"{facts.not_square} cameras have pixels that are not square (fx and fy differ by up "
+            f"to {facts.aspect:.1%}). Blender stores the pixel aspect per scene; choosing a camera "
             f"with the add-on sets it."
         )
     return notes

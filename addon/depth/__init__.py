@@ -1,1 +1,1 @@
-"""Depth maps of a capture: prediction, comparison, display on the cameras."""
+"""Depth maps of a capture: prediction, check against SfM points, colors of the cameras."""

@@ -18,7 +18,7 @@ PALETTE = {
     REFUSED: (1.0, 0.3, 0.1, 1.0),
     MISSING: (0.6, 0.6, 0.6, 1.0),
 }
-"""Linear RGBA; told apart by people who confuse red and green, too."""
+"""Linear RGBA, distinct also for red-green colour blindness."""
 _followed: dict[str, DepthReport] = {}
 """The last report of each scene, by the scene's name."""
 
@@ -40,17 +40,17 @@ def show(root: bpy.types.Object, report: DepthReport) -> int:
 
 
 def matches(root: bpy.types.Object, report: DepthReport) -> bool:
-    """Whether the colors of a capture's cameras match a report."""
+    """True if the colors of a capture's cameras match a report."""
     return all(mark_of(ob) == (_verdict(ob, report) or "") for ob in own_cameras(root))
 
 
 def shown(root: bpy.types.Object) -> bool:
-    """Whether cameras of a capture are colored by their maps."""
+    """True if cameras of a capture are colored by their maps."""
     return not marks(root).isdisjoint(PALETTE)
 
 
 def follow() -> bool:
-    """Update the colors of cameras whose report has changed; return whether there were any."""
+    """Update the colors of cameras whose report has changed; True if there were any."""
     if bpy.app.is_job_running("RENDER"):
         return False
     changed = False
@@ -59,7 +59,7 @@ def follow() -> bool:
         if report is None or report is _followed.get(scene.name):
             continue
         _followed[scene.name] = report
-        root = panel_root(scene)  # whose maps the report is about
+        root = panel_root(scene)  # the capture of the report
         if root is not None and shown(root) and not matches(root, report):
             show(root, report)
             undo.push("Color Cameras")
@@ -100,11 +100,11 @@ class ColorCameras(BaseOperator, bpy.types.Operator):
             return ""
         report = predict_depth.report(scene)
         if report is None:
-            raise ValueError("There is no depth report yet; Check Maps makes one.")
+            raise ValueError("There is no depth report yet; use Check Maps.")
         known = show(root, report)
         if not known:
-            raise ValueError(f"The depth report knows no camera of {root.name}; Check Maps.")
-        return f"{known} cameras of {root.name} show their depth maps."
+            raise ValueError(f"The depth report has no camera of {root.name}; use Check Maps.")
+        return f"Colored {known} cameras of {root.name} by their depth maps."
 
 
 CLASSES = (ColorCameras,)
@@ -112,7 +112,7 @@ _FOLLOWER = poll_timer.Poller(follow)
 
 
 def on_register() -> None:
-    """Start to follow reports."""
+    """Start following reports."""
     poll_timer.POLLERS.append(_FOLLOWER)
 
 

@@ -8,9 +8,9 @@ from ..training.verb_job import VerbJob
 
 
 class DepthJob(VerbJob):
-    """One run of `gscore depth`; maps are written whole or not at all."""
+    """One run of `gscore depth`; never leaves a partly written map."""
 
-    kept = "Cancelled; maps that were made are kept."
+    kept = "Cancelled; finished maps are kept."
     less = "choose a smaller network, then predict again"
     progress: DepthProgress | None = None
     report: DepthReport | None = None
@@ -20,8 +20,8 @@ class DepthJob(VerbJob):
     @property
     def share(self) -> float:
         """Progress of the current phase, 0 to 1."""
-        told = self.progress
-        return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
+        last = self.progress
+        return min(last.done / last.total, 1.0) if last is not None and last.total > 0 else 0.0
 
     def take(self, event: Event) -> None:
         """Process an event."""

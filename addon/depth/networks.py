@@ -15,12 +15,12 @@ OFFLINE = (
 
 
 def may_go_online() -> bool:
-    """Whether Blender allows add-ons to go online."""
+    """True if Blender allows add-ons to go online."""
     return bpy.app.online_access
 
 
 def known(name: str) -> KnownNetwork | None:
-    """The network of a name; None: unknown name."""
+    """The network with a name; None: unknown name."""
     return next((network for network in depth_networks() if network.name == name), None)
 
 
@@ -30,7 +30,7 @@ def chosen() -> KnownNetwork | None:
 
 
 def is_here(network: KnownNetwork) -> bool | None:
-    """Whether it is installed; None: not known yet.
+    """True if the network is installed; None: not known yet.
 
     Raises:
         ValueError: the query failed; the message gives the reason.
@@ -61,6 +61,6 @@ def question(network: KnownNetwork) -> list[str]:
     return [
         f"{network.name} is downloaded: {terms(network)}.",
         f"From {network.page}, weights of {network.source}.",
-        "It goes into the cache of huggingface_hub, where other programs find it too, and is "
-        "checked against its SHA-256.",
+        "It is stored in the cache of huggingface_hub, which other programs share, and checked "
+        "against its SHA-256.",
     ]

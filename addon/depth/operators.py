@@ -37,18 +37,18 @@ class _DepthWork(BaseOperator):
 
 
 class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
-    """Predict depth maps of all photos with a network, in the background; Blender stays free"""
+    """Predict depth maps of all photos with a network, in the background"""
 
     bl_idname = "gscore.predict_depth"
     bl_label = "Predict Depth Maps"
 
     filepath: StringProperty(
         name="Network",
-        description="ONNX file of the network; empty: the one of the preferences",
+        description="ONNX file of the network; empty: the network of the preferences",
         subtype="FILE_PATH",
         options={"SKIP_SAVE"},
     )
-    confirm = "Predict Anew"
+    confirm = "Predict Again"
     filter_glob: StringProperty(default="*.onnx", options={"HIDDEN"})
     overwrite: BoolProperty(
         name="Replace All",
@@ -71,7 +71,7 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
         return super().invoke(context, event)
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name the download, and the maps that are replaced."""
+        """List the replaced maps and the download."""
         lines = predict_depth.replaced(context.scene) if self.overwrite else []
         network = networks.chosen()
         if self.download and network is not None:
@@ -104,7 +104,7 @@ class CheckDepth(_DepthWork, bpy.types.Operator):
     bl_label = "Check Maps"
 
     def start(self, scene: bpy.types.Scene) -> DepthJob:
-        """Start."""
+        """Start the job."""
         return predict_depth.check(scene, wait=self.wait)
 
 
@@ -113,7 +113,7 @@ class CancelDepth(Cancelling, bpy.types.Operator):
 
     bl_idname = "gscore.cancel_depth"
     bl_label = "Cancel"
-    none = "No depth maps are worked on."
+    none = "No depth job is running."
 
     def job_of(self, scene: bpy.types.Scene) -> DepthJob | None:
         """The depth job of the scene."""
@@ -132,7 +132,7 @@ class ShowDepthSheet(BaseOperator, bpy.types.Operator):
         image.reload()
         if show_image(context, image, new_window=True):
             return ""
-        return f"{image.name} is loaded; there is no window to show it in."
+        return f"Loaded {image.name}; there is no window to show it."
 
 
 CLASSES = (PredictDepth, CheckDepth, CancelDepth, ShowDepthSheet)

@@ -15,7 +15,7 @@ from .job import DepthJob
 from .registry import JOBS
 
 MAPS, RUN = "MAPS", "RUN"
-"""Reports of a scene: of the maps as they are, of the last training."""
+"""Reports of a scene: of the current maps, of the last training."""
 
 
 def predict(
@@ -31,14 +31,14 @@ def predict(
 
     Args:
         scene: Its `gscore` settings name the capture, its photos and masks.
-        model: ONNX file or name of the network; empty: that of the preferences.
+        model: ONNX file or name of the network; empty: the network of the preferences.
         overwrite: Predict all views again; else only views without a map of this network.
         download: Download a named network if it is not on this computer.
         wait: Return when the job has ended.
-        python: The Python that predicts; None: that of the preferences.
+        python: The Python that predicts; None: the one of the preferences.
 
     Raises:
-        ValueError: something is missing or in the way; the message says what to do.
+        ValueError: an input is missing, a download is not allowed, or a job is running.
     """
     prefs = preferences.get()
     known = networks.known(str(model) or prefs.depth_network)
@@ -71,7 +71,7 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
     source = capture_folder(scene)
     found = facts.capture(scene)[0]
     count = 0 if found is None else found.depths
-    return [f"{count or 'All'} depth maps in {source / options.DEPTHS} are replaced for good."]
+    return [f"{count or 'All'} depth maps in {source / options.DEPTHS} are overwritten."]
 
 
 def check(
@@ -108,16 +108,14 @@ def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
 
 
 def report(scene: bpy.types.Scene) -> DepthReport | None:
-    """The report that is chosen in the scene's settings, if it is loaded."""
+    """The report chosen in the scene's settings, or another one that is loaded."""
     known = reports(scene)
     return known.get(scene.gscore.depth_shown) or next(iter(known.values()), None)
 
 
 def run_report(scene: bpy.types.Scene) -> tuple[DepthReport | None, str]:
-    """The report of the run in the scene's output folder, and an error message.
-
-    (None, "") for none or still unknown.
-    """
+    """The report of the run in the scene's output folder, and an error message; (None, "") if
+    there is none or it is still loading."""
     try:
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
@@ -135,7 +133,7 @@ def sheet(scene: bpy.types.Scene) -> Path:
     """
     path = capture_folder(scene) / options.DEPTHS / "contact_sheet.png"
     if not path.is_file():
-        raise ValueError(f"There is no {path}; it is made with the maps: press Predict.")
+        raise ValueError(f"There is no {path}; Predict makes it together with the maps.")
     return path
 
 
@@ -148,9 +146,8 @@ def _start(
 ) -> DepthJob:
     other = JOBS.of_source(source)
     if other is not None and other.busy:
-        raise ValueError(f"Depth maps of {source} are worked on already; cancel that first.")
-    how = {"source": source, "after": other}
-    job = launch(lambda program: DepthJob(program, arguments, **how), python)
+        raise ValueError(f"A depth job of {source} is running already; cancel it first.")
+    job = launch(lambda program: DepthJob(program, arguments, source=source, after=other), python)
     JOBS.add(job)
     poll_timer.ensure()
     follow(lambda: wait and not job.ended)

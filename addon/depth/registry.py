@@ -4,4 +4,4 @@ from ..training.verb_jobs import VerbJobs
 from .job import DepthJob
 
 JOBS: VerbJobs[DepthJob] = VerbJobs()
-"""Those of each capture."""
+"""Jobs by capture."""

@@ -10,18 +10,18 @@ from .option_labels import error_words
 
 
 class BaseOperator:
-    """Mixed in before bpy.types.Operator; an operator's class is called as its button says."""
+    """Mixed in before bpy.types.Operator; an operator's class has the name of its button."""
 
     def act(self, context: bpy.types.Context) -> str:
         """Run the operator; the text of its report, or an empty string.
 
         Raises:
-            GsError, ValueError, OSError: it cannot be done; the message is for the user.
+            GsError, ValueError, OSError: the operator fails; the message is for the user.
         """
         raise NotImplementedError
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """What `act` writes to; it is not called unless Blender keeps changes of all of these.
+        """Datablocks that `act` changes; it runs only if Blender keeps changes of all of them.
 
         Raises:
             ValueError: as `act`.
@@ -32,11 +32,11 @@ class BaseOperator:
         """Entry point of Blender."""
         try:
             editable_check.check(*self.changes(context))
-            told = self.act(context)
+            message = self.act(context)
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
-        if told:
-            self.report({"INFO"}, told)
+        if message:
+            self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def refuse(self, error: Exception) -> set[str]:
@@ -51,7 +51,7 @@ class BaseOperator:
 
 
 class OnScene(BaseOperator):
-    """Changes the scene."""
+    """Base of operators that change the scene."""
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene."""
@@ -59,14 +59,14 @@ class OnScene(BaseOperator):
 
 
 def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
-    """Select an object and no other, and make it the active one."""
+    """Select only one object, and make it active."""
     make_active_in(context.view_layer, ob)
 
 
 def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
-    """`select_only` in a view layer, which need not be shown in a window."""
+    """As `make_active`, in a view layer that need not be shown in a window."""
     for other in layer.objects.selected:
-        if other is not None:  # removed, and the layer not yet brought up to date
+        if other is not None:  # None: removed, and the layer is not yet updated
             other.select_set(False, view_layer=layer)
     ob.select_set(True, view_layer=layer)
     layer.objects.active = ob

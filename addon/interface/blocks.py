@@ -9,11 +9,11 @@ BlockT = TypeVar("BlockT", bound=bpy.types.ID)
 
 
 def with_uid(blocks: Iterable[BlockT], uid: int | None) -> BlockT | None:
-    """The datablock with a session uid; None: it was removed, or `uid` is None."""
+    """The datablock with a session uid; None if it was removed or `uid` is None."""
     return next((block for block in blocks if block.session_uid == uid), None)
 
 
 def first_few(names: Sequence[str], most: int = 3) -> str:
-    """The first names for a sentence, and the number of further ones."""
+    """The first names, joined for a sentence, and the number of further ones."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")

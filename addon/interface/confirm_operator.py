@@ -18,9 +18,9 @@ def wrapped(
     """Draw a sentence as several labels, because Blender's labels do not wrap.
 
     Args:
-        layout: Gets a column.
+        layout: Parent of the column with the labels.
         text: The sentence.
-        icon: Before the first line.
+        icon: Icon of the first line.
         width: Characters per line.
     """
     column = layout.column(align=True)
@@ -33,13 +33,13 @@ def letters(context: bpy.types.Context) -> int:
     """Characters per line in the drawn region."""
     width = context.region.width if context.region else 260
     # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
-    scale = context.preferences.system.ui_scale or 1.0  # without a window it is 0
+    scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
     return max(int((width / scale - 60) / 6.2), 20)
 
 
 class ConfirmMixin:
-    """Mixed in before `BaseOperator`: shows `question` in a dialog before `execute`; the key Enter
-    alone does nothing."""
+    """Mixed in before `BaseOperator`: shows `question` in a dialog before `execute`; Enter
+    cancels."""
 
     confirm = "OK"
     """Text of the confirm button."""
@@ -48,7 +48,7 @@ class ConfirmMixin:
         """Sentences about the effects; none: no confirmation is needed.
 
         Raises:
-            GsError, ValueError, OSError: it cannot be done; the message says why.
+            GsError, ValueError, OSError: the operator fails; the message is for the user.
         """
         raise NotImplementedError
 
@@ -71,5 +71,5 @@ class ConfirmMixin:
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the sentences in place of the operator's properties."""
-        for line in getattr(self, "lines", ()):  # a redo panel has none
+        for line in getattr(self, "lines", ()):  # none in a redo panel
             wrapped(self.layout, line, icon="DOT")

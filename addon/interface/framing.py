@@ -7,20 +7,20 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 MOST = 0.9
-"""Share of the weight, on each axis and then nearest to their middle, that a view shows: the rest
-is sky."""
+"""Share of the weight that a view shows, on each axis and then nearest to the centre; the rest is
+sky."""
 _ROOM = 2.5
-"""Distance from the middle, in radii of what is framed, at which Blender's usual lens shows it."""
+"""View distance in radii of the framed ball, for Blender's default lens."""
 _USUAL_LENS = 50.0
 _CENTRAL = 0.25
-"""Tangent of the angle from a camera's axis within which its subject is looked for."""
+"""Tangent of the largest angle between a camera's axis and its subject."""
 
 
 def ball(places: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, float]:
     """Centre [3] and radius of the bulk of points [N, 3], N > 0; weights [N], None: equal."""
     weights = np.ones(len(places)) if weights is None else weights
     low, high = (1 - MOST) / 2, (1 + MOST) / 2
-    # Of a box, as the median lies on the ground wherever that has the most places.
+    # The centre of a box, because the median is on the ground if most points are there.
     middle = np.array([np.mean(quantiles(axis, weights, (low, high))) for axis in places.T])
     away = np.linalg.norm(places - middle, axis=1)
     return middle, float(quantiles(away, weights, (MOST,))[0])
@@ -47,7 +47,7 @@ def show_ball(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -
     if region.view_perspective != "CAMERA":
         region.view_location = Vector(middle)
         region.view_distance = _ROOM * radius * space.lens / _USUAL_LENS
-        _see(space, region.view_distance + radius)
+        _extend_clipping(space, region.view_distance + radius)
 
 
 def show_from(
@@ -56,13 +56,13 @@ def show_from(
     places: np.ndarray,
     weights: np.ndarray,
 ) -> None:
-    """Look as the one of some cameras does whose direction is nearest to a view's, level, and turn
-    around what it has in its middle; a camera's view stays its own.
+    """Move a view to the camera whose direction is nearest to its own, levelled, and set its
+    pivot to the subject in the camera's centre; camera views stay unchanged.
 
     Args:
         space: The view.
-        cameras: Their matrices in Blender's world, at least one.
-        places: [N, 3] what there is to see, N > 0.
+        cameras: Camera matrices in Blender's world, at least one.
+        places: [N, 3] points of the scene, N > 0.
         weights: [N].
     """
     region = space.region_3d
@@ -78,30 +78,32 @@ def show_from(
         region.view_rotation = ahead.to_track_quat("-Z", "Y")
     region.view_distance = depth
     region.view_location = eye + depth * ahead
-    _see(space, 2 * depth)
+    _extend_clipping(space, 2 * depth)
 
 
 def depth_of(places: np.ndarray, weights: np.ndarray, eye: np.ndarray, ahead: np.ndarray) -> float:
-    """Distance along a camera's axis of what is in its middle: the weighted median of what stands
-    there, nearer places counting as much as their size in its picture; of all where nothing does.
+    """Distance along a camera's axis to the subject in the centre of its picture.
+
+    The median of the depths of central points, weighted also by 1 / depth², their size in the
+    picture; without central points the median distance of all.
 
     Args:
         places: [N, 3].
         weights: [N].
-        eye: [3], of the camera.
-        ahead: [3], where it looks; a unit vector.
+        eye: [3] camera position.
+        ahead: [3] viewing direction, a unit vector.
     """
     offsets = places - eye
     depths = offsets @ ahead
     across = np.linalg.norm(offsets - depths[:, None] * ahead, axis=1)
-    seen = (depths > 0) & (across < _CENTRAL * depths)
-    if not seen.any():
+    central = (depths > 0) & (across < _CENTRAL * depths)
+    if not central.any():
         return max(float(np.median(np.linalg.norm(offsets, axis=1))), 1e-3)
-    depths = depths[seen]
-    return float(quantiles(depths, weights[seen] / depths**2, (0.5,))[0])
+    depths = depths[central]
+    return float(quantiles(depths, weights[central] / depths**2, (0.5,))[0])
 
 
-def _see(space: bpy.types.SpaceView3D, distance: float) -> None:
-    """Raise the far clipping distance of a view."""
+def _extend_clipping(space: bpy.types.SpaceView3D, distance: float) -> None:
+    """Extend the clipping range of a view."""
     space.clip_end = max(space.clip_end, 10 * distance)
     space.clip_start = min(space.clip_start, 1e-2 * distance)

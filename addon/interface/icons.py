@@ -1,4 +1,4 @@
-"""Icons from pictures that the add-on draws, for panels."""
+"""Icons for panels, drawn by the add-on."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class PictureIcons:
-    """Icons by name, kept while Blender has room for them."""
+    """Icons by name, cached in a preview collection."""
 
     def __init__(self) -> None:
         self._icons: bpy.utils.previews.ImagePreviewCollection | None = None

@@ -5,7 +5,7 @@ import bpy
 from .window_override import in_a_window
 
 _FILLS = 0.9
-"""Of an editor's width and height: its header and the sliders at its edges need the rest."""
+"""Share of an editor's width and height; its header and scrollbars cover the rest."""
 
 
 def show_image(
@@ -18,8 +18,8 @@ def show_image(
 def show_soon(context: bpy.types.Context, image: bpy.types.Image) -> bool:
     """As `show_image`, in a new window if needed; True if the image is or will be shown.
 
-    For operators that go on event by event: Blender would not take note of the end of one that has
-    opened a window, so that is done right after it.
+    For modal operators: Blender misses the end of one that has opened a window, so a timer opens
+    it right after.
     """
     if show_image(context, image):
         return True
@@ -28,10 +28,10 @@ def show_soon(context: bpy.types.Context, image: bpy.types.Image) -> bool:
     name = image.name
 
     def show() -> None:
-        found = bpy.data.images.get(name)
+        current = bpy.data.images.get(name)
         with in_a_window() as there_is_a_window:
-            if found is not None and there_is_a_window:
-                show_image(bpy.context, found, new_window=True)
+            if current is not None and there_is_a_window:
+                show_image(bpy.context, current, new_window=True)
 
     bpy.app.timers.register(show, first_interval=0.0)
     return True
@@ -57,19 +57,19 @@ def editor_of(
 
 
 def fit(area: bpy.types.Area) -> bool:
-    """Zoom out until the image of an editor fits into it, beside its sidebar; True.
+    """Zoom out until the image of an editor fits next to its sidebar; True.
 
-    `bpy.ops.image.view_all` would need another context, and an area that was drawn already.
+    `bpy.ops.image.view_all` would need another context, and an area that has been drawn.
     """
     space, size = area.spaces.active, (area.width, area.height)
-    if area.width <= 1:  # an area in a new window knows no size yet
+    if area.width <= 1:  # an area in a new window has no size yet
         windows = bpy.context.window_manager.windows
         window = next(window for window in windows if area in window.screen.areas[:])
         size = (window.width, window.height)
-    # The image stays in the middle, so the sidebar takes its width on both sides.
-    beside = max(size[0] - 2 * _sidebar(area), size[0] // 2)
+    # The image stays centred, so the sidebar takes its width on both sides.
+    free = max(size[0] - 2 * _sidebar(area), size[0] // 2)
     zoom = min(
-        _FILLS * beside / max(space.image.size[0], 1),
+        _FILLS * free / max(space.image.size[0], 1),
         _FILLS * size[1] / max(space.image.size[1], 1),
     )
     space.zoom_percentage = 100 * min(zoom, 1.0)

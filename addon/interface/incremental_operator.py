@@ -1,4 +1,4 @@
-"""Incremental operators: long work in short steps in a window, in one call for scripts."""
+"""Incremental operators: long work in short steps, or in one call for scripts."""
 
 from dataclasses import dataclass, field
 
@@ -22,7 +22,7 @@ class IncrementalOperator(BaseOperator):
         Blender's data may change between two steps, so objects are looked up again.
 
         Raises:
-            GsError, ValueError, OSError: it cannot be done; the message is for the user.
+            GsError, ValueError, OSError: the operator fails; the message is for the user.
         """
         raise NotImplementedError
 
@@ -34,34 +34,34 @@ class IncrementalOperator(BaseOperator):
             finish()
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Of a button: without this, Blender does not tell that a user pressed it."""
+        """Called by a button; without it Blender does not set `options.is_invoke`."""
         return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start the steps in a window; for a script or a repeated operator run all at once."""
-        # Blender crashes where an operator that is repeated goes on event by event.
+        """Start the steps in a window; scripts and repeated operators run all in one call."""
+        # Blender crashes if a repeated operator becomes modal.
         again = self.options.is_repeat or self.options.is_repeat_last
         called = self.options.is_invoke and not again
         if bpy.app.background or context.window is None or not called:
             return super().execute(context)
         try:
             editable_check.check(*self.changes(context))
-            going = TaskRunner(in_words(self.pieces(context)))
-            done = going.step()
+            runner = TaskRunner(in_words(self.pieces(context)))
+            done = runner.step()
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
         if done:
-            return self._finished(going)
-        self._under_way = _UnderWay(going, ModalStatus(context, "Esc cancels"))
+            return self._finished(runner)
+        self._modal_run = _ModalRun(runner, ModalStatus(context, "Esc cancels"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Run a step at a timer event; pass other events through."""
-        own = self._under_way
+        own = self._modal_run
         if event.type == "ESC" and event.value == "PRESS":
             own.give_up()
-            self.report({"INFO"}, f"{self.bl_label} is cancelled.")
+            self.report({"INFO"}, f"{self.bl_label} was cancelled.")
             return {"CANCELLED"}
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
             return {"PASS_THROUGH"}
@@ -71,59 +71,59 @@ class IncrementalOperator(BaseOperator):
             own.give_up()
             return self.refuse(error)
         except Exception:
-            own.give_up()  # or its timer would go on
+            own.give_up()  # else its timer would keep running
             raise
         if not done:
-            own.waiting.tell(own.going.sentence)
+            own.status.tell(own.runner.sentence)
             return {"PASS_THROUGH"}
         own.end()
-        return self._finished(own.going)
+        return self._finished(own.runner)
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Clean up; called by Blender before a file load or its end."""
-        if (own := getattr(self, "_under_way", None)) is not None:  # else it was the file browser
+        if (own := getattr(self, "_modal_run", None)) is not None:  # None: from the file browser
             own.give_up()
 
-    def _finished(self, going: TaskRunner) -> set[str]:
-        if going.result:
-            self.report({"INFO"}, going.result)
+    def _finished(self, runner: TaskRunner) -> set[str]:
+        if runner.result:
+            self.report({"INFO"}, runner.result)
         return {"FINISHED"}
 
 
 @dataclass(frozen=True, eq=False)
-class _UnderWay:
+class _ModalRun:
     """State of a running operator in a window."""
 
-    going: TaskRunner
-    waiting: ModalStatus
+    runner: TaskRunner
+    status: ModalStatus
 
     pace: Pace = field(default_factory=Pace)
 
     def __post_init__(self) -> None:
-        _UNDER_WAY.add(self)
+        _MODAL_RUNS.add(self)
 
     def step(self) -> bool:
         """Run steps within the pace; True if all is done."""
         self.pace.begin()
-        while not (done := self.going.step()) and self.pace.more():
+        while not (done := self.runner.step()) and self.pace.more():
             pass
         self.pace.end(INTERVAL)
         return done
 
     def end(self) -> None:
         """Remove the timer and the status text."""
-        _UNDER_WAY.discard(self)
-        self.waiting.end()
+        _MODAL_RUNS.discard(self)
+        self.status.end()
 
     def give_up(self) -> None:
         """Cancel before the end."""
         try:
-            self.going.cancel()
+            self.runner.cancel()
         finally:
             self.end()
 
 
-_UNDER_WAY: set[_UnderWay] = set()
+_MODAL_RUNS: set[_ModalRun] = set()
 
 
 def in_words(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
@@ -132,11 +132,11 @@ def in_words(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
         return (yield from pieces)
     except MemoryError as error:
         raise GsError(
-            "There is not enough memory for this: close other programs, or do it to fewer splats."
+            "There is not enough memory for this: close other programs, or use fewer splats."
         ) from error
 
 
 def on_unregister() -> None:
-    """Give up what is under way: Blender forgets its operators without a word to them."""
-    for own in list(_UNDER_WAY):
+    """Cancel running operators, because Blender drops them without calling `cancel`."""
+    for own in list(_MODAL_RUNS):
         own.give_up()

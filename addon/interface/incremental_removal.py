@@ -1,6 +1,6 @@
 """Incremental removal of unused datablocks while Blender is idle.
 
-Blender takes a hundred milliseconds and more to remove thousands of datablocks at once.
+Removing thousands of datablocks in one call blocks Blender for 100 ms and more.
 """
 
 from collections.abc import Iterator
@@ -13,11 +13,11 @@ _pending: list[Iterator[None]] = []
 
 
 def clear(steps: Iterator[None]) -> None:
-    """Have steps done, a short piece each, on Blender's timer. Without a window timers never run:
-    then `finish` does them, or `clearing`."""
+    """Queue short steps for Blender's timer. Without a window timers never run, so `finish` or
+    `clearing` runs them."""
     _pending.append(steps)
-    if not bpy.app.background and not bpy.app.timers.is_registered(_beat):
-        bpy.app.timers.register(_beat, first_interval=_INTERVAL)
+    if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=_INTERVAL)
 
 
 def clearing() -> Iterator[str]:
@@ -43,12 +43,12 @@ def _step() -> bool:
     except StopIteration:
         _pending.remove(steps)
     except BaseException:
-        _pending.remove(steps)  # or it would fail for ever
+        _pending.remove(steps)  # else it would fail again and again
         raise
     return True
 
 
-def _beat() -> float | None:
+def _tick() -> float | None:
     if bpy.app.is_job_running("RENDER"):
         return _INTERVAL
     return _INTERVAL if _step() else None
@@ -58,5 +58,5 @@ HANDLERS = {"save_pre": finish, "load_pre": finish}
 
 
 def on_unregister() -> None:
-    """Leave nothing: Blender calls nobody any more."""
+    """Run all remaining removals, because the timer ends."""
     finish()

@@ -18,9 +18,8 @@ class Lookup(Generic[KeyT, AnswerT]):
         """Cache results of `function`.
 
         Args:
-            function: Called in a thread; what it raises is its answer's problem, in the words of
-                panels.
-            max_age: Seconds after which an answer is looked up again when it is asked for.
+            function: Called in a thread; its exception becomes the problem, with panel labels.
+            max_age: Seconds after which a request computes the answer again.
         """
         self._function = function
         self._max_age = max_age

@@ -11,14 +11,14 @@ REDRAW = 0.25
 
 
 class StatusBar:
-    """That of a workspace, which may be deleted meanwhile."""
+    """Status bar of a workspace, which may be deleted meanwhile."""
 
     def __init__(self, workspace: bpy.types.WorkSpace) -> None:
         """Initialise without a text."""
         self._uid = workspace.session_uid
 
     def say(self, text: str | None) -> None:
-        """Show a text; None: Blender's own."""
+        """Show a text; None: Blender's default."""
         for workspace in bpy.data.workspaces:
             if workspace.session_uid == self._uid:
                 workspace.status_text_set(text)
@@ -37,13 +37,13 @@ class ModalStatus:
         self._hint = hint
         self._status = StatusBar(context.workspace)
         self._timer = context.window_manager.event_timer_add(INTERVAL, window=context.window)
-        self._told, self._when = "", 0.0
+        self._sentence, self._when = "", 0.0
 
     def tell(self, sentence: str) -> None:
         """Show a sentence in the status bar, at a readable rate."""
         now = time.monotonic()
-        if sentence != self._told and now - self._when > REDRAW:
-            self._told, self._when = sentence, now
+        if sentence != self._sentence and now - self._when > REDRAW:
+            self._sentence, self._when = sentence, now
             self._status.say(f"{sentence}   |   {self._hint}")
 
     def end(self) -> None:

@@ -1,4 +1,4 @@
-"""Sidebar and asset shelf of an editor: the add-on's tab, and the choice of brushes."""
+"""Sidebar and asset shelf of an editor: opens the add-on's tab, closes the shelf."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,8 @@ import bpy
 
 TAB = "Train Splats"
 _TRIES, _PAUSE = 10, 0.1
-"""How often a step is tried, and seconds between: an editor that was just opened has no tabs and no
-shelf before it is drawn, and 4.3 crashes where a new window's sidebar is opened before that."""
+"""Attempts of a step, and seconds between them: a new editor has no tabs and no shelf before it is
+drawn, and 4.3 crashes if a new window's sidebar is opened before that."""
 
 Step = Callable[[bpy.types.Area], bool]
 """Step on an editor; returns True when done."""
@@ -15,15 +15,15 @@ Step = Callable[[bpy.types.Area], bool]
 
 def in_turn(area: bpy.types.Area, *steps: Step) -> None:
     """Run steps on an editor one after the other, each repeated until it is done."""
-    wanted, waiting, left = area.as_pointer(), list(steps), _TRIES
+    pointer, waiting, left = area.as_pointer(), list(steps), _TRIES
 
     def attempt() -> float | None:
         nonlocal left
         for window in bpy.context.window_manager.windows:
-            for found in window.screen.areas:
-                if found.as_pointer() == wanted:
-                    with bpy.context.temp_override(window=window, area=found):
-                        done = waiting[0](found)
+            for current in window.screen.areas:
+                if current.as_pointer() == pointer:
+                    with bpy.context.temp_override(window=window, area=current):
+                        done = waiting[0](current)
                     left -= 1
                     if done or not left:
                         left = _TRIES
@@ -42,13 +42,13 @@ def open_sidebar(area: bpy.types.Area) -> bool:
 
 
 def choose_tab(area: bpy.types.Area) -> bool:
-    """Choose the add-on's tab in a sidebar that is open."""
+    """Choose the add-on's tab in an open sidebar."""
     region = next((r for r in area.regions if r.type == "UI"), None)
     if region is None or not hasattr(region, "active_panel_category"):
         return True
     try:
         region.active_panel_category = TAB
-    except AttributeError:  # older Blenders only tell it
+    except AttributeError:  # read-only in older versions
         return True
     except TypeError:
         return False
@@ -57,12 +57,12 @@ def choose_tab(area: bpy.types.Area) -> bool:
 
 
 def close_shelf(area: bpy.types.Area) -> bool:
-    """Close the shelf of assets at the foot, which newer Blenders lay over the picture."""
+    """Close the asset shelf, which newer versions draw over the picture."""
     space = area.spaces.active
     if not hasattr(space, "show_region_asset_shelf"):
         return True
     try:
         space.show_region_asset_shelf = False
-    except AttributeError:  # as long as there is none
+    except AttributeError:  # there is no shelf yet
         return False
     return True

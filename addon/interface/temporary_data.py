@@ -12,13 +12,13 @@ from ..process.incremental_tasks import BUDGET
 
 _MARK = "gs_temporary"
 _BATCH = 10
-"""Objects that are removed together. Each takes longer the more there are in the file."""
+"""Objects removed per call. Each call takes longer the more objects the file has."""
 Block = bpy.types.Mesh | bpy.types.PointCloud | bpy.types.Collection
 
 
 class Temporary:
-    """One of them, without users; of a collection, all that is in it. It is looked up anew each
-    time: undo, redo and other files take it."""
+    """A temporary datablock without users; a collection includes its content. It is looked up at
+    each use, because undo, redo and file loads remove it."""
 
     def __init__(self, block: Block) -> None:
         """Take ownership of a datablock."""
@@ -32,7 +32,7 @@ class Temporary:
         return block if block is not None and block.get(_MARK) == self._mark else None
 
     def hold(self, block: bpy.types.Collection | bpy.types.Object) -> None:
-        """Mark what was put into it: a file that is saved now has that too."""
+        """Mark a datablock that was put into it, which a file saved meanwhile contains too."""
         block[_MARK] = self._mark
 
     def take(self) -> Block | None:
@@ -62,7 +62,7 @@ class Temporary:
 
 
 def release(block: bpy.types.ID) -> None:
-    """What was put into a collection is the caller's, who has taken it out."""
+    """Pass ownership of a collection's content to the caller, who has unlinked it."""
     block.pop(_MARK, None)
 
 
@@ -85,15 +85,15 @@ def _objects(block: Block | None) -> list[bpy.types.Object]:
 
 
 def _remove(blocks: Iterable[bpy.types.ID]) -> None:
-    """Remove datablocks, and the data and the actions that these alone have."""
-    found = set(blocks)
-    data = {ob.data for ob in found if isinstance(ob, bpy.types.Object) and ob.data is not None}
-    found |= {one for one in data if one.users == 1}
-    moved = [one.animation_data for one in found if getattr(one, "animation_data", None)]
+    """Remove datablocks, and the data and actions that only these use."""
+    doomed = set(blocks)
+    data = {ob.data for ob in doomed if isinstance(ob, bpy.types.Object) and ob.data is not None}
+    doomed |= {one for one in data if one.users == 1}
+    moved = [one.animation_data for one in doomed if getattr(one, "animation_data", None)]
     uses = Counter(animation.action for animation in moved if animation.action is not None)
-    found |= {action for action, count in uses.items() if action.users == count}
-    if found:
-        bpy.data.batch_remove(list(found))
+    doomed |= {action for action, count in uses.items() if action.users == count}
+    if doomed:
+        bpy.data.batch_remove(list(doomed))
 
 
 def _marked() -> list[Block]:
@@ -103,15 +103,14 @@ def _marked() -> list[Block]:
 
 @persistent
 def _undone(*_: object) -> None:
-    """Remove what undo and redo have brought back: their steps hold what was there meanwhile, as it
-    was then."""
+    """Remove temporary datablocks that undo and redo have restored from their steps."""
     for block in [b for b in _marked() if not b.users]:
         _remove([block, *_inside(block)])
 
 
 @persistent
 def _loaded(*_: object) -> None:
-    """Remove what was under way when the file was saved."""
+    """Remove temporary datablocks that were saved with the file."""
     _remove([*_marked(), *(ob for ob in bpy.data.objects if _MARK in ob)])
 
 

@@ -6,7 +6,7 @@ from .window_override import in_a_window
 
 
 def push(message: str) -> None:
-    """Make what was done a step of its own: else undoing the user's next step undoes this too."""
+    """Add an undo step; without it, undoing the user's next step would undo this change too."""
     with in_a_window() as there_is_a_window:
         if there_is_a_window:
             bpy.ops.ed.undo_push(message=message)

@@ -8,11 +8,10 @@ import bpy
 
 @contextmanager
 def in_a_window() -> Iterator[bool]:
-    """Operators called within have a window; yields whether they do.
+    """Give operators called within a window; yields True if there is one.
 
-    Nothing is overridden where there is one. With Python 3.11, which Blender has up to 5.0, an
-    operator looks up what was overridden without holding Python's lock: Blender crashes now and
-    then where a thread runs meanwhile.
+    An existing window is not overridden: with Python 3.11 (Blender up to 5.0) an operator reads
+    the override without Python's lock, and Blender sometimes crashes if a thread runs meanwhile.
     """
     context = bpy.context
     windows = list(context.window_manager.windows)

@@ -13,20 +13,20 @@ class Cancelled(Exception):  # noqa: N818 - nothing went wrong
 
 
 class BackgroundTask:
-    """One call of a function in a thread; the owner looks at the attributes when it suits.
+    """One call of a function in a thread; the owner polls the attributes.
 
     The function gets this object: it calls `tell` and `check`, and must not touch bpy.
     """
 
     def __init__(self, function: Callable[["BackgroundTask"], Any]) -> None:
-        """Start it."""
+        """Start the thread."""
         self.lines: deque[str] = deque(maxlen=200)
         """Progress lines, the latest last."""
         self.result: Any = None
         self.problem = ""
         """Error message, one sentence."""
         self.error: Exception | None = None
-        """The exception that it raised."""
+        """The exception raised by the function."""
         self.cancelled = False
         self._function = function
         self._cancel = threading.Event()

@@ -30,8 +30,8 @@ _ORPHANED_PIPE = 2.0
 def environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
     """Environment variables for a Python other than Blender's.
 
-    Without the variables that lead Blender's Python to its own files; nothing is imported from the
-    current folder; output is UTF-8 and not held back.
+    Drops the variables that direct Blender's Python to its own files; disables imports from the
+    current folder; output is UTF-8 and unbuffered.
     """
     base = os.environ if base is None else base
     dropped = ("PYTHON", "__PYVENV_LAUNCHER__")
@@ -40,12 +40,12 @@ def environment(base: Mapping[str, str] | None = None) -> dict[str, str]:
 
 
 class Process:
-    """A program in a session of its own, so that a Ctrl-C for Blender does not reach it."""
+    """A program in its own session, so that a Ctrl-C for Blender does not reach it."""
 
     def __init__(
         self, arguments: Sequence[str], *, variables: Mapping[str, str] = MappingProxyType({})
     ) -> None:
-        """Start it.
+        """Start the program.
 
         Args:
             arguments: Program and arguments, never a shell command line.
@@ -61,10 +61,10 @@ class Process:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env={**environment(), **variables},
-            **_apart(),
+            **_own_session(),
         )
         if sys.platform != "win32":
-            with contextlib.suppress(OSError):  # before it has threads, which inherit this
+            with contextlib.suppress(OSError):  # before it starts threads, which inherit this
                 os.setpriority(os.PRIO_PGRP, self._process.pid, _NICENESS)
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._errors: deque[str] = deque(maxlen=_STDERR_KEPT)
@@ -111,11 +111,10 @@ class Process:
 
     @property
     def ended(self) -> bool:
-        """Whether the process is gone, its errors are read, and all of its output was taken from
-        `lines`."""
+        """True after the process has ended, its errors are read and `lines` gave all output."""
         if self.returncode is None or self._ended_at is None:
             return False
-        # A child of it may hold the pipe open for longer.
+        # A child of it may keep the pipe open for longer.
         orphaned = time.monotonic() - self._ended_at > _ORPHANED_PIPE and self._lines.empty()
         return (self._output_ended and self._errors_ended) or orphaned
 
@@ -124,7 +123,7 @@ class Process:
         self._orders.put(line.encode() + b"\n")
 
     def end_input(self) -> None:
-        """Close its input after what was sent: a trainer writes a checkpoint and ends."""
+        """Close its input after the sent lines: a trainer then writes a checkpoint and ends."""
         self._orders.put(None)
 
     def kill(self, *, wait: float = 0.0) -> None:
@@ -159,7 +158,7 @@ class Process:
             if self._lines.qsize() < _MOST_WAITING:
                 self._lines.put(line)
         self._lines.put(None)
-        self._orders.put(None)  # the thread that writes need not wait any longer
+        self._orders.put(None)  # ends the writing thread
 
     def _read_errors(self) -> None:
         stream = self._process.stderr
@@ -170,7 +169,7 @@ class Process:
         self._errors_ended = True
 
     def _write_orders(self) -> None:
-        """A pipe that is full blocks this thread, not Blender."""
+        """Write sent lines; a full pipe blocks this thread, not Blender."""
         stream = self._process.stdin
         assert stream is not None
         with contextlib.suppress(OSError, ValueError):
@@ -181,7 +180,7 @@ class Process:
             stream.close()
 
 
-def _apart() -> dict[str, object]:
+def _own_session() -> dict[str, object]:
     if sys.platform == "win32":
         group = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
         return {"creationflags": group | subprocess.CREATE_NO_WINDOW}

@@ -6,16 +6,16 @@ from contextlib import contextmanager
 
 _NEVER = 2**31 - 1
 _before: list[int] = []
-"""Threshold of the full collection, once per task that postpones it."""
+"""Previous threshold of the full collection, one entry per task that postpones it."""
 
 
 @contextmanager
 def put_off() -> Iterator[None]:
-    """Within it Python looks for garbage among its younger objects alone.
+    """Disable full garbage collections; collections of younger objects continue.
 
-    Where many have come it looks through all, those of Blender and of other add-ons among them, and
-    every thread waits: 45 to 100 ms where thousands of cameras are read. Most of what work makes is
-    gone when it ends, which needs no search.
+    After many allocations Python scans all objects, including those of Blender and other add-ons,
+    and blocks every thread: 45 to 100 ms while thousands of cameras are read. Most objects of such
+    work are freed at its end without a scan.
     """
     young, middle, old = gc.get_threshold()
     if not _before:

@@ -9,7 +9,7 @@ from .background_task import BackgroundTask
 
 ResultT = TypeVar("ResultT")
 BUDGET = 0.008
-"""Seconds of a step in which new work starts; the last item may take as long again."""
+"""Seconds of a step in which new work starts; the last item may double that."""
 Check = Callable[[], None]
 """Raises if the work was cancelled."""
 
@@ -24,10 +24,10 @@ class ThreadCall:
 
 
 Pieces = Generator[str | ThreadCall, Any, ResultT]
-"""Work that yields after each piece how far it is, a sentence, and returns what came of it.
+"""Generator that yields a progress sentence after each step and returns the result.
 
-A piece on Blender's main thread is short: some hundredths of a second. `run_in_thread` takes what
-is not. What has to be undone where the work is given up stands in `finally`.
+A step on Blender's main thread takes at most some hundredths of a second; longer calls go to
+`run_in_thread`. Cleanup after cancellation belongs in `finally`.
 """
 
 
@@ -42,12 +42,12 @@ def run_in_thread(function: Callable[[Check], ResultT], sentence: str) -> Pieces
 
 
 class TaskRunner:
-    """Runs a generator of work step by step, when its owner calls `step`."""
+    """Runs a generator one step per call of `step`."""
 
     def __init__(self, pieces: Pieces[Any]) -> None:
         """Initialise without running a step."""
         self.sentence = ""
-        """How far it is."""
+        """Progress sentence."""
         self.result: Any = None
         """Result of the finished work."""
         self._pieces = pieces
@@ -64,19 +64,19 @@ class TaskRunner:
         task, self._task = self._task, None
         try:
             if task is None:
-                asked = next(self._pieces)
+                request = next(self._pieces)
             elif task.error is not None:
-                asked = self._pieces.throw(task.error)
+                request = self._pieces.throw(task.error)
             else:
-                asked = self._pieces.send(task.result)
+                request = self._pieces.send(task.result)
         except StopIteration as end:
             self.result = end.value
             return True
-        if isinstance(asked, ThreadCall):
-            self.sentence, function = asked.sentence, asked.function
+        if isinstance(request, ThreadCall):
+            self.sentence, function = request.sentence, request.function
             self._task = BackgroundTask(lambda task: function(task.check))
         else:
-            self.sentence = asked
+            self.sentence = request
         return False
 
     def cancel(self) -> None:
@@ -91,17 +91,17 @@ def run_blocking(pieces: Pieces[ResultT]) -> ResultT:
     go_on: Callable[[], str | ThreadCall] = partial(next, pieces)
     try:
         while True:
-            asked = go_on()
-            waits = isinstance(asked, ThreadCall)
-            go_on = _answered(pieces, asked) if waits else partial(next, pieces)
+            request = go_on()
+            waits = isinstance(request, ThreadCall)
+            go_on = _answered(pieces, request) if waits else partial(next, pieces)
     except StopIteration as end:
         return end.value
 
 
-def _answered(pieces: Pieces[Any], asked: ThreadCall) -> Callable[[], str | ThreadCall]:
+def _answered(pieces: Pieces[Any], request: ThreadCall) -> Callable[[], str | ThreadCall]:
     """Continuation of the work with the result of a function called on this thread."""
     try:
-        return partial(pieces.send, asked.function(lambda: None))
+        return partial(pieces.send, request.function(lambda: None))
     except Exception as error:
         return partial(pieces.throw, error)
 
@@ -111,10 +111,10 @@ class Steps(Protocol):
 
     @property
     def sentence(self) -> str:
-        """How far it is."""
+        """Progress sentence."""
 
     def step(self) -> Any:
-        """Run a short step; the result once all is done, until then None."""
+        """Run a short step; None until all is done, then the result."""
 
     def cancel(self) -> None:
         """Remove all partial results."""

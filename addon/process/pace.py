@@ -3,7 +3,7 @@
 import time
 
 FAST = 0.05
-"""Lateness of a call that counts as fast redraws, seconds."""
+"""Lateness of a call up to which redraws count as fast, seconds."""
 SHARE = 0.25
 """Share of further lateness for work beyond one step."""
 LONGEST = 0.1
@@ -13,10 +13,10 @@ _IDLE = 5e-4
 
 
 class Pace:
-    """Of something that Blender calls when an interval has passed.
+    """Time budget of a timer's calls.
 
-    Blender calls timers between two redraws: with one piece a call, work of a hundred pieces takes
-    a hundred redraws. How late a call comes is how long redraws take.
+    Blender calls timers between redraws: with one step per call, a hundred steps take a hundred
+    redraws. The lateness of a call measures the duration of a redraw.
     """
 
     def __init__(self) -> None:

@@ -19,9 +19,9 @@ INTERVAL = 0.1
 FAST = 0.01
 """Interval while splats are written to Blender in steps, seconds."""
 REDRAW = 0.4
-"""Seconds between two redraws: the viewport behind a sidebar is drawn with it."""
+"""Seconds between two redraws: redrawing a sidebar also redraws the viewport behind it."""
 AFTER_ERROR = 5.0
-"""Delay after an error of our own, seconds."""
+"""Delay after an error in the add-on, seconds."""
 
 _log = logging.getLogger(__name__)
 
@@ -76,8 +76,8 @@ def poll() -> bool:
 
 def ensure() -> None:
     """Start the timer that calls `poll` until no work is pending."""
-    if not bpy.app.background and not bpy.app.timers.is_registered(_beat):
-        bpy.app.timers.register(_beat, first_interval=INTERVAL, persistent=True)
+    if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=INTERVAL, persistent=True)
 
 
 def redraw() -> None:
@@ -86,27 +86,27 @@ def redraw() -> None:
     manager = bpy.context.window_manager
     areas = [area for window in manager.windows for area in window.screen.areas]
     for area in areas:
-        wanted = {"VIEW_3D": "UI", "PREFERENCES": "WINDOW"}.get(area.type)
+        kind = {"VIEW_3D": "UI", "PREFERENCES": "WINDOW"}.get(area.type)
         for region in area.regions:
-            if region.type == wanted:
+            if region.type == kind:
                 region.tag_redraw()
 
 
-def _beat() -> float | None:
+def _tick() -> float | None:
     _pace.begin()
-    interval = _go_on()
+    interval = _poll_within_pace()
     _pace.end(interval)
     return interval
 
 
-def _go_on() -> float | None:
-    """Run ticks within the pace; seconds to the next call."""
+def _poll_within_pace() -> float | None:
+    """Poll as often as the pace allows; seconds to the next call, None: none."""
     try:
         while True:
             waits, hurries = poll(), any(poller.hurries() for poller in POLLERS)
             if not (waits and hurries and _pace.more(did=_screen.changed)):
                 break
-    except Exception:  # Blender would never call again, and a training would seem to stand still
+    except Exception:  # else Blender drops the timer, and a training would seem to hang
         _log.exception("An error in the add-on; please report it.")
         return AFTER_ERROR
     if not waits:
@@ -125,5 +125,5 @@ HANDLERS = {"load_post": _file_loaded}
 
 def on_unregister() -> None:
     """Stop the timer."""
-    if bpy.app.timers.is_registered(_beat):
-        bpy.app.timers.unregister(_beat)
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)

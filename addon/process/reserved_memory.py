@@ -1,7 +1,7 @@
 """Reserved memory, allocated before its use; no bpy.
 
-A system allocates a page of memory at the first write to it. For the 12 MB of one attribute of a
-million splats that takes ten to seventy milliseconds, and copying them one.
+The operating system allocates a page at the first write to it. For the 12 MB of one attribute of a
+million splats this takes 10 to 70 ms; copying them takes 1 ms.
 """
 
 import threading
@@ -22,15 +22,15 @@ def written(size: int) -> np.ndarray:
 
 
 class Memory:
-    """Arrays that a thread allocates one after the other, with a first write to each page."""
+    """Arrays that a thread allocates one after the other, writing to each page."""
 
     def __init__(self, sizes: Sequence[int]) -> None:
-        """Begin.
+        """Start the thread.
 
         Args:
             sizes: Number of float32 in each array.
         """
-        made: deque[np.ndarray | int] = deque()  # a size where there was no memory for it
+        made: deque[np.ndarray | int] = deque()  # the size in place of an array that failed
         dropped = threading.Event()
 
         def make() -> None:
@@ -39,7 +39,7 @@ class Memory:
                     return
                 try:
                     made.append(written(size))
-                except MemoryError:  # passed on to the owner, who would wait for ever
+                except MemoryError:  # raised in `take`; else the owner would wait for ever
                     made.append(size)
 
         self._made = made
@@ -52,7 +52,7 @@ class Memory:
         return bool(self._made)
 
     def take(self) -> np.ndarray:
-        """The next array, of zeros; only where it is `ready`.
+        """The next array, of zeros; requires `ready`.
 
         Raises:
             MemoryError: the allocation failed in the thread and fails now.

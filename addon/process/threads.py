@@ -1,7 +1,7 @@
 """Threads that are joined before the process ends; no bpy.
 
-Python lets daemon threads run on during its shutdown. One that then returns from numpy or from the
-rasterizer ends inside foreign code, which aborts the whole process.
+Daemon threads keep running during Python's shutdown. One that then returns from numpy or the
+rasterizer is ended inside native code, which aborts the whole process.
 """
 
 import atexit
@@ -21,12 +21,12 @@ _started: "weakref.WeakKeyDictionary[threading.Thread, Callable[[], object]]" = 
 def start(
     target: Callable[[], object], name: str, *, cancel: Callable[[], object] = lambda: None
 ) -> threading.Thread:
-    """Run a function in a thread of its own.
+    """Run a function in a new thread.
 
     Args:
         target: The function.
         name: Thread name.
-        cancel: Called at the end of the process, to end the function soon.
+        cancel: Called at the end of the process; must make the function return soon.
     """
     thread = threading.Thread(target=target, name=name, daemon=True)
     _started[thread] = cancel
@@ -37,9 +37,9 @@ def start(
 @atexit.register
 def finish() -> None:
     """Cancel all threads, and join them with a timeout."""
-    under_way = [(thread, cancel) for thread, cancel in _started.items() if thread.is_alive()]
-    for _, cancel in under_way:
+    running = [(thread, cancel) for thread, cancel in _started.items() if thread.is_alive()]
+    for _, cancel in running:
         cancel()
     until = time.monotonic() + _PATIENCE
-    for thread, _ in under_way:
+    for thread, _ in running:
         thread.join(max(until - time.monotonic(), 0.0))

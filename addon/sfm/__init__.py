@@ -1,1 +1,1 @@
-"""Structure from motion jobs: cameras of photos or a video, found in the background."""
+"""Structure from motion jobs: find cameras of photos or a video in the background."""

@@ -32,7 +32,7 @@ class Places:
     capture: Path
     """The capture made from them, in the same parent folder."""
     is_there: bool
-    """Whether the capture exists already."""
+    """True if the capture exists already."""
 
 
 def places(scene: bpy.types.Scene) -> Places:
@@ -42,18 +42,20 @@ def places(scene: bpy.types.Scene) -> Places:
         scene: Its `gscore` settings name photos or a video.
 
     Raises:
-        ValueError: something is missing or in the way; the message says what to do.
+        ValueError: an input is missing or invalid, or a job is running.
     """
     source = capture_folder(scene)
-    found, problem = facts.refresh(scene)
-    if found is None or not found.bare:
-        raise ValueError(problem or f"{source} holds no photos without cameras, and is no video.")
-    if errors := [p.text for p in found.problems if p.is_error]:
+    capture, problem = facts.refresh(scene)
+    if capture is None or not capture.bare:
+        raise ValueError(
+            problem or f"{source} is no folder of photos without cameras and no video."
+        )
+    if errors := [p.text for p in capture.problems if p.is_error]:
         raise ValueError(errors[0])
     if (other := JOBS.of_source(source)) is not None and other.busy:
-        raise ValueError(f"The cameras of {source} are being looked for already.")
-    beside = default_capture_output(source)
-    return Places(source=source, capture=beside.capture, is_there=beside.is_there)
+        raise ValueError(f"The search for the cameras of {source} is running already.")
+    output = default_capture_output(source)
+    return Places(source=source, capture=output.capture, is_there=output.is_there)
 
 
 def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> SearchJob:
@@ -65,7 +67,7 @@ def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> Search
         wait: Return when the job has ended and the cameras are imported.
 
     Raises:
-        ValueError: the Python of the preferences is missing; the message says what to do.
+        ValueError: the Python of the preferences is missing.
     """
     arguments = options.search(
         scene.gscore,
@@ -73,13 +75,13 @@ def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> Search
         capture=where.capture,
         threads=preferences.get().threads,
     )
-    given = {
+    paths = {
         "source": where.source,
         "capture": where.capture,
         "scene_uid": scene.session_uid,
         "after": JOBS.of_source(where.source),
     }
-    job = launch(lambda program: SearchJob(program, arguments, **given), None)
+    job = launch(lambda program: SearchJob(program, arguments, **paths), None)
     JOBS.add(job)
     poll_timer.ensure()
     follow(lambda: wait and (not job.ended or job.wanted))
@@ -87,22 +89,21 @@ def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> Search
 
 
 def job_of(scene: bpy.types.Scene) -> SearchJob | None:
-    """The last search for the cameras of the scene's photos or video, or of the capture made of
-    them, running or ended."""
+    """The last SfM job of the scene's photos, video or the capture made from them, running or
+    ended."""
     try:
         chosen = absolute(scene.gscore.capture_path, "Capture")
     except ValueError:
         return None
-    made = (job for job in JOBS.jobs() if same_folder(job.capture, chosen))
-    return JOBS.of_source(chosen) or next(made, None)
+    by_capture = (job for job in JOBS.jobs() if same_folder(job.capture, chosen))
+    return JOBS.of_source(chosen) or next(by_capture, None)
 
 
 def bring_in(job: SearchJob) -> bool:
-    """Do the next step of importing a finished job's result into the scene, if nothing blocks it;
-    return whether panels changed.
+    """Run the next step of importing a finished job's result; True if panels changed.
 
-    Nothing is touched while Blender renders or a mesh is edited. Where another capture is chosen
-    before the import is complete, or another file is opened, the cameras stay on the disk.
+    Does nothing while Blender renders or a mesh is edited. If another capture is chosen or another
+    file is opened before the import is complete, the cameras stay on disk only.
     """
     if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
@@ -130,11 +131,12 @@ def bring_in(job: SearchJob) -> bool:
 
 
 def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
-    """Choose the capture, and import its cameras, points and photos unless they are there;
-    return warnings for the user.
+    """Choose the capture, and import its cameras, points and photos unless the scene has them.
+
+    Returns warnings for the user.
 
     Raises:
-        GsError, ValueError, OSError: they cannot be imported; the message is for the user.
+        GsError, ValueError, OSError: the import fails; the message is for the user.
     """
     scene.gscore.capture_path = relative(capture)
     scene.gscore.images = "images"
@@ -142,7 +144,7 @@ def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
     warnings: tuple[str, ...] = ()
     if chosen_root(scene) is None:
         editable_check.check(scene)
-        # No operator, which would act on the scene of a window.
+        # Not by an operator, which would act on the scene of a window.
         made = yield from importing(scene, absolute(scene.gscore.capture_path, "Capture"))
         choose(made.scene, made)
         warnings = made.warnings

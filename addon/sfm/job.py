@@ -13,7 +13,7 @@ from ..training.verb_job import VerbJob
 class SearchJob(VerbJob):
     """One SfM job for the photos of a folder or for a video."""
 
-    kept = "Cancelled; what was found is kept, and Find Cameras goes on from there."
+    kept = "Cancelled; the results so far are kept, and Find Cameras continues from there."
     less = "close other programs, then press Find Cameras again"
 
     def __init__(
@@ -30,10 +30,10 @@ class SearchJob(VerbJob):
 
         Args:
             python: The Python that has gscore.
-            arguments: Of `gscore`.
+            arguments: Arguments of `gscore`.
             source: The photos or the video.
             capture: The capture to make.
-            scene_uid: Session number of the scene that it was started from.
+            scene_uid: Session uid of the scene that started the job.
             after: As `VerbJob`.
 
         Raises:
@@ -46,7 +46,7 @@ class SearchJob(VerbJob):
         self.estimated: SfmEstimated | None = None
         self.done: SfmDone | None = None
         self.wanted = False
-        """Whether the cameras are still to be imported."""
+        """True while the import of the cameras is pending."""
         self.coming: TaskRunner | None = None
         """The running import of the cameras."""
         self._began = time.monotonic()
@@ -54,16 +54,16 @@ class SearchJob(VerbJob):
 
     @property
     def share(self) -> float:
-        """Progress from 0 to 1: of the whole job if it is reported, else of the phase."""
-        told = self.progress
-        whole = getattr(told, "share", None)
+        """Progress from 0 to 1: of the whole job if reported, else of the phase."""
+        last = self.progress
+        whole = getattr(last, "share", None)
         if whole is not None and math.isfinite(whole):
             return whole
-        return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
+        return min(last.done / last.total, 1.0) if last is not None and last.total > 0 else 0.0
 
     @property
     def left(self) -> float | None:
-        """Remaining seconds: of the whole job if they are reported, else of the phase."""
+        """Remaining seconds: of the whole job if reported, else of the phase."""
         for name in ("left_s", "eta_s"):
             seconds = getattr(self.progress, name, None)
             if seconds is not None and math.isfinite(seconds):
@@ -72,7 +72,7 @@ class SearchJob(VerbJob):
 
     @property
     def elapsed(self) -> float:
-        """Seconds since it began."""
+        """Seconds since the start."""
         return time.monotonic() - self._began
 
     def take(self, event: Event) -> None:
@@ -87,7 +87,7 @@ class SearchJob(VerbJob):
             self.done = event
 
     def takes(self, other: VerbJob) -> bool:
-        """Whether the result of another job is the result of this one."""
+        """Take over the result of another job; True if there was one."""
         self.done = other.done if isinstance(other, SearchJob) else None
         return self.done is not None
 

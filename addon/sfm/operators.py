@@ -19,7 +19,7 @@ from .job import SearchJob
 
 
 class ChooseVideo(OnScene, bpy.types.Operator):
-    """Choose a video that was filmed around the subject; its sharp frames become the photos"""
+    """Choose a video filmed around the subject; its sharp frames become the photos"""
 
     bl_idname = "gscore.choose_video"
     bl_label = "Choose Video"
@@ -46,7 +46,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def act(self, context: bpy.types.Context) -> str:
-        """Choose it, and show the panel."""
+        """Choose the video, and show the panel."""
         chosen = Path(bpy.path.abspath(self.filepath or self.directory))
         if not chosen.exists():
             raise ValueError(f"There is no video {chosen}; choose a file.")
@@ -76,7 +76,7 @@ class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         where = find_cameras.places(scene)
         if where.is_there:
             self.warn((yield from find_cameras.arriving(scene, where.capture)))
-            return "These cameras were found before; they are brought in."
+            return "Imported the cameras of an earlier search."
         job = find_cameras.find(scene, where, wait=self.wait)
         if not job.ended:
             return ""
@@ -90,7 +90,7 @@ class CancelSearch(Cancelling, bpy.types.Operator):
 
     bl_idname = "gscore.cancel_search"
     bl_label = "Cancel"
-    none = "No cameras are being looked for."
+    none = "No search for cameras is running."
 
     def job_of(self, scene: bpy.types.Scene) -> SearchJob | None:
         """The SfM job of the scene's photos."""
@@ -102,7 +102,7 @@ CLASSES = [ChooseVideo, FindCameras, CancelSearch]
 if hasattr(bpy.types, "FileHandler"):
 
     class VideoHandler(bpy.types.FileHandler):
-        """Takes videos that are dropped on a 3D view"""
+        """Choose a video that is dropped on a 3D view"""
 
         bl_idname = "GSCORE_FH_video"
         bl_label = "Video for Splats"
@@ -111,7 +111,7 @@ if hasattr(bpy.types, "FileHandler"):
 
         @classmethod
         def poll_drop(cls, context: bpy.types.Context) -> bool:
-            """3D views."""
+            """True in 3D views."""
             return context.area is not None and context.area.type == "VIEW_3D"
 
     CLASSES.append(VideoHandler)

@@ -4,4 +4,4 @@ from ..training.verb_jobs import VerbJobs
 from .job import SearchJob
 
 JOBS: VerbJobs[SearchJob] = VerbJobs()
-"""Those of each folder of photos, or video."""
+"""Jobs by folder of photos, or video."""

@@ -98,7 +98,7 @@ def test_the_operator_takes_the_scenes_report(
         bpy.ops.gscore.color_cameras()
     other = DepthReport((DepthRow(view="elsewhere.jpg", verdict=ACCEPTED),))
     monkeypatch.setattr(predict_depth, "report", lambda scene: other)
-    with pytest.raises(RuntimeError, match="knows no camera"):
+    with pytest.raises(RuntimeError, match="has no camera"):
         bpy.ops.gscore.color_cameras()
     np.testing.assert_array_equal(colors(root), before)
     monkeypatch.setattr(predict_depth, "report", lambda scene: report(root))

@@ -87,7 +87,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
     job = predict_depth.job_of(studio)
     until(lambda: job.progress is not None and job.progress.done == 1)
     assert (job.share, job.ended, studio.gscore.depth_shown) == (0.25, False, "MAPS")
-    with pytest.raises(RuntimeError, match="worked on already"):
+    with pytest.raises(RuntimeError, match="is running already"):
         bpy.ops.gscore.check_depth()
     job._process.send("go")
     until(lambda: job.ended)
@@ -129,7 +129,7 @@ def test_cancelling_asks_and_then_ends(
     assert bpy.ops.gscore.cancel_depth() == {"FINISHED"}
     until(lambda: job.ended)
     assert (job.status, job.report) == (verb_job.CANCELLED, None)
-    with pytest.raises(RuntimeError, match="No depth maps are worked on"):
+    with pytest.raises(RuntimeError, match="No depth job is running"):
         bpy.ops.gscore.cancel_depth()
     monkeypatch.setattr(verb_job, "STOP_GRACE", 0.2)
     play(progress(1), {"sleep": 60})
@@ -146,7 +146,7 @@ def test_cancelling_asks_and_then_ends(
         ([{"say": {"event": "error", "message": "no ONNX model.", "type": "x"}}], "No ONNX model."),
         ([{"signal": 9}], "signal 9"),
         ([{"stderr": "kaputt"}, {"exit": 3}], "kaputt"),
-        ([{"say": DONE | {"table": [{"view": "x"}]}}], "something else than expected"),
+        ([{"say": DONE | {"table": [{"view": "x"}]}}], "unexpected entry"),
     ],
 )
 def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: str) -> None:

@@ -67,7 +67,7 @@ def beats(work: Work, clock: Clock, redraw: float) -> Iterator[int]:
     """How many pieces each beat does until all are done; redraws take so many seconds."""
     while work.left:
         before = work.left
-        interval = poll_timer._beat()
+        interval = poll_timer._tick()
         yield before - work.left
         clock.now += max(redraw, interval or 0.0)
 
@@ -110,7 +110,7 @@ def test_a_beat_that_has_nothing_to_do_ends(
     tick = poll_timer.poll
     monkeypatch.setattr(poll_timer, "poll", lambda: looks.append(0) or tick())
     for _ in range(3):
-        poll_timer._beat()
+        poll_timer._tick()
         clock.now += 2.0
     assert len(looks) == 3
 
@@ -119,10 +119,10 @@ def test_a_pause_is_no_slow_redraw(clock: Clock, follow: Callable[[Work], None])
     """Oracle: one piece at the first beat after a minute in which none was wanted."""
     work = Work(clock, 1)
     follow(work)
-    assert poll_timer._beat() is None
+    assert poll_timer._tick() is None
     clock.now += 60.0
     work.left = 5
-    poll_timer._beat()
+    poll_timer._tick()
     assert work.left == 4
 
 
@@ -135,12 +135,12 @@ def test_an_operator_does_more_where_redraws_are_slow(clock: Clock) -> None:
             yield str(number)
         return "done"
 
-    own = incremental_operator._UnderWay(TaskRunner(pieces()), None)
+    own = incremental_operator._ModalRun(TaskRunner(pieces()), None)
     said = []
     try:
         while not own.step():
-            said.append(int(own.going.sentence) + 1)
+            said.append(int(own.runner.sentence) + 1)
             clock.now += 0.49 + modal_status.INTERVAL
     finally:
-        incremental_operator._UNDER_WAY.discard(own)
-    assert said == [1, 14, 27] and own.going.result == "done"
+        incremental_operator._MODAL_RUNS.discard(own)
+    assert said == [1, 14, 27] and own.runner.result == "done"

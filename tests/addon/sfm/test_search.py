@@ -98,7 +98,7 @@ def test_from_button_to_cameras(holiday: bpy.types.Scene, tmp_path: Path, play: 
     shown = drawn(ProgressPanel)
     assert "[25%] Finding features, 1:15 left" in shown and "()" in shown and "10 / 40" in shown
     assert "see Progress" in drawn(CapturePanel)
-    with pytest.raises(RuntimeError, match="looked for already"):
+    with pytest.raises(RuntimeError, match="is running already"):
         bpy.ops.gscore.find_cameras()
 
     (tmp_path / "waiting").rename(capture)
@@ -132,9 +132,9 @@ def test_a_video_takes_frames_first(holiday: bpy.types.Scene, tmp_path: Path, pl
     assert bpy.ops.gscore.cancel_search() == {"FINISHED"}
     assert "Ending" in drawn(ProgressPanel)
     until(lambda: job.ended)
-    assert job.status == verb_job.CANCELLED and "goes on from there" in drawn(ProgressPanel)
+    assert job.status == verb_job.CANCELLED and "continues from there" in drawn(ProgressPanel)
     assert "(Find Cameras)" in drawn(CapturePanel)
-    with pytest.raises(RuntimeError, match="No cameras are being looked for"):
+    with pytest.raises(RuntimeError, match="No search for cameras is running"):
         bpy.ops.gscore.cancel_search()
 
 
@@ -290,7 +290,7 @@ def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play:
     with pytest.raises(RuntimeError, match="at least 3 that overlap"):
         bpy.ops.gscore.find_cameras()
     holiday.gscore.capture_path = str(STUDIO)
-    with pytest.raises(RuntimeError, match="holds no photos without cameras"):
+    with pytest.raises(RuntimeError, match="is no folder of photos without cameras"):
         bpy.ops.gscore.find_cameras()
     with pytest.raises(RuntimeError, match="There is no video"):
         bpy.ops.gscore.choose_video(filepath=str(tmp_path / "gone.mp4"))

@@ -296,7 +296,7 @@ def test_what_is_under_way_ends_with_the_add_on() -> None:
     before = state()
     going = begun("decimate_splats", {"count": 150})
     waiting = _Told()
-    incremental_operator._UnderWay(going, waiting)  # as the operator does in a window
+    incremental_operator._ModalRun(going, waiting)  # as the operator does in a window
     incremental_operator.on_unregister()
     assert state() == before and waiting.ended
     incremental_operator.on_unregister()
