@@ -33,7 +33,7 @@ def test_windows_of_any_size_give_the_same(
     write_model(model, tmp_path / "bin")
     write_model(model, tmp_path / "txt", binary=False)
     whole = read_model(tmp_path / "bin")
-    monkeypatch.setattr(colmap_text, "_LINES_AT_ONCE", 7)
+    monkeypatch.setattr(colmap_text, "_BATCH", 7)
     same(read_model(tmp_path / "txt"), whole)
     for size in (64, 100, 333):
         monkeypatch.setattr(colmap_binary._Reader.__init__, "__defaults__", (size,))
@@ -127,7 +127,7 @@ def test_counts_that_are_not_right_are_told(
         path.write_text(f"# List\n# Number of {what}: {stated}, mean track length: 3.5\n{text}")
         caplog.clear()
         read_model(tmp_path)
-        assert (f"says that it has {stated} {what} and has {there}" in caplog.text) == told
+        assert (f"states {stated} {what} and has {there}" in caplog.text) == told
 
 
 @pytest.mark.parametrize("binary", [True, False])
@@ -144,7 +144,7 @@ def test_an_id_that_is_there_twice(
         path.write_bytes(struct.pack("<Q", 2 * count) + 2 * raw[8:])
     else:
         path.write_bytes(raw + raw)
-    with pytest.raises(FormatError, match=rf"{path.name}: {name} \d+ is there twice, expected"):
+    with pytest.raises(FormatError, match=rf"{path.name}: {name} \d+ occurs twice, expected"):
         read_model(tmp_path)
 
 

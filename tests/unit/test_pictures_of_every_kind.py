@@ -40,7 +40,7 @@ def test_grey_tiff(order: str, kind: str, white: float, photometric: int, tmp_pa
     try:
         found = grey(tmp_path / "a.tif")
     except FormatError as error:  # a kind that Pillow does not know
-        assert (order, kind, photometric) == (">", "u2", 0) and "none of the kinds" in str(error)
+        assert (order, kind, photometric) == (">", "u2", 0) and "is not supported" in str(error)
     else:
         np.testing.assert_allclose(found, BYTES, atol=0.51)
 
@@ -73,7 +73,7 @@ def test_numbers_whose_white_is_unknown(
 ) -> None:
     """Oracle: refused by name; black, cut or wrapped pictures otherwise."""
     (tmp_path / "a.tif").write_bytes(tiff(values.astype(order + kind)))
-    with pytest.raises(FormatError, match=r"a\.tif (holds|cannot be read)"):
+    with pytest.raises(FormatError, match=r"a\.tif (has|cannot be read)"):
         read_image(tmp_path / "a.tif")
 
 
@@ -112,7 +112,7 @@ def test_16_bits_with_transparency(tmp_path: Path) -> None:
         image = read_image(tmp_path / name)
         np.testing.assert_allclose(image[..., 3], BYTES, atol=1.01)
     (tmp_path / "colour.png").write_bytes(png(np.dstack([values] * 3), key=(300, 300, 300)))
-    with pytest.raises(FormatError, match=r"colour\.png .* one colour that is transparent"):
+    with pytest.raises(FormatError, match=r"colour\.png .* one transparent colour"):
         read_image(tmp_path / "colour.png")
 
 
@@ -210,14 +210,14 @@ def test_soft_masks(order: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(read_mask(tmp_path / "a.tif"), BYTES, atol=1)
     for kind in ("f4", "i4", "u2"):
         (tmp_path / "b.tif").write_bytes(tiff((RAMP * 255).astype(order + kind)))
-        with pytest.raises(FormatError, match=r"b\.tif (holds|has 16 bits)"):
+        with pytest.raises(FormatError, match=r"b\.tif has"):
             read_mask(tmp_path / "b.tif")
 
 
 def test_deep_colour_masks(tmp_path: Path) -> None:
     """Oracle: 0 and 1 in 16-bit colour, of which nothing is left: refused."""
     (tmp_path / "a.png").write_bytes(png(np.dstack([LABELS] * 3).astype(np.uint16)))
-    with pytest.raises(FormatError, match=r"a\.png has 16 bits a channel but is nearly black"):
+    with pytest.raises(FormatError, match=r"a\.png has 16 bits per channel but is nearly black"):
         read_mask(tmp_path / "a.png")
 
 

@@ -223,7 +223,7 @@ class TestRefusals:
         with pytest.raises(FormatError) as caught:
             read_ply(tmp_path / "points.ply")
         message = str(caught.value)
-        assert "points.ply holds no Gaussian splats: its vertices lack opacity, scale_0" in message
+        assert "points.ply has no Gaussian splats: its vertices lack opacity, scale_0" in message
         assert "plain mesh or point cloud" in message and message.count(". ") == 0
 
     def test_no_vertices(self, tmp_path: Path) -> None:
@@ -231,7 +231,7 @@ class TestRefusals:
         face = np.zeros(1, [("a", "i4")])
         element = plyfile.PlyElement.describe(face, "face")
         plyfile.PlyData([element]).write(str(tmp_path / "a.ply"))
-        with pytest.raises(FormatError, match="holds no Gaussian splats"):
+        with pytest.raises(FormatError, match="has no Gaussian splats"):
             read_ply(tmp_path / "a.ply")
 
     def test_other_files(self, tmp_path: Path) -> None:

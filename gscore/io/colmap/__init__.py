@@ -1,1 +1,1 @@
-"""COLMAP reconstructions: binary and text files, read and written with numpy alone."""
+"""COLMAP reconstructions: binary and text files, read and written with numpy only."""

@@ -26,17 +26,16 @@ _POINT = np.dtype(
 )
 _TRACK = np.dtype([("image", "<u4"), ("index", "<u4")])
 _WINDOW, _WINDOW_OF_POINTS = 1 << 16, 1 << 22
-"""Bytes of a file that are in memory at a time."""
-_AT_ONCE = 1 << 16
-"""Points that are put together at a time: memory of half a gigabyte is not made, and nothing keeps
-Python's lock for long."""
+"""Bytes of a file in memory at a time."""
+_BATCH = 1 << 16
+"""Points encoded at a time: saves half a gigabyte of memory and releases Python's lock often."""
 _LONGEST_TEXT = LONGEST_PATH + 1
-"""Bytes of a name and its end."""
+"""Bytes of a name with its zero byte."""
 
 
 class _Reader:
-    """One file with a position; every access is checked against its end, and only a window of it is
-    in memory: points and observations of large models take gigabytes."""
+    """File with a position; every access is checked against the file's end. Only a window of it is
+    in memory, because points and observations of large models take gigabytes."""
 
     def __init__(self, path: Path, window: int = _WINDOW) -> None:
         self.path = path
@@ -56,16 +55,16 @@ class _Reader:
         self._file.close()
 
     def need(self, size: int, what: str) -> None:
-        """Raise FormatError unless `size` more bytes are there; ask before allocating for them."""
+        """Raise FormatError unless `size` more bytes follow; call before allocating for them."""
         left = self.size - self.at
         if size > left:
             raise FormatError(
                 f"{self.path} is truncated or corrupt: {what} at byte {self.at} takes {size} "
-                f"bytes, {left} are left. Copy the model again or export it anew from COLMAP."
+                f"bytes, {left} are left. Copy the model or export it from COLMAP again."
             )
 
     def window(self, size: int) -> memoryview:
-        """What stands at the position: at least `size` bytes, which must be there, and more."""
+        """Bytes from the position on: at least `size`, which must exist, usually more."""
         first = self.at - self._start
         if not 0 <= first <= len(self._window) - size:
             self._file.seek(self.at)
@@ -77,12 +76,12 @@ class _Reader:
     def take(self, size: int, what: str) -> memoryview:
         """The next bytes."""
         self.need(size, what)
-        found = self.window(size)[:size]
+        data = self.window(size)[:size]
         self.at += size
-        return found
+        return data
 
     def skip(self, size: int, what: str) -> None:
-        """Go past bytes that are not wanted, but must be there."""
+        """Skip bytes, which must exist."""
         self.need(size, what)
         self.at += size
 
@@ -91,13 +90,13 @@ class _Reader:
         return layout.unpack(self.take(layout.size, what))
 
     def count(self, smallest: int, what: str) -> int:
-        """Read a number of records, each of at least `smallest` bytes."""
+        """Read a record count; each record takes at least `smallest` bytes."""
         (number,) = self.unpack(_COUNT, f"the number of {what}")
         self.need(number * smallest, f"a list of {number} {what}")
         return number
 
     def text(self, what: str) -> str:
-        """Letters up to a zero byte."""
+        """Text up to a zero byte."""
         most = min(self.size - self.at, _LONGEST_TEXT)
         raw, end, _ = bytes(self.window(most)[:most]).partition(b"\0")
         if not end and most < _LONGEST_TEXT:
@@ -105,7 +104,7 @@ class _Reader:
         if not end:
             raise FormatError(
                 f"{self.path} is corrupt: {what} at byte {self.at} is longer than {most} bytes. "
-                f"Copy the model again or export it anew from COLMAP."
+                f"Copy the model or export it from COLMAP again."
             )
         self.at += len(raw) + 1
         try:
@@ -117,11 +116,11 @@ class _Reader:
             ) from error
 
     def end(self) -> None:
-        """Tell of bytes that belong to no record: a count that is too small loses the rest."""
+        """Warn of bytes after the last record: a record count that is too small loses data."""
         if left := self.size - self.at:
             _log.warning(
                 "%s: %d bytes after the last record it announces are not read; if the file was "
-                "cut or joined, export the model anew from COLMAP.",
+                "cut or joined, export the model from COLMAP again.",
                 self.path,
                 left,
             )
@@ -149,15 +148,15 @@ def read_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
 
 
 def count_images(path: Path) -> int:
-    """Number of images an images.bin says it holds, without reading on."""
+    """Number of images stated at the start of an images.bin."""
     with open_regular(path) as file:
         head = file.read(_COUNT.size)
     return _COUNT.unpack(head)[0] if len(head) == _COUNT.size else 0
 
 
 def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImage]:
-    """Images of an images.bin in file order; without `observations`, as if nothing was seen."""
-    nothing = np.zeros(0, _OBSERVATION)
+    """Images of an images.bin in file order; without `observations`, their `xys` are empty."""
+    none = np.zeros(0, _OBSERVATION)
     with _Reader(path) as reader:
         for _ in range(reader.count(_IMAGE.size + 1 + _COUNT.size, "images")):
             values = reader.unpack(_IMAGE, "an image")
@@ -165,9 +164,9 @@ def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImag
             what = f"observations of {brief(name)}"
             nbytes = _OBSERVATION.itemsize * reader.count(_OBSERVATION.itemsize, what)
             if observations:
-                seen = np.frombuffer(reader.take(nbytes, what), _OBSERVATION)
+                observed = np.frombuffer(reader.take(nbytes, what), _OBSERVATION)
             else:
-                seen = nothing
+                observed = none
                 reader.skip(nbytes, what)
             yield ColmapImage(
                 id=values[0],
@@ -175,8 +174,8 @@ def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImag
                 camera_id=values[8],
                 qvec=np.array(values[1:5]),
                 tvec=np.array(values[5:8]),
-                xys=seen["xy"].astype(np.float64),
-                point3D_ids=seen["id"].astype(np.int64),
+                xys=observed["xy"].astype(np.float64),
+                point3D_ids=observed["id"].astype(np.int64),
             )
         reader.end()
 
@@ -210,11 +209,11 @@ def read_points(path: Path) -> ColmapPoints:
 
 
 def _records(window: memoryview, most: int) -> tuple[np.ndarray, int, int]:
-    """Points that begin in a window, without their tracks; where the last of them begins, and
-    where its track ends, perhaps beyond the window.
+    """Points that begin in a window, without their tracks; the offset of the last point, and the
+    offset of its track's end, which may be beyond the window.
 
-    A record's place depends on the track before it, so lengths are walked one by one; everything
-    else is gathered at once.
+    A record's offset depends on the track before it, so a loop walks the lengths; all other fields
+    are copied in one gather.
     """
     starts: list[int] = []
     track_at, track_size = _POINT.itemsize - _COUNT.size, _TRACK.itemsize
@@ -242,10 +241,10 @@ def images_to_bytes(images: list[ColmapImage]) -> bytes:
     for image in images:
         out.append(_IMAGE.pack(image.id, *image.qvec, *image.tvec, image.camera_id))
         out.append(image.name.encode("utf-8") + b"\0")
-        seen = np.zeros(len(image.xys), _OBSERVATION)
-        seen["xy"], seen["id"] = image.xys, image.point3D_ids
-        out.append(_COUNT.pack(len(seen)))
-        out.append(seen.tobytes())
+        observed = np.zeros(len(image.xys), _OBSERVATION)
+        observed["xy"], observed["id"] = image.xys, image.point3D_ids
+        out.append(_COUNT.pack(len(observed)))
+        out.append(observed.tobytes())
     return b"".join(out)
 
 
@@ -254,23 +253,23 @@ def points_to_bytes(points: ColmapPoints, tracks: np.ndarray, lengths: np.ndarra
 
     Args:
         points: The points; their `track_lengths` are not used.
-        tracks: [sum(lengths), 2] int, (image id, index of the observation), point after point.
-        lengths: [P] int, observations a point.
+        tracks: [sum(lengths), 2] int, (image id, index of the observation), ordered by point.
+        lengths: [P] int, observations per point.
     """
     records = np.zeros(len(points), _POINT)
     records["id"], records["xyz"], records["rgb"] = points.ids, points.xyz, points.rgb
     records["error"], records["track"] = points.error, lengths
     ends = np.concatenate([[0], np.cumsum(lengths)])
     parts = [_COUNT.pack(len(points))]
-    for begin in range(0, len(points), _AT_ONCE):
-        end = min(begin + _AT_ONCE, len(points))
+    for begin in range(0, len(points), _BATCH):
+        end = min(begin + _BATCH, len(points))
         own = tracks[ends[begin] : ends[end]]
         parts.append(_points_to_bytes(records[begin:end], own, lengths[begin:end]))
     return b"".join(parts)
 
 
 def _points_to_bytes(records: np.ndarray, tracks: np.ndarray, lengths: np.ndarray) -> bytes:
-    """Some points, each followed by its track."""
+    """A batch of points, each followed by its track."""
     ends = np.cumsum(_POINT.itemsize + _TRACK.itemsize * lengths)
     out = np.zeros(int(ends[-1]), np.uint8)
     is_track = np.ones(len(out), bool)

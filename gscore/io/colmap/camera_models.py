@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 
 class CameraModel(NamedTuple):
-    """One camera model as COLMAP numbers and orders it."""
+    """Camera model with COLMAP's id, name and order of parameters."""
 
     id: int
     """Number in binary files."""
@@ -43,7 +43,7 @@ CAMERA_MODELS: tuple[CameraModel, ...] = (
     CameraModel(16, "EUCM", (*_FULL, "alpha", "beta")),
     CameraModel(17, "EQUIRECTANGULAR", ("w", "h")),
 )
-"""0 to 10 are in every COLMAP; 11 and up came with versions 3.12 to 4.x."""
+"""Every COLMAP has 0 to 10; 11 and up were added in versions 3.12 to 4.x."""
 
 MODELS_BY_ID = {model.id: model for model in CAMERA_MODELS}
 MODELS_BY_NAME = {model.name: model for model in CAMERA_MODELS}
@@ -51,6 +51,6 @@ MODELS_BY_NAME = {model.name: model for model in CAMERA_MODELS}
 PINHOLE_WITHOUT_DISTORTION = frozenset(
     {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"}
 )
-"""Models that are a pinhole camera when every distortion parameter is 0."""
+"""Models that are a pinhole camera if every distortion parameter is 0."""
 NO_PINHOLE = frozenset({"EQUIRECTANGULAR"})
 """Camera models without focal length and principal point."""

@@ -1,4 +1,4 @@
-"""COLMAP model folder, binary or text: reader and writer with numpy alone."""
+"""COLMAP model folder, binary or text: reader and writer with numpy only."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -34,16 +34,16 @@ __all__ = [
 ]
 
 _OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", *RAW_ENDINGS)
-"""Endings of photos that are not read here."""
+"""Endings of photos in unsupported formats."""
 _POINT_CLOUDS = ("points3D.ply", "points3d.ply", "init.ply")
 _ADVICE = (
-    "Give the folder above `sparse`. Of photos alone `gscore sfm` finds the cameras; a training "
-    "that found them keeps them in the folder `capture` of its output."
+    "Give the folder above `sparse`. For photos without cameras, `gscore sfm` finds the cameras; a "
+    "training that found them keeps them in the folder `capture` of its output."
 )
 
 
 def has_model(folder: Path) -> bool:
-    """Whether cameras and images of a model, binary or text, lie directly in `folder`."""
+    """True if `folder` itself contains cameras and images of a model, binary or text."""
     return any(
         (folder / f"cameras{end}").is_file() and (folder / f"images{end}").is_file()
         for end in (".bin", ".txt")
@@ -51,14 +51,14 @@ def has_model(folder: Path) -> bool:
 
 
 def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
-    """Folder of the model in or at `path`, and sentences about a choice that had to be made.
+    """Folder of the model in or at `path`, and a warning if several models were found.
 
-    Looked for in this order: numbered folders in `path`/sparse, `path`/sparse, `path` itself,
-    numbered folders in `path`, and the same under `path`/colmap. Of several numbered models the one
-    with the most images is taken.
+    Order of the search: numbered folders in `path`/sparse, `path`/sparse, `path` itself, numbered
+    folders in `path`, and the same under `path`/colmap. Among numbered models the one with the most
+    images wins.
 
     Raises:
-        DatasetError: there is none.
+        DatasetError: no model was found.
     """
     path = Path(path)
     if not path.is_dir():
@@ -73,7 +73,7 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
                 return best, ()
             others = ", ".join(f"{m.name} ({_count_images(m)})" for m in numbered if m != best)
             return best, (
-                f"{root} holds {len(numbered)} models that COLMAP could not join; using "
+                f"{root} has {len(numbered)} models that COLMAP could not join; using "
                 f"{best.name} with {count_words(_count_images(best), 'image')}, leaving out "
                 f"{others}.",
             )
@@ -81,7 +81,7 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
             return root, ()
     if not any(path.iterdir()):
         raise DatasetError(
-            f"{path} is an empty folder. Give one with photos, or with photos and their cameras."
+            f"{path} is an empty folder. Give one with photos, or with photos and cameras."
         )
     images = path / "images"
     if images.is_dir() and not any(map(_is_picture, images.rglob("*"))):
@@ -96,16 +96,16 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def _is_picture(path: Path) -> bool:
-    """Whether it is one by its name, of a kind that is read here or of another."""
+    """True if the name has the ending of a picture, of a supported format or not."""
     return path.suffix.lower() in (*IMAGE_ENDINGS, *_OTHER_PICTURES)
 
 
 def _no_folder(path: Path) -> str:
-    """Why no capture is there."""
+    """Error message: `path` is no folder with a capture."""
     if not path.is_file():
-        return f"There is no folder {path}. Give the folder that holds the capture."
+        return f"There is no folder {path}. Give the folder of the capture."
     return describe_unsupported(path) or (
-        f"{path} is a file; a capture is a folder of photos, with their cameras or without. To "
+        f"{path} is a file; a capture is a folder of photos, with or without cameras. To "
         "train from the splats of a PLY, give the capture and --start-splats."
     )
 
@@ -119,17 +119,17 @@ def read_model(
     """Read the COLMAP model in or at `path`.
 
     Args:
-        path: A folder with `sparse/0` or `sparse`, or one that holds the files itself. Binary files
-            win over text files. Missing points are allowed and give none.
-        observations: Asked, with the points, whether images are wanted with what was observed in
-            them: 24 bytes an observation, usually more than all else. Images without have none.
-        most: Observations of points that are kept of each image, those of the points with the
-            longest tracks; None: all, and those of no point too.
+        path: A folder with `sparse/0` or `sparse`, or with the files themselves. Binary files take
+            precedence over text files. A missing points file gives a model without points.
+        observations: Called with the points; returns whether to read the images' observations,
+            24 bytes each and usually most of the model. If not, the images have none.
+        most: Most observations kept per image, those of the points with the longest tracks; None:
+            all, also those without a point.
 
     Raises:
         DatasetError: there is no model.
-        FormatError: a file is truncated or corrupt, a camera model is unknown, an id is there
-            twice, an image's pose or name is unusable.
+        FormatError: a file is truncated or corrupt, a camera model is unknown, an id occurs twice,
+            an image's pose or name is unusable.
     """
     folder, warnings = find_model(path)
     reader, end = _reader(folder)
@@ -143,15 +143,15 @@ def read_model(
         warnings = (
             *warnings,
             f"{points_file} is missing; the model has no points. Put it there, or a PLY of points "
-            f"called {' or '.join(_POINT_CLOUDS)}.",
+            f"named {' or '.join(_POINT_CLOUDS)}.",
         )
     images = _images(folder / f"images{end}", reader, cameras, observations(points))
     if most is not None:
         index = PointIndex(points)
         images = (longest_seen(image, points, index, most) for image in images)
     by_id = _by_id(folder / f"images{end}", images)
-    named, told = _relative(folder / f"images{end}", list(by_id.values()))
-    warnings = (*warnings, *told)
+    named, renamed = _relative(folder / f"images{end}", list(by_id.values()))
+    warnings = (*warnings, *renamed)
     return ColmapModel(
         cameras=cameras,
         images=named,
@@ -164,18 +164,18 @@ def read_model(
 
 
 def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) -> None:
-    """Write the model's three files into the folder `path`, and up and a local origin where they
-    are known, each completely or not at all.
+    """Write the model's three files into the folder `path`, and the up direction and local origin
+    if they are known; each file completely or not at all.
 
-    Tracks are made from the images' observations; an observation of a point that is not in the
-    model is written as one of no point, as COLMAP itself insists on.
+    Tracks are built from the images' observations. An observation of a point that is not in the
+    model is written without a point, as COLMAP requires.
 
     Raises:
         GsError: a file cannot be written.
     """
     path = Path(path)
     listed = [image.point3D_ids for image in model.images]
-    joined = np.concatenate([np.zeros(0, np.int64), *listed])  # one search for all is far quicker
+    joined = np.concatenate([np.zeros(0, np.int64), *listed])  # one search for all is much faster
     joined = np.where(np.isin(joined, model.points.ids), joined, -1)
     parts = np.split(joined, np.cumsum([len(ids) for ids in listed])[:-1]) if listed else []
     images = [
@@ -195,14 +195,14 @@ def write_model(model: ColmapModel, path: str | Path, *, binary: bool = True) ->
             "points3D.txt": colmap_text.points_to_text(model.points, tracks, lengths),
         }
         files = {name: text.encode("utf-8") for name, text in texts.items()}
-    for name, content in files.items():  # one right after the other: they belong together
+    for name, content in files.items():  # in quick succession: they belong together
         atomic_write(path / name, content)
     write_up(path, model.up, model.origin)
 
 
 def is_safe_name(name: str) -> bool:
-    """Whether a file name from a model stays inside the folder it is joined to, on any system, and
-    a file can have it."""
+    """True if a file name from a model is valid and stays inside the folder it is joined to, on
+    any system."""
     if len(name) > LONGEST_PATH:
         return False
     posix, windows = PurePosixPath(name), PureWindowsPath(name)
@@ -225,7 +225,7 @@ def _numbered_models(root: Path) -> list[Path]:
 
 
 def _reader(folder: Path) -> tuple[ModuleType, str]:
-    """The module that reads this folder (both have the same functions), and its file ending."""
+    """Module that reads this folder (both have the same functions), and its file ending."""
     binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
     return (colmap_binary, ".bin") if binary else (colmap_text, ".txt")
 
@@ -236,37 +236,37 @@ def _count_images(folder: Path) -> int:
 
 
 def _cameras(path: Path, reader: ModuleType) -> dict[int, ColmapCamera]:
-    found: dict[int, ColmapCamera] = {}
+    cameras: dict[int, ColmapCamera] = {}
     for camera_id, camera in reader.read_cameras(path):
         _check_camera(path, camera_id, camera)
-        if camera_id in found:
-            raise _twice(path, f"camera {camera_id}")
-        found[camera_id] = camera
-    return found
+        if camera_id in cameras:
+            raise _duplicate_id(path, f"camera {camera_id}")
+        cameras[camera_id] = camera
+    return cameras
 
 
 def _images(
     path: Path, reader: ModuleType, cameras: dict[int, ColmapCamera], observations: bool
 ) -> Iterator[ColmapImage]:
-    """The images of a file, one at a time: what was observed in all of them may be too much."""
+    """Checked images of a file, one at a time: the observations of all may not fit in memory."""
     for image in reader.read_images(path, observations=observations):
         _check_image(path, image, cameras)
         yield image
 
 
 def _by_id(path: Path, images: Iterable[ColmapImage]) -> dict[int, ColmapImage]:
-    found: dict[int, ColmapImage] = {}
+    by_id: dict[int, ColmapImage] = {}
     for image in images:
-        if image.id in found:
-            raise _twice(path, f"image {image.id}")
-        found[image.id] = image
-    return found
+        if image.id in by_id:
+            raise _duplicate_id(path, f"image {image.id}")
+        by_id[image.id] = image
+    return by_id
 
 
-def _twice(path: Path, what: str) -> FormatError:
+def _duplicate_id(path: Path, what: str) -> FormatError:
     return FormatError(
-        f"{path}: {what} is there twice, expected each id once. Remove one of them, or export the "
-        f"model anew from COLMAP."
+        f"{path}: {what} occurs twice, expected each id once. Remove one of them, or export the "
+        f"model from COLMAP again."
     )
 
 
@@ -297,15 +297,15 @@ def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera
         raise FormatError(
             f"{path}: image {quoted(image.name)} uses camera {quoted(image.camera_id)}, which "
             f"the model does not have. The files of the model do not belong together; export it "
-            f"anew."
+            f"again."
         )
     pose = np.concatenate([image.qvec, image.tvec])
-    # NaN is within no limit.
+    # NaN fails every comparison.
     if not (np.abs(pose) <= FARTHEST).all() or not 1e-6 < np.abs(image.qvec).max() < 1e6:
         raise FormatError(
             f"{path}: image {quoted(image.name)} has the pose {pose.tolist()}; expected "
             f"numbers up to {FARTHEST:g} and a quaternion that is not zero. "
-            f"Export the model anew from COLMAP."
+            f"Export the model from COLMAP again."
         )
     if not is_safe_name("/".join(_inner(image.name))):
         raise FormatError(
@@ -316,14 +316,14 @@ def _check_image(path: Path, image: ColmapImage, cameras: dict[int, ColmapCamera
 
 
 def _inner(name: str) -> tuple[str, ...]:
-    """Parts of a name without the root, drive or share of an absolute one."""
+    """Parts of a name, without root, drive or share."""
     whole = PureWindowsPath(name)
     return whole.parts[1:] if whole.anchor else (name,)
 
 
 def _relative(path: Path, images: list[ColmapImage]) -> tuple[list[ColmapImage], tuple[str, ...]]:
-    """The images with the file name alone where theirs is absolute, or with what lies below the
-    folder that all absolute ones share, where file names are there twice; and a sentence on it.
+    """The images with absolute names made relative, and a warning about it: the file name alone,
+    or, if file names repeat, the path below the folder that all absolute names share.
 
     Raises:
         FormatError: the names are still not unique.
@@ -344,27 +344,27 @@ def _relative(path: Path, images: list[ColmapImage]) -> tuple[list[ColmapImage],
             break
     else:
         raise FormatError(
-            f"{path}: images have absolute names, of which the part below their folder is there "
-            "twice. Export the model anew from COLMAP, with all images below one folder."
+            f"{path}: images have absolute names that are not unique below their common folder. "
+            "Export the model from COLMAP again, with all images below one folder."
         )
     first = next(iter(parts))
-    told = (
+    warning = (
         f"{count_words(len(parts), 'image has an absolute name', 'images have absolute names')}; "
-        f"used is what lies below their folder, {quoted(names[first])} of "
+        f"gscore uses the path below their folder, {quoted(names[first])} for "
         f"{quoted(images[first].name)}."
     )
-    return [replace(m, name=name) for m, name in zip(images, names, strict=True)], (told,)
+    return [replace(m, name=name) for m, name in zip(images, names, strict=True)], (warning,)
 
 
 def _point_cloud(folder: Path, source: Path) -> Path | None:
-    """A PLY of points beside a model's files or in the folder of the capture."""
-    places = dict.fromkeys((folder, folder.parent, source))
-    files = (place / name for place in places for name in _POINT_CLOUDS)
+    """A PLY of points next to a model's files or in the folder of the capture."""
+    folders = dict.fromkeys((folder, folder.parent, source))
+    files = (parent / name for parent in folders for name in _POINT_CLOUDS)
     return next((file for file in files if file.is_file()), None)
 
 
 def _without_tracks(cloud: PointCloud) -> ColmapPoints:
-    """Points that no image observes: their ids are beyond those that COLMAP gives."""
+    """Points without observations, with ids beyond those that COLMAP assigns."""
     count = len(cloud)
     return ColmapPoints(
         ids=np.arange(count, dtype=np.int64) + (1 << 62),
@@ -376,15 +376,15 @@ def _without_tracks(cloud: PointCloud) -> ColmapPoints:
 
 
 def _tracks(images: list[ColmapImage], points: ColmapPoints) -> tuple[np.ndarray, np.ndarray]:
-    """Observations [T, 2] (image id, index) point after point, and their number a point [P]."""
+    """Observations [T, 2] (image id, index) ordered by point, and their number per point [P]."""
     empty = np.zeros(0, np.int64)
     sizes = [len(image.point3D_ids) for image in images]
     point_ids = np.concatenate([empty, *(image.point3D_ids for image in images)])
     image_ids = np.repeat(np.array([image.id for image in images], np.int64), sizes)
     indices = np.concatenate([empty, *(np.arange(size) for size in sizes)])
-    seen = np.flatnonzero(point_ids != -1)
+    used = np.flatnonzero(point_ids != -1)
     order = np.argsort(points.ids, kind="stable")
-    rank = order[np.searchsorted(points.ids, point_ids[seen], sorter=order)] if len(seen) else empty
-    seen = seen[np.argsort(rank, kind="stable")]
+    rank = order[np.searchsorted(points.ids, point_ids[used], sorter=order)] if len(used) else empty
+    used = used[np.argsort(rank, kind="stable")]
     lengths = np.bincount(rank, minlength=len(points)).astype(np.int64)
-    return np.stack([image_ids[seen], indices[seen]], axis=1), lengths
+    return np.stack([image_ids[used], indices[used]], axis=1), lengths

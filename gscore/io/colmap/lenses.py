@@ -1,4 +1,4 @@
-"""Lens models of COLMAP: distortion and undistortion of pixels; numpy alone."""
+"""Lens models of COLMAP: distortion and undistortion of pixels; numpy only."""
 
 from collections.abc import Callable, Sequence
 
@@ -7,23 +7,23 @@ import numpy as np
 from .camera_models import MODELS_BY_NAME
 
 Bend = Callable[[np.ndarray, dict[str, float]], np.ndarray]
-"""From rays x / z, y / z to what the lens makes of them, both [P, 2]."""
-_TURNS, _STEP = 100, 1e-6
-"""Most turns of Newton's method, and how far apart its differences are taken."""
-_ACROSS, _DOWN = np.array([_STEP, 0.0]), np.array([0.0, _STEP])
-_SOLVED = 1e-10
-"""Distance from what is looked for at which it is found, focal lengths."""
+"""Maps rays x / z, y / z to distorted ones, both [P, 2]."""
+_MAX_ITERATIONS, _STEP = 100, 1e-6
+"""Most iterations of Newton's method, and the step of its finite differences."""
+_STEP_X, _STEP_Y = np.array([_STEP, 0.0]), np.array([0.0, _STEP])
+_TOLERANCE = 1e-10
+"""Largest residual of a solution, focal lengths."""
 _WIDEST = np.pi / 2 - 1e-6
-"""Angle to the axis up to which a ray has an x / z, radians."""
+"""Largest angle to the axis at which a ray has an x / z, radians."""
 
 
 def bent_pixels(model: str, params: Sequence[float], rays: np.ndarray) -> np.ndarray:
-    """Pixels of rays x / z, y / z, both [P, 2] float64.
+    """Distorted pixels of rays x / z, y / z, both [P, 2] float64.
 
     Args:
         model: One of `BENT`.
-        params: In COLMAP's order.
-        rays: Of the camera; NaN or infinity gives some number or NaN.
+        params: Parameters in COLMAP's order.
+        rays: Rays in the camera's frame; NaN or infinity gives some number or NaN.
     """
     of = _named(model, params)
     with np.errstate(all="ignore"):
@@ -31,27 +31,27 @@ def bent_pixels(model: str, params: Sequence[float], rays: np.ndarray) -> np.nda
 
 
 def straight_rays(model: str, params: Sequence[float], pixels: np.ndarray) -> np.ndarray:
-    """The way back: rays x / z, y / z of pixels, both [P, 2] float64.
+    """Undistorted rays x / z, y / z of pixels, both [P, 2] float64: inverse of `bent_pixels`.
 
-    By Newton's method from what a lens without a bend would see there.
+    Solved by Newton's method, starting at the ray of a lens without distortion.
 
     Args:
         model: One of `BENT`.
-        params: In COLMAP's order.
-        pixels: Of the camera, centres at + 0.5.
+        params: Parameters in COLMAP's order.
+        pixels: Pixels of the camera, centres at + 0.5.
 
     Returns:
-        NaN where no ray is found: beyond what the formula reaches, or at a right angle to the axis
-        and more.
+        Rays; NaN if none was found, because the pixel is outside the range of the formula or its
+        ray is at a right angle to the axis or more.
     """
     of = _named(model, params)
     with np.errstate(all="ignore"):
-        wanted = (pixels - [of["cx"], of["cy"]]) / _focal(of)
+        target = (pixels - [of["cx"], of["cy"]]) / _focal(of)
         if _BENDS[model] is _division:
-            return wanted / (1 + of["k"] * (wanted * wanted).sum(axis=1))[:, None]
-        # Rays far from the axis of a wide lens are nearly even in their angles, not in x / z.
+            return target / (1 + of["k"] * (target * target).sum(axis=1))[:, None]
+        # Far from the axis of a wide lens, the formula is nearly linear in angles, not in x / z.
         ray = _tangents if _BENDS[model] is not _radial else _same
-        return ray(_solve(lambda at: _BENDS[model](ray(at), of), wanted))
+        return ray(_solve(lambda at: _BENDS[model](ray(at), of), target))
 
 
 def _named(model: str, params: Sequence[float]) -> dict[str, float]:
@@ -62,27 +62,27 @@ def _focal(of: dict[str, float]) -> np.ndarray:
     return np.array([of.get("fx", of.get("f")), of.get("fy", of.get("f"))], np.float64)
 
 
-def _solve(bend: Callable[[np.ndarray], np.ndarray], wanted: np.ndarray) -> np.ndarray:
-    """Places [P, 2] that `bend` takes to `wanted` [P, 2], looked for from there; NaN: none."""
-    found, at = np.full(wanted.shape, np.nan), np.array(wanted, np.float64)
+def _solve(distort: Callable[[np.ndarray], np.ndarray], target: np.ndarray) -> np.ndarray:
+    """Points [P, 2] that `distort` maps to `target` [P, 2], starting there; NaN: none found."""
+    solution, at = np.full(target.shape, np.nan), np.array(target, np.float64)
     left = np.arange(len(at))
-    for _ in range(_TURNS):
-        here = bend(at)
-        off = here - wanted[left]
-        a, c = ((bend(at + _ACROSS) - here) / _STEP).T
-        b, d = ((bend(at + _DOWN) - here) / _STEP).T
-        area = a * d - b * c
-        done = np.hypot(*off.T) < _SOLVED
-        # Beyond a fold the formula is mirrored, or it has gone through the axis.
-        good = done & (area > 0) & ((at * wanted[left]).sum(axis=1) >= 0)
-        found[left[good]] = at[good]
-        x, y = off.T
-        at = at - np.stack([d * x - b * y, a * y - c * x], axis=1) / area[:, None]
+    for _ in range(_MAX_ITERATIONS):
+        here = distort(at)
+        residual = here - target[left]
+        a, c = ((distort(at + _STEP_X) - here) / _STEP).T
+        b, d = ((distort(at + _STEP_Y) - here) / _STEP).T
+        det = a * d - b * c
+        done = np.hypot(*residual.T) < _TOLERANCE
+        # Past a fold of the formula the image is mirrored, or the point has crossed the axis.
+        good = done & (det > 0) & ((at * target[left]).sum(axis=1) >= 0)
+        solution[left[good]] = at[good]
+        x, y = residual.T
+        at = at - np.stack([d * x - b * y, a * y - c * x], axis=1) / det[:, None]
         going = ~done & np.isfinite(at).all(axis=1)
         if not going.any():
             break
         left, at = left[going], at[going]
-    return found
+    return solution
 
 
 def _same(rays: np.ndarray) -> np.ndarray:
@@ -90,20 +90,21 @@ def _same(rays: np.ndarray) -> np.ndarray:
 
 
 def _tangents(angles: np.ndarray) -> np.ndarray:
-    """Rays of angles to the axis, both [P, 2] in directions from it; NaN beyond `_WIDEST`."""
+    """Rays x / z, y / z of angles to the axis along x and y, both [P, 2]; NaN beyond `_WIDEST`."""
     angle = np.hypot(*angles.T)
     tangent = np.where(angle < _WIDEST, np.tan(angle), np.nan)
     return angles * np.where(angle > 0, tangent / angle, 1.0)[:, None]
 
 
 def _angles(rays: np.ndarray) -> np.ndarray:
-    """The inverse of `_tangents`."""
+    """Inverse of `_tangents`."""
     radius = np.hypot(*rays.T)
     return rays * np.where(radius > 0, np.arctan(radius) / radius, 1.0)[:, None]
 
 
 def _radial(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
-    """Powers of the squared radius, as a fraction where there are six, and the tilt of the lens."""
+    """Polynomial in the squared radius, rational for six coefficients, plus tangential
+    distortion."""
     x, y = rays.T
     r2 = x * x + y * y
     k1 = of.get("k1", of.get("k", 0.0))
@@ -113,7 +114,7 @@ def _radial(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
 
 
 def _tilt(rays: np.ndarray, p1: float, p2: float) -> np.ndarray:
-    """What a lens that stands askew adds."""
+    """Tangential distortion, of a tilted lens."""
     x, y = rays.T
     r2 = x * x + y * y
     across = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -121,33 +122,34 @@ def _tilt(rays: np.ndarray, p1: float, p2: float) -> np.ndarray:
 
 
 def _fisheye(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
-    """Powers of the squared angle to the axis; a thin prism and the tilt of the lens."""
+    """Polynomial in the squared angle to the axis; thin prism and tangential distortion."""
     angles = _angles(rays)
     a2 = (angles * angles).sum(axis=1)
     k1 = of.get("k1", of.get("k", 0.0))
-    further = of.get("k2", 0.0) + a2 * (of.get("k3", 0.0) + a2 * of.get("k4", 0.0))
-    bent = angles * (1 + a2 * (k1 + a2 * further))[:, None]
+    higher = of.get("k2", 0.0) + a2 * (of.get("k3", 0.0) + a2 * of.get("k4", 0.0))
+    distorted = angles * (1 + a2 * (k1 + a2 * higher))[:, None]
     if "sx1" in of:
         prism = a2[:, None] * [of["sx1"], of["sy1"]]
-        bent += _tilt(angles, of["p1"], of["p2"]) + prism
-    return bent
+        distorted += _tilt(angles, of["p1"], of["p2"]) + prism
+    return distorted
 
 
 def _fisheye_of_six(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
-    """Six powers of the squared angle; tilt and prism of what these make of it."""
+    """Six powers of the squared angle, then tangential distortion and thin prism of the result."""
     angles = _angles(rays)
     a2 = (angles * angles).sum(axis=1)
     factor = np.ones_like(a2)
     for n in range(6):
         factor += of[f"k{n}"] * a2 ** (n + 1)
-    bent = angles * factor[:, None]
-    b2 = (bent * bent).sum(axis=1)[:, None]
-    prism = b2 * [of["s0"], of["s2"]] + b2 * b2 * [of["s1"], of["s3"]]
-    return bent + _tilt(bent, of["p1"], of["p0"]) + prism
+    radial = angles * factor[:, None]
+    r2 = (radial * radial).sum(axis=1)[:, None]
+    prism = r2 * [of["s0"], of["s2"]] + r2 * r2 * [of["s1"], of["s3"]]
+    return radial + _tilt(radial, of["p1"], of["p0"]) + prism
 
 
 def _field_of_view(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
-    """A lens whose picture is even in the angle `omega` that it sees."""
+    """FOV model (Devernay and Faugeras 2001): image radius proportional to the angle; `omega` is
+    the field of view, radians."""
     omega = of["omega"]
     if omega == 0:
         return rays
@@ -156,13 +158,14 @@ def _field_of_view(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
 
 
 def _division(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
-    """The inverse of a ray d / (1 + k d^2)."""
+    """Inverse of the ray d / (1 + k d^2)."""
     r2 = (rays * rays).sum(axis=1)
     return rays * (2 / (1 + np.sqrt(1 - 4 * of["k"] * r2)))[:, None]
 
 
 def _unified(rays: np.ndarray, of: dict[str, float]) -> np.ndarray:
-    """Rays cut with an ellipsoid, seen from between its centre and its pole."""
+    """Extended unified camera model: rays projected to an ellipsoid, then from a point on its
+    axis."""
     r2 = (rays * rays).sum(axis=1)
     depth = of["alpha"] * np.sqrt(of["beta"] * r2 + 1) + (1 - of["alpha"])
     return rays / depth[:, None]
@@ -181,4 +184,4 @@ _BENDS: dict[str, Bend] = {
     "EUCM": _unified,
 }
 BENT = frozenset(_BENDS)
-"""All models that bend lines and have a focal length."""
+"""Models with lens distortion and a focal length."""

@@ -54,12 +54,12 @@ _INTRINSICS = frozenset({"f", "fx", "fy", "cx", "cy"})
 
 @dataclass(frozen=True, kw_only=True)
 class ColmapImage:
-    """One posed image and what was observed in it."""
+    """One posed image and its observations of points."""
 
     id: int
     """Number in the model's files."""
     name: str
-    """File name as the model states it, sub-folders with '/'."""
+    """File name as in the model, sub-folders separated by '/'."""
     camera_id: int
     """Key of the camera."""
     qvec: np.ndarray
@@ -69,7 +69,7 @@ class ColmapImage:
     xys: np.ndarray
     """[M, 2] float64, observed positions, pixels of the camera's size, before undistortion."""
     point3D_ids: np.ndarray
-    """[M] int64, id of the point seen there; -1: none."""
+    """[M] int64, id of the observed point; -1: none."""
 
     @property
     def viewmat(self) -> np.ndarray:
@@ -119,14 +119,14 @@ class ColmapPoints:
 
 
 class PointIndex:
-    """The rows of points by their ids; made once for all images, because it sorts them."""
+    """Index of point rows by id; built once for all images, because it sorts the ids."""
 
     def __init__(self, points: ColmapPoints) -> None:
         self._order = np.argsort(points.ids, kind="stable")
         self._ids = points.ids[self._order]
 
     def find(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the ids [M] are known, [M] bool, and the rows of those, [K] int64."""
+        """Mask [M] bool of the ids [M] that are known, and the rows of those, [K] int64."""
         at = np.searchsorted(self._ids, ids)
         known = (ids != -1) & (at < len(self._ids))
         known[known] = self._ids[at[known]] == ids[known]
@@ -136,10 +136,10 @@ class PointIndex:
 def longest_seen(
     image: ColmapImage, points: ColmapPoints, index: PointIndex, most: int
 ) -> ColmapImage:
-    """The image with the points seen in it alone, so many at most, in their order.
+    """The image with at most `most` of its observations of known points, in their order.
 
-    Points with the longest tracks stay, because they tie it to most other images; of equals those
-    that stand first in the model, so that images keep the same ones.
+    Points with the longest tracks are kept, because they connect it to the most other images. Ties
+    go to the earlier rows of the model, so that all images keep the same points.
     """
     known, rows = index.find(image.point3D_ids)
     at = np.flatnonzero(known)
@@ -162,14 +162,14 @@ class ColmapModel:
     path: Path = field(default=Path())
     """Folder the model was read from."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user about choices made while reading."""
+    """Messages for the user about choices made while reading."""
     up: np.ndarray | None = None
-    """[3] float64, unit: up in the world, where something but the cameras has told it."""
+    """[3] float64, unit: up direction in the world, if known from more than the cameras."""
     origin: np.ndarray | None = None
-    """[3] float64, the local origin that the model is about, as `Cameras.origin`."""
+    """[3] float64, local origin that the coordinates are relative to, as `Cameras.origin`."""
 
     def about(self, origin: np.ndarray | None) -> "ColmapModel":
-        """The same model in a world about another local origin."""
+        """The same model, relative to another local origin."""
         shift = offset_between(origin, self.origin)
         if not shift.any():
             return self

@@ -17,14 +17,14 @@ from .model import ColmapCamera, ColmapImage, ColmapPoints
 _log = logging.getLogger(__name__)
 
 _STATED = re.compile(r"#\s*Number of (\w+):\s*(\d{1,15})\b")
-"""What COLMAP writes above the records."""
-_LINES_AT_ONCE = 1 << 15
-"""Points that are Python numbers at the same time, which takes ten times their memory."""
+"""COLMAP's comment above the records."""
+_BATCH = 1 << 15
+"""Points parsed at a time: as Python numbers they take ten times the memory."""
 _MARK = b"\xef\xbb\xbf"
 
 
 class _Lines:
-    """Lines of one file, one after the other, and how many records it says it has."""
+    """Iterator over the lines of one file, with the record count stated in its comments."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -43,25 +43,25 @@ class _Lines:
             raise DatasetError(f"Cannot read {brief(self.path)}: {reason(error)}") from error
 
     def records(self) -> Iterator[tuple[int, str]]:
-        """The same without comments and empty lines."""
+        """Lines with their numbers, without comments and empty lines."""
         for number, line in self:
             if not self.is_void(line):
                 yield number, line
 
     def is_void(self, line: str) -> bool:
-        """Whether a line is no record; what it states is kept."""
+        """True if a line is no record; a record count that it states is kept."""
         text = line.lstrip()
         if text.startswith("#") and self._stated is None and (found := _STATED.match(text)):
             self._stated = found[1], int(found[2])
         return not text or text.startswith("#")
 
     def check(self, count: int) -> None:
-        """Tell of records that are more or fewer than the file says."""
+        """Warn if the number of records differs from the stated one."""
         if self._stated is not None and self._stated[1] != count:
             what, stated = self._stated
             _log.warning(
-                "%s says that it has %d %s and has %d; if it was cut or joined, export the model "
-                "anew from COLMAP.",
+                "%s states %d %s and has %d; if it was cut or joined, export the model from COLMAP "
+                "again.",
                 self.path,
                 stated,
                 what,
@@ -69,10 +69,10 @@ class _Lines:
             )
 
     def bad(self, number: int, expected: str) -> FormatError:
-        """The error for a line that is something else."""
+        """Error for a line that is not as expected."""
         return FormatError(
             f"{self.path} line {number + 1} is truncated or corrupt: expected {expected}. "
-            f"Copy the model again or export it anew from COLMAP."
+            f"Copy the model or export it from COLMAP again."
         )
 
     def _decoded(self, raw: bytes, at: int) -> str:
@@ -80,8 +80,8 @@ class _Lines:
             return raw.decode("utf-8")
         except UnicodeDecodeError as error:
             raise FormatError(
-                f"{self.path} is not UTF-8 text (byte {at + error.start}). Export the model anew "
-                f"from COLMAP."
+                f"{self.path} is not UTF-8 text (byte {at + error.start}). Export the model from "
+                f"COLMAP again."
             ) from error
 
 
@@ -116,13 +116,13 @@ def read_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
 
 
 def count_images(path: Path) -> int:
-    """Number of images an images.txt holds."""
+    """Number of images in an images.txt."""
     return sum(1 for _ in read_images(path, observations=False))
 
 
 def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImage]:
     """Images of an images.txt in file order: two lines each, the second may be empty. Without
-    `observations`, as if nothing was seen."""
+    `observations`, their `xys` are empty."""
     lines, count = _Lines(path), 0
     numbered = iter(lines)
     expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
@@ -137,9 +137,9 @@ def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImag
             image_id, camera_id = int(words[0]), int(words[8])
         except ValueError as error:
             raise lines.bad(at, expected) from error
-        _, seen = next(numbered, (at + 1, ""))
+        _, triples = next(numbered, (at + 1, ""))
         try:
-            xys, ids = _observations(seen, observations)
+            xys, ids = _observations(triples, observations)
         except (ValueError, OverflowError) as error:
             raise lines.bad(at + 1, "triples of X Y POINT3D_ID") from error
         yield ColmapImage(
@@ -156,7 +156,7 @@ def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImag
 
 
 def _observations(line: str, wanted: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [M, 2] and ids [M] of triples; ValueError or OverflowError where they are none."""
+    """Positions [M, 2] and ids [M] of triples; ValueError or OverflowError if they are none."""
     words = line.split()
     if len(words) % 3:
         raise ValueError
@@ -169,7 +169,7 @@ def read_points(path: Path) -> ColmapPoints:
     """Points of a points3D.txt in file order."""
     lines = _Lines(path)
     records, parts = lines.records(), [ColmapPoints.none()]
-    while rows := list(itertools.islice(records, _LINES_AT_ONCE)):
+    while rows := list(itertools.islice(records, _BATCH)):
         parts.append(_points(lines, rows))
     names = ("ids", "xyz", "rgb", "error", "track_lengths")
     points = ColmapPoints(
@@ -180,7 +180,7 @@ def read_points(path: Path) -> ColmapPoints:
 
 
 def _points(lines: _Lines, rows: list[tuple[int, str]]) -> ColmapPoints:
-    """The points of some lines."""
+    """Points of a batch of lines."""
     ids, numbers, colors, lengths = [], [], [], []
     for at, line in rows:
         words = line.split(maxsplit=8)
@@ -222,8 +222,8 @@ def images_to_text(images: list[ColmapImage]) -> str:
     for image in images:
         pose = _numbers(np.concatenate([image.qvec, image.tvec]))
         out.append(f"{image.id} {pose} {image.camera_id} {image.name}")
-        seen = zip(image.xys.tolist(), image.point3D_ids.tolist(), strict=True)
-        out.append(" ".join(f"{x!r} {y!r} {i}" for (x, y), i in seen))
+        triples = zip(image.xys.tolist(), image.point3D_ids.tolist(), strict=True)
+        out.append(" ".join(f"{x!r} {y!r} {i}" for (x, y), i in triples))
     return "\n".join(out) + "\n"
 
 

@@ -1,1 +1,1 @@
-"""Image files: decoding with limits of size and format, masks, PNG, EXIF."""
+"""Image files: decoding with limits on size and format, masks, PNG, EXIF."""

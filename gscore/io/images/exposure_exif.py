@@ -7,12 +7,12 @@ from typing import Any
 from .pillow_images import opened_picture
 
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
-"""Tags: the directory of the photo, exposure time in s, f-number, ISO speed."""
+"""Tags: Exif directory, exposure time in s, f-number, ISO speed."""
 
 
 def stated_exposure(path: Path) -> float | None:
-    """log2(time x ISO / f-number^2): how many stops brighter the same scene becomes than at 1 s,
-    ISO 1, f/1. None where EXIF data do not say all three.
+    """log2(time x ISO / f-number^2): brightness of the same scene in stops above an exposure of 1 s
+    at ISO 1, f/1. None if EXIF lacks one of the three.
 
     Raises:
         DatasetError, FormatError, BackendError: as `read_info`.
@@ -24,7 +24,7 @@ def stated_exposure(path: Path) -> float | None:
 
 
 def _stated(image: Any) -> tuple[float, float, float]:
-    """Time, f-number and speed; 0 for what is not stated."""
+    """Time, f-number and speed; 0 for missing ones."""
     try:
         tags = image.getexif().get_ifd(_EXIF)
         return _number(tags.get(_TIME)), _number(tags.get(_APERTURE)), _number(tags.get(_SPEED))
@@ -33,7 +33,7 @@ def _stated(image: Any) -> tuple[float, float, float]:
 
 
 def _number(value: Any) -> float:
-    """A number that EXIF states, of several the first; 0 where it is none."""
+    """EXIF value as a number, the first of several; 0 if it is none."""
     if isinstance(value, tuple | list):
         value = value[0] if value else 0
     try:

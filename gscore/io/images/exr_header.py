@@ -12,11 +12,11 @@ _MOST_CHANNELS = 256
 
 
 def check_exr_size(path: Path) -> None:
-    """Raise ValueError where the header is damaged or announces more than fits a depth map."""
+    """Raise ValueError if the header is damaged or states a size too large for a depth map."""
     with open_regular(path) as file:
         raw = file.read(_LONGEST)
     if len(raw) < 8 or struct.unpack_from("<I", raw)[0] != _MAGIC:
-        raise ValueError("it does not start as such files do")
+        raise ValueError("it does not start with OpenEXR's magic number")
     at, found = 8, False
     while at < len(raw) and raw[at]:
         name, at = _text(raw, at)

@@ -9,43 +9,42 @@ from ..files import open_regular
 
 
 class ImageInfo(NamedTuple):
-    """What the header of an image file says."""
+    """Size, transparency and orientation from the header of an image file."""
 
     width: int
     """Pixels as stored."""
     height: int
     """Pixels as stored."""
     has_alpha: bool
-    """Whether there is transparency."""
+    """True if it has transparency."""
     orientation: int = 1
-    """By EXIF, 1 to 8: how the stored picture is turned and mirrored for display."""
+    """EXIF orientation, 1 to 8: rotation and mirroring of the stored picture for display."""
 
     @property
     def is_sideways(self) -> bool:
-        """Whether EXIF asks to turn the stored picture by a quarter for display."""
+        """True if EXIF rotates the stored picture by 90 degrees for display."""
         return self.orientation in (5, 6, 7, 8)
 
     @property
     def is_flipped(self) -> bool:
-        """Whether EXIF asks to turn it upside down or to mirror it, which leaves its size as it
-        is."""
+        """True if EXIF rotates it by 180 degrees or mirrors it, which keeps its size."""
         return self.orientation in (2, 3, 4)
 
 
 ORIENTATION = 0x0112
-"""EXIF's tag."""
+"""EXIF tag."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _XMP_TURN = re.compile(rb"tiff:Orientation(?:=\"|>)([0-9])")
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """JPEG markers that start a frame and state its size."""
 _LONGEST = 1 << 24
-"""Bytes of a chunk that is looked into: a damaged length must not ask for gigabytes."""
+"""Most bytes of a chunk that is read: a damaged length must not allocate gigabytes."""
 _LONE = frozenset({0x01, *range(0xD0, 0xD8)})
 """JPEG markers without a length."""
 
 
 def read_header(path: str | Path) -> ImageInfo | None:
-    """What the header of a PNG or JPEG says; None for other, missing and damaged files.
+    """Read the header of a PNG or JPEG; None for other, missing and damaged files.
 
     Raises:
         DatasetError: it is no regular file.
@@ -70,7 +69,7 @@ def _info(width: int, height: int, has_alpha: bool, turn: int) -> ImageInfo | No
 
 
 def _png(file: BinaryIO) -> ImageInfo | None:
-    """Chunks up to the first of pixels: size, transparency, EXIF."""
+    """Read chunks up to the first of pixels: size, transparency, EXIF."""
     width, height, alpha, turn = 0, 0, False, 1
     while True:
         length, kind = struct.unpack(">I4s", file.read(8))
@@ -88,13 +87,13 @@ def _png(file: BinaryIO) -> ImageInfo | None:
             alpha = True
         elif kind == b"eXIf":
             turn = _exif_turn(body)
-        elif turn == 1 and (found := _XMP_TURN.search(body)):
-            turn = int(found[1])
+        elif turn == 1 and (match := _XMP_TURN.search(body)):
+            turn = int(match[1])
     return _info(width, height, alpha, turn)
 
 
 def _jpeg(file: BinaryIO) -> ImageInfo | None:
-    """Segments up to the frame header: EXIF, size."""
+    """Read segments up to the frame header: EXIF, size."""
     exif, xmp = 1, 1
     while True:
         (marker,) = struct.unpack(">xB", file.read(2))
@@ -115,12 +114,12 @@ def _jpeg(file: BinaryIO) -> ImageInfo | None:
         body = file.read(length - 2)
         if body.startswith(b"Exif\0\0"):
             exif = _exif_turn(body[6:])
-        elif found := _XMP_TURN.search(body):
-            xmp = int(found[1])
+        elif match := _XMP_TURN.search(body):
+            xmp = int(match[1])
 
 
 def _exif_turn(tiff: bytes) -> int:
-    """Value of the tag Orientation in the first directory of an EXIF block, 1 without one."""
+    """Orientation from the first directory of an EXIF block; 1 if missing."""
     order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
     if order is None:
         return 1

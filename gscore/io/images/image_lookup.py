@@ -1,13 +1,13 @@
-"""Image lookup at fractional pixels, bilinear or cubic; numpy alone."""
+"""Image lookup at fractional pixels, bilinear or cubic; numpy only."""
 
 import numpy as np
 
 _TAPS = (-1, 0, 1, 2)
-"""Pixels that cubic convolution takes along a row or a column, counted from the one before."""
+"""Taps of cubic convolution along an axis, relative to the pixel before the position."""
 
 
 class Pixels:
-    """A picture, [h, w] or [h, w, D] of any dtype, to be looked up at many places."""
+    """A picture, [h, w] or [h, w, D] of any dtype, for interpolation at many positions."""
 
     def __init__(self, image: np.ndarray) -> None:
         self._shape = image.shape[:2]
@@ -19,7 +19,7 @@ class Pixels:
         Args:
             x: [r, W] columns, 0 to w - 1.
             y: [r, W] rows, 0 to h - 1.
-            out: What is found there.
+            out: Receives the interpolated values.
         """
         height, width = self._shape
         left = np.minimum(x.astype(np.int64), max(width - 2, 0))
@@ -38,8 +38,8 @@ class Pixels:
             out[key] = np.rint(a) if out.dtype.kind in "iu" else a
 
     def cubic(self, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
-        """As `bilinear`, of bytes, by cubic convolution (Keys 1981, with a = -1/2). Beyond the
-        border its pixels are repeated."""
+        """As `bilinear`, for uint8, by cubic convolution (Keys 1981, with a = -1/2). Pixels at the
+        border are repeated outwards."""
         height, width = self._shape
         left, top = x.astype(np.int64), y.astype(np.int64)
         across, down = _keys((x - left).astype(np.float32)), _keys((y - top).astype(np.float32))
@@ -59,7 +59,7 @@ class Pixels:
 
 
 def _keys(t: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Weights of the pixels at `_TAPS` of a place that lies `t`, 0 to 1, after a pixel."""
+    """Weights of the pixels at `_TAPS` for a position `t`, 0 to 1, after a pixel."""
     s = 1 - t
     return (
         -0.5 * t * s * s,
@@ -70,7 +70,7 @@ def _keys(t: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _packed(image: np.ndarray) -> np.ndarray:
-    """[h w, ...] rows; bytes of a colour as one uint32, which gathers several times faster."""
+    """[h w, ...] rows; uint8 colours packed into uint32, which gathers several times faster."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4):
         return image.reshape(-1, *image.shape[2:])
     if image.shape[2] == 3:

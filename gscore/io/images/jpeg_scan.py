@@ -1,7 +1,8 @@
-"""JPEG scan: the number of blocks in the data, by their Huffman codes without decoding.
+"""JPEG scan: number of blocks in the data, counted from their Huffman codes without decoding.
 
-ITU-T T.81: a scan is a sequence of minimum coded units (MCUs), each of some blocks of each
-component, and a block is a code and bits for its mean, then such for its other coefficients.
+ITU-T T.81: a scan is a sequence of minimum coded units (MCUs), each with some blocks of each
+component. A block is a code with bits for its mean, then codes with bits for its other
+coefficients.
 """
 
 import re
@@ -18,23 +19,23 @@ _NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)
 _RESTART = re.compile(rb"\xff[\xd0-\xd7]")
 _END = b"\xff\xd9"
 _CODE = 16
-"""Bits of the longest code."""
+"""Most bits of a code."""
 
 
 @dataclass(kw_only=True)
 class _Jpeg:
     size: tuple[int, int] = (0, 0)
     sampling: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Blocks of an MCU across and down, by component."""
+    """Blocks per MCU across and down, by component."""
     tables: dict[int, list[int]] = field(default_factory=dict)
-    """By class (DC 0, AC 16) plus number: 256 length + value for each 16 bits that may come."""
+    """Lookup table by class (DC 0, AC 16) plus number: 256 length + value for each next 16 bits."""
     interval: int = 0
-    """MCUs between restart markers; 0: there are none."""
+    """MCUs between restart markers; 0: no markers."""
 
 
 def missing_blocks(path: Path) -> int:
-    """MCUs that a JPEG of one sequential scan lacks at its end; 0 where it is whole or of a kind
-    that is not counted."""
+    """Number of MCUs missing at the end of a JPEG of one sequential scan; 0 if it is complete or of
+    another kind."""
     try:
         return _missing(read_bytes(path))
     except (IndexError, KeyError, struct.error):  # a damaged header is left to the decoder
@@ -42,8 +43,8 @@ def missing_blocks(path: Path) -> int:
 
 
 def with_end_marker(path: Path) -> bytes | None:
-    """The bytes of a JPEG of one sequential scan that lacks its last marker (EOI) alone, with that
-    marker; None for every other file."""
+    """Bytes of a JPEG of one sequential scan that lacks only its end marker (EOI), with the marker
+    added; None for every other file."""
     raw = read_bytes(path).rstrip(b"\xff")
     try:
         at = raw.rindex(b"\xff\xda")  # a byte 0xff within a scan is followed by 0 or a restart
@@ -54,7 +55,7 @@ def with_end_marker(path: Path) -> bytes | None:
 
 
 def _is_counted(raw: bytes) -> bool:
-    """Whether the blocks of one scan less than there are would be missed."""
+    """True if missing blocks of the last scan would be detected."""
     return _missing(raw[: raw.rindex(b"\xff\xda") + 16]) > 0
 
 
@@ -99,7 +100,7 @@ def _read_tables(body: bytes, tables: dict[int, list[int]]) -> None:
 
 
 def _missing_in_scan(jpeg: _Jpeg, header: bytes, raw: bytes, start: int) -> int:
-    """MCUs that lack in the scan whose data begin at `start`."""
+    """Number of MCUs missing in the scan whose data begin at `start`."""
     if header[0] != len(jpeg.sampling) or not all(jpeg.size):
         return 0
     blocks: list[tuple[list[int], list[int]]] = []
@@ -111,15 +112,16 @@ def _missing_in_scan(jpeg: _Jpeg, header: bytes, raw: bytes, start: int) -> int:
     total = -(-jpeg.size[0] // (8 * wide)) * -(-jpeg.size[1] // (8 * tall))
     found = _NEXT_MARKER.search(raw, start)
     parts = _RESTART.split(raw[start : found.start() if found else len(raw)])
-    # All parts but the last hold as many as they should.
+    # Only the last part can be incomplete.
     before = jpeg.interval * (len(parts) - 1)
-    wanted = min(jpeg.interval or total, total - before)
-    there = before + _count(parts[-1].replace(b"\xff\x00", b"\xff"), blocks, wanted)
-    return max(0, total - there)
+    expected = min(jpeg.interval or total, total - before)
+    present = before + _count(parts[-1].replace(b"\xff\x00", b"\xff"), blocks, expected)
+    return max(0, total - present)
 
 
 def _count(data: bytes, blocks: list[tuple[list[int], list[int]]], most: int) -> int:
-    """MCUs in data without stuffing; `most` where a code is damaged, which is not told here."""
+    """Number of MCUs in data without stuffing; `most` if a code is damaged, because damage is not
+    reported here."""
     end = 8 * len(data)
     data += bytes(4)
     at = 0
@@ -132,7 +134,7 @@ def _count(data: bytes, blocks: list[tuple[list[int], list[int]]], most: int) ->
                 byte = at >> 3
                 ahead = int.from_bytes(data[byte : byte + 4], "big") >> (16 - (at & 7)) & 0xFFFF
                 entry = (rest if place else mean)[ahead]
-                if not entry:  # the bits that fill up the last byte are no code
+                if not entry:  # the padding bits of the last byte are no code
                     return done if end - at < 8 else most
                 value = entry & 255
                 at += (entry >> 8) + (value & 15)

@@ -22,10 +22,10 @@ from .raw import full_size_page, is_raw, raw_info, read_raw
 from .truncated_images import why_cut_short
 
 PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
-"""What is read, by Pillow's names. Pillow takes a file for what its first bytes say, whatever its
-name, and opens EPS by starting Ghostscript: so no picture is opened without this list."""
+"""Supported formats, by Pillow's names. Every picture is opened with this list, because Pillow
+detects the format by content and would start Ghostscript for EPS."""
 MOST_PIXELS = 178_956_970
-"""Pixels of the largest picture that is read; Pillow refuses what is larger."""
+"""Most pixels of a picture, Pillow's own limit."""
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,
@@ -40,7 +40,7 @@ BROKEN: tuple[type[Exception], ...] = (
     struct.error,
     zlib.error,
 )
-"""What Pillow's decoders raise on damaged files."""
+"""Errors of Pillow's decoders on damaged files."""
 _JPEG, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 _log = logging.getLogger(__name__)
 _STATED = re.compile(r"\((\d+) pixels\)")
@@ -48,27 +48,27 @@ _STATED = re.compile(r"\((\d+) pixels\)")
 
 @functools.cache
 def pillow() -> Any:
-    """PIL.Image, loaded when first needed: the numpy-only parts of gscore do without.
+    """PIL.Image, imported on first use, because the numpy-only parts of gscore do not need it.
 
     Raises:
         BackendError: Pillow is not installed.
     """
     Image = need("PIL.Image", "Reading photos")
-    # From half of its limit on Pillow warns with a line of source; large photos are no mistake.
-    # Once for the process, because filters for a block are not safe among threads.
+    # Above half of its limit Pillow warns, but large photos are no mistake. The filter is set once
+    # for the process, because filters of a block are not thread-safe.
     warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
     return Image
 
 
 @contextmanager
 def opened_picture(path: Path) -> Iterator[Any]:
-    """A picture of which the header is read, as PIL.Image.Image; its pixels come with `load`.
+    """Open a picture as PIL.Image.Image with its header read; `load` reads its pixels.
 
-    What goes wrong with the picture inside the block becomes one of the errors below too.
+    Errors of the picture inside the block also become one of the errors below.
 
     Raises:
-        DatasetError: the file is missing or no regular one.
-        FormatError: it is no picture of a known format, damaged, or too large.
+        DatasetError: the file is missing or no regular file.
+        FormatError: it is no picture of a supported format, damaged, or too large.
         BackendError: Pillow is not installed.
     """
     pil = pillow()
@@ -76,7 +76,7 @@ def opened_picture(path: Path) -> Iterator[Any]:
     if is_raw(path):
         yield _developed(path)
         return
-    if info := read_header(path):  # tells width and height, where Pillow has but their product
+    if info := read_header(path):  # has width and height; Pillow's error only their product
         check_pixels(path, info.width, info.height)
     try:
         with pil.open(_source(path), formats=PICTURE_FORMATS) as image:
@@ -91,8 +91,8 @@ def opened_picture(path: Path) -> Iterator[Any]:
     except pil.UnidentifiedImageError as error:
         raise _broken(
             path,
-            "it is none of the kinds that are read (PNG, JPEG, WebP, TIFF with 8 "
-            "or 16 bits or grey floats, BMP, TGA, PPM), or its first bytes are damaged",
+            "its format is not supported (PNG, JPEG, WebP, TIFF with 8 or 16 bits or grey floats, "
+            "BMP, TGA and PPM are), or its first bytes are damaged",
         ) from error
     except pil.DecompressionBombError as error:
         stated = _STATED.search(str(error))
@@ -106,8 +106,8 @@ def opened_picture(path: Path) -> Iterator[Any]:
 
 
 def _source(path: Path) -> Path | io.BytesIO:
-    """What Pillow opens: the file, or its bytes where a JPEG lacks its end marker alone, without
-    which Pillow refuses it."""
+    """Source for Pillow: the file, or, for a JPEG that lacks only its end marker, its bytes with
+    the marker, because Pillow refuses a JPEG without it."""
     with open_regular(path) as file:
         if file.read(3) != _JPEG:
             return path
@@ -123,14 +123,14 @@ def _source(path: Path) -> Path | io.BytesIO:
 
 @functools.cache
 def _warn_of_lost_end(path: Path) -> None:
-    """Warn once for a file, which is decoded several times."""
+    """Warn once per file, because files are decoded several times."""
     _log.warning("The last bytes of %s are missing, but all of its pixels are there.", path)
 
 
 @contextmanager
 def loaded(path: Path) -> Iterator[tuple[Any, bool]]:
-    """A picture with all of its pixels, and whether its file has 16 bits a channel, of which Pillow
-    keeps 8 in colours.
+    """A picture with its pixels loaded, and whether its file has 16 bits per channel, of which
+    Pillow keeps 8 for colours.
 
     Raises:
         DatasetError, FormatError, BackendError: as `opened_picture`, or pixels are missing.
@@ -142,7 +142,7 @@ def loaded(path: Path) -> Iterator[tuple[Any, bool]]:
 
 
 def _developed(path: Path) -> Any:
-    """A raw photo as PIL.Image.Image, with the EXIF orientation that its file states."""
+    """A developed raw photo as PIL.Image.Image, with the EXIF orientation of its file."""
     info = raw_info(path)
     check_pixels(path, info.width, info.height)
     rgb, turn = read_raw(path)
@@ -152,7 +152,7 @@ def _developed(path: Path) -> Any:
 
 
 def check_whole(path: Path, image: Any) -> None:
-    """Load the pixels of a picture that was opened; FormatError where some are missing."""
+    """Load the pixels of an opened picture; raise FormatError if some are missing."""
     image.load()
     if reason := why_cut_short(path, image):
         raise _broken(path, reason)
@@ -165,10 +165,10 @@ def check_pixels(path: Path, width: int, height: int) -> None:
 
 
 def too_large(path: Path, stated: str) -> FormatError:
-    """The sentence for a header that states more than is read."""
+    """Error for a picture larger than `MOST_PIXELS`."""
     return FormatError(
         f"{path} states a size of {stated}, but pictures of more than "
-        f"{number(MOST_PIXELS)} pixels are not read. Scale the pictures "
+        f"{number(MOST_PIXELS)} pixels are not supported. Scale the pictures "
         f"down, or copy this one again if it is damaged."
     )
 

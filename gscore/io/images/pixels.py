@@ -1,4 +1,4 @@
-"""Pixels of a picture of any mode as 8-bit arrays."""
+"""Pixels of a picture in any Pillow mode as 8-bit arrays."""
 
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,13 @@ from ...errors import FormatError
 WITH_ALPHA = frozenset({"RGBA", "LA", "PA", "RGBa", "La"})
 """Pillow's modes with opacity."""
 _DARKEST = 4096
-"""Of 65536: 16-bit pictures nowhere brighter hold 8 or 12 bits that were never scaled."""
+"""Least maximum of a 16-bit picture; a darker one has unscaled values of 8 or 12 bits."""
 _PIXELS_A_STRIP = 1 << 20
 _WHITE_IS_ZERO, _PHOTOMETRIC = 0, 262
 
 
 def has_alpha(image: Any) -> bool:
-    """Whether a picture (PIL.Image.Image) can be transparent."""
+    """True if a picture (PIL.Image.Image) can be transparent."""
     return image.mode in WITH_ALPHA or "transparency" in image.info
 
 
@@ -26,13 +26,13 @@ def photo_bytes(path: Path, image: Any, *, deep: bool) -> np.ndarray:
     Args:
         path: Its file, for messages.
         image: PIL.Image.Image, loaded.
-        deep: Whether its file has 16 bits a channel, of which Pillow leaves 8 in colours.
+        deep: Whether its file has 16 bits per channel, of which Pillow keeps 8 for colours.
 
     Returns:
         [H, W, 3] uint8, or [H, W, 4] with transparency, not premultiplied.
 
     Raises:
-        FormatError: which number is white is not known.
+        FormatError: the value of white is unknown.
     """
     if image.mode[0] in "IF":
         values, white = _grey_numbers(path, image)
@@ -49,8 +49,8 @@ def photo_bytes(path: Path, image: Any, *, deep: bool) -> np.ndarray:
 
 
 def _converted(image: Any, mode: str) -> np.ndarray:
-    """[H, W, 3 or 4] uint8 of a picture, strip after strip: as a whole it would be there three
-    times more, in Pillow's four bytes a pixel and as bytes on their way to numpy."""
+    """[H, W, 3 or 4] uint8 of a picture. Converted in strips, because at once it would take three
+    more copies: Pillow's four bytes per pixel, and bytes on their way to numpy."""
     width, height = image.size
     out = np.empty((height, width, len(mode)), np.uint8)
     rows = max(1, _PIXELS_A_STRIP // width)
@@ -61,16 +61,16 @@ def _converted(image: Any, mode: str) -> np.ndarray:
 
 
 def mask_bytes(path: Path, image: Any, *, deep: bool) -> tuple[np.ndarray, str]:
-    """A mask as bytes, 255 = keep, and what was taken for white where it is not white.
+    """A mask as bytes, 255 = keep, and the assumption about its white value.
 
-    Transparency that varies is the mask; else it is the brightest channel. Where there is only 0
-    and one other number, this is white: 1, 255, 65535, or the index or the colour of a label.
+    The mask is the alpha channel if that varies, else the brightest channel. If the only values are
+    0 and one other, the other is white: 1, 255, 65535, or the index or the colour of a label.
 
     Returns:
-        [H, W] uint8, and the beginning of a sentence, empty where nothing had to be assumed.
+        [H, W] uint8, and the assumption as a part of a message; empty without one.
 
     Raises:
-        FormatError: which number is white is not known.
+        FormatError: the value of white is unknown.
     """
     if image.mode[0] in "IF":
         values, white = _grey_numbers(path, image, any_white=True)
@@ -96,8 +96,8 @@ def _assumed(top: float, white: float | None) -> str:
 def _grey_numbers(
     path: Path, image: Any, *, any_white: bool = False
 ) -> tuple[np.ndarray, float | None]:
-    """[H, W] numbers of a grey picture of more than 8 bits, and which of them is white; None, if it
-    is not known and `any_white` allows that."""
+    """[H, W] values of a grey picture of more than 8 bits, and the value of white; None if it is
+    unknown and `any_white` allows that."""
     values = np.asarray(image)
     if image.mode.startswith("I;16") or image.format in ("PNG", "PPM"):
         white: float | None = 65535.0
@@ -118,7 +118,7 @@ def _within(values: np.ndarray, most: float) -> bool:
 
 
 def _scaled(path: Path, values: np.ndarray, white: float | None) -> np.ndarray:
-    """Numbers from 0 to `white` as bytes, rounded."""
+    """Values from 0 to `white` as bytes, rounded."""
     assert white is not None
     if white == 255:
         return np.ascontiguousarray(values)
@@ -127,7 +127,7 @@ def _scaled(path: Path, values: np.ndarray, white: float | None) -> np.ndarray:
     top = int(values.max())
     if 0 < top < _DARKEST:
         raise FormatError(
-            f"{path} has 16 bits a pixel but nothing brighter than {top} of 65535, so it would be "
+            f"{path} has 16 bits per pixel but no value above {top} of 65535, so it would be "
             f"black. Scale its values so that white is 65535, or save it with 8 bits."
         )
     return ((values.astype(np.uint32) * 255 + 32767) // 65535).astype(np.uint8)
@@ -136,21 +136,20 @@ def _scaled(path: Path, values: np.ndarray, white: float | None) -> np.ndarray:
 def _unknown_white(path: Path, image: Any, values: np.ndarray) -> FormatError:
     kind = "floating-point" if image.mode == "F" else "32-bit or signed whole"
     return FormatError(
-        f"{path} holds {kind} numbers from {values.min():g} to {values.max():g}, of which gscore "
-        f"cannot know what is white; expected 8 or 16 bits without sign, or floats from 0 to 1. "
-        f"Save it so."
+        f"{path} has {kind} numbers from {values.min():g} to {values.max():g}, but the value "
+        f"of white is unknown. Save it with 8 or 16 bits without sign, or floats from 0 to 1."
     )
 
 
 def _check_deep_colours(path: Path, image: Any, pixels: np.ndarray) -> None:
-    """Raise FormatError where the 8 bits that Pillow keeps of 16 do not tell the picture."""
+    """Raise FormatError if the 8 of 16 bits that Pillow keeps lose the picture."""
     if int(pixels[..., :3].max()) * 256 < _DARKEST:
         raise FormatError(
-            f"{path} has 16 bits a channel but is nearly black: nothing in it reaches "
+            f"{path} has 16 bits per channel but is nearly black: no value reaches "
             f"{_DARKEST} of 65535. Scale its values so that white is 65535, or save it with 8 bits."
         )
     if isinstance(image.info.get("transparency"), tuple):
         raise FormatError(
-            f"{path} has 16 bits a channel and one colour that is transparent, which cannot be "
-            f"read. Save it with an alpha channel."
+            f"{path} has 16 bits per channel and one transparent colour, which is not supported. "
+            f"Save it with an alpha channel."
         )

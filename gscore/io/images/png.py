@@ -10,14 +10,14 @@ from ...errors import ShapeError
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _LEVEL = 6
 _GRAY, _RGBA = (0, 1), (6, 4)
-"""Colour type and samples a pixel."""
+"""Colour type and samples per pixel."""
 
 
 def gray_png(levels: np.ndarray) -> bytes:
-    """A PNG of `levels`, [H, W] uint8, the top row first (PNG 1.2, colour type 0).
+    """PNG of `levels`, [H, W] uint8, top row first (PNG 1.2, colour type 0).
 
     Raises:
-        ShapeError: it is no such array, or has no pixels.
+        ShapeError: the array has another shape or dtype, or no pixels.
     """
     if levels.ndim != 2 or levels.dtype != np.uint8 or not levels.size:
         raise ShapeError(
@@ -27,15 +27,15 @@ def gray_png(levels: np.ndarray) -> bytes:
 
 
 def rgba_png(pixels: np.ndarray, *, packed: bool = True) -> bytes:
-    """A PNG of `pixels`, [H, W, 4] uint8 with straight alpha, the top row first (colour type 6).
+    """PNG of `pixels`, [H, W, 4] uint8 with straight alpha, top row first (colour type 6).
 
     Args:
         pixels: The picture.
-        packed: Make it small, which takes 0.1 s a megapixel; else it is as large as the pixels, and
-            takes a tenth of that.
+        packed: Compress it, which takes 0.1 s per megapixel; else it is as large as the pixels and
+            takes a tenth of the time.
 
     Raises:
-        ShapeError: it is no such array, or has no pixels.
+        ShapeError: the array has another shape or dtype, or no pixels.
     """
     if pixels.ndim != 3 or pixels.shape[2] != 4 or pixels.dtype != np.uint8 or not pixels.size:
         raise ShapeError(
@@ -45,9 +45,9 @@ def rgba_png(pixels: np.ndarray, *, packed: bool = True) -> bytes:
 
 
 def _png(samples: np.ndarray, kind: tuple[int, int], level: int) -> bytes:
-    """Of rows of samples; colour type and samples a pixel."""
+    """PNG of rows of samples; `kind`: colour type and samples per pixel."""
     height, width = samples.shape
-    rows = np.zeros((height, width + 1), np.uint8)  # each row begins with its filter: none
+    rows = np.zeros((height, width + 1), np.uint8)  # filter byte 0 (none) starts each row
     rows[:, 1:] = samples
     header = struct.pack(">IIBBBBB", width // kind[1], height, 8, kind[0], 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.data, level)), (b"IEND", b""))

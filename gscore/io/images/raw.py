@@ -1,7 +1,7 @@
-"""Raw photos, and TIFFs with a thumbnail first: the full-size picture.
+"""Full-size picture of raw photos, and of TIFFs that begin with a thumbnail.
 
 Raw files of most cameras are TIFFs (tags of TIFF 6.0, TIFF/EP and DNG 1.7) whose first directory is
-a preview, which Pillow would take for the photo.
+a preview, which Pillow would read as the photo.
 """
 
 import struct
@@ -18,9 +18,9 @@ RAW_ENDINGS = (
     *(".dng", ".cr2", ".cr3", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".orf", ".rw2"),
     *(".pef", ".srw", ".3fr", ".fff", ".iiq", ".rwl", ".mrw", ".erf", ".mos", ".x3f"),
 )
-"""Of raw photos, lower case."""
+"""File endings of raw photos, lower case."""
 _OTHER_RAW = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FUJIFILMCCD-RAW")
-"""First bytes of raw photos that are no TIFFs by their mark: Olympus, Panasonic, Fujifilm."""
+"""First bytes of raw photos without the magic number of TIFF: Olympus, Panasonic, Fujifilm."""
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 _SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _COLOURS, _CHILDREN, _DNG = (
     *(254, 255, 256, 257, 262, 330, 50706),
@@ -28,16 +28,16 @@ _SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _COLOURS, _CHILDREN, _DNG = (
 _MOSAIC = frozenset({32803, 34892})
 """PhotometricInterpretation of a colour filter array and of linear raw values."""
 _SIZES = {1: 1, 3: 2, 4: 4, 13: 4}
-"""Bytes of a number, by type."""
+"""Bytes per number, by type."""
 _MOST = 64
-"""Directories that are looked at."""
+"""Most directories that are read."""
 _FLIPS = {3: 3, 5: 8, 6: 6}
-"""EXIF's orientation, by LibRaw's flip."""
+"""EXIF orientation by LibRaw's flip."""
 
 
 _SETTINGS: dict[str, Any] = {
     "use_camera_wb": True,
-    "no_auto_bright": True,  # nothing that would differ from photo to photo of one scene
+    "no_auto_bright": True,  # no adjustments that differ between photos of a scene
     "adjust_maximum_thr": 0.0,
     "gamma": (2.4, 12.92),  # sRGB
     "user_flip": 0,
@@ -47,8 +47,8 @@ _SETTINGS: dict[str, Any] = {
 @dataclass(frozen=True)
 class _Directory:
     tags: dict[int, tuple[int, ...]]
-    place: int | None
-    """Among the pictures that follow each other; None: below one of them."""
+    page: int | None
+    """Index among the pages of the TIFF; None: a child of a page."""
 
     @property
     def is_reduced(self) -> bool:
@@ -67,7 +67,8 @@ class _Directory:
 
 
 def is_raw(path: Path) -> bool:
-    """Whether a file is a raw photo, by its content; of TIFFs without a mark, by its ending too.
+    """True if the content of a file is a raw photo; TIFFs also count if their ending is that of a
+    raw photo.
 
     Raises:
         DatasetError: it is no regular file.
@@ -85,41 +86,42 @@ def is_raw(path: Path) -> bool:
 
 
 def full_size_page(path: Path) -> int:
-    """Which of the pictures that follow each other in a TIFF is the photo: the first, unless that
-    is a reduced one.
+    """Page of a TIFF with the photo: the first, unless that is a reduced picture.
 
     Raises:
-        FormatError: the full-size picture is not one of them.
+        FormatError: the full-size picture is not a page of its own.
     """
     with open_regular(path) as file:
-        found = _directories(file)
-    if not found:
+        directories = _directories(file)
+    if not directories:
         return 0
-    larger = [d for d in found if not d.is_reduced and d.pixels > found[0].pixels]
-    below = [d for d in larger if d.place is None]
-    if not (found[0].is_reduced or below) or not larger:
+    first = directories[0]
+    larger = [d for d in directories if not d.is_reduced and d.pixels > first.pixels]
+    children = [d for d in larger if d.page is None]
+    if not (first.is_reduced or children) or not larger:
         return 0
     best = max(larger, key=lambda d: d.pixels)
-    if best.place is None:
+    if best.page is None:
         raise FormatError(
-            f"{path} begins with a reduced picture, and its full-size picture lies where it is not "
-            "read. Save it as a TIFF, PNG or JPEG of one picture under the same name."
+            f"{path} begins with a reduced picture, and its full-size picture is in a "
+            "sub-directory, which is not supported. Save it as a TIFF, PNG or JPEG of one picture "
+            "under the same name."
         )
-    return best.place
+    return best.page
 
 
 def raw_info(path: Path) -> ImageInfo:
-    """Size and EXIF turn of the full-size picture of a raw photo; raises as `read_raw`."""
+    """Size and EXIF orientation of the full-size picture of a raw photo; raises as `read_raw`."""
     with _opened(path) as raw:
         turn = _FLIPS.get(raw.sizes.flip, 1)
         return ImageInfo(raw.sizes.width, raw.sizes.height, False, turn)
 
 
 def read_raw(path: Path) -> tuple[Any, int]:
-    """The full-size picture of a raw photo, as it is stored, and its EXIF orientation.
+    """Full-size picture of a raw photo as stored, and its EXIF orientation.
 
     Returns:
-        [H, W, 3] uint8 sRGB with the white balance of the camera, and 1, 3, 6 or 8.
+        [H, W, 3] uint8 sRGB with the camera's white balance, and 1, 3, 6 or 8.
 
     Raises:
         FormatError: rawpy is not installed, or cannot read it.
@@ -128,7 +130,7 @@ def read_raw(path: Path) -> tuple[Any, int]:
         turn = _FLIPS.get(raw.sizes.flip, 1)
         try:
             rgb = raw.postprocess(**_SETTINGS)
-        except Exception as error:  # LibRaw's classes, which have no common one but this
+        except Exception as error:  # LibRaw's errors have no other common base
             raise _unread(path, str(error)) from error
         if rgb.shape[:2] != (raw.sizes.height, raw.sizes.width):
             raise _unread(path, "its pixels are not square")
@@ -140,9 +142,9 @@ def _opened(path: Path) -> Any:
         rawpy = need("rawpy", "Reading raw photos")
     except BackendError as error:
         raise FormatError(
-            f"{path} is a raw photo, of which only a preview can be read here. Convert the raw "
-            "photos to JPEG, PNG or TIFF at full size and without cropping, under the same names, "
-            f"and move the raw ones away; or install rawpy: {how_to_install('rawpy')}"
+            f"{path} is a raw photo, and without rawpy only its preview can be read. Convert the "
+            "raw photos to JPEG, PNG or TIFF at full size and without cropping, under the same "
+            f"names, and move the raw ones away; or install rawpy: {how_to_install('rawpy')}"
         ) from error
     try:
         return rawpy.imread(str(path))
@@ -158,28 +160,29 @@ def _unread(path: Path, reason: str) -> FormatError:
 
 
 def _directories(file: BinaryIO) -> list[_Directory]:
-    """Directories of a TIFF, those below others too; what is damaged ends the list."""
+    """Directories of a TIFF including sub-directories, up to the first damaged one."""
     file.seek(0)
     order = _TIFF.get(file.read(4))
-    found: list[_Directory] = []
-    seen: set[int] = set()
+    directories: list[_Directory] = []
+    visited: set[int] = set()
     try:
         if order is None:
             return []
         (at,) = struct.unpack(order + "I", file.read(4))
-        while at and at not in seen and len(found) < _MOST:
-            seen.add(at)
+        while at and at not in visited and len(directories) < _MOST:
+            visited.add(at)
             tags, at = _tags(file, order, at)
-            found.append(_Directory(tags, sum(d.place is not None for d in found)))
+            page = sum(d.page is not None for d in directories)
+            directories.append(_Directory(tags, page))
             for child in tags.get(_CHILDREN, ())[:_MOST]:
-                found.append(_Directory(_tags(file, order, child)[0], None))
+                directories.append(_Directory(_tags(file, order, child)[0], None))
     except (OSError, struct.error):
         pass
-    return found
+    return directories
 
 
 def _tags(file: BinaryIO, order: str, at: int) -> tuple[dict[int, tuple[int, ...]], int]:
-    """The tags asked for, and where the next directory lies."""
+    """The needed tags of a directory, and the offset of the next directory."""
     file.seek(at)
     (count,) = struct.unpack(order + "H", file.read(2))
     entries = file.read(12 * count)

@@ -16,17 +16,17 @@ from .pixels import has_alpha, mask_bytes, photo_bytes
 from .raw import is_raw, raw_info
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
-"""Endings tried where a name has none or names a file of another kind, lower case."""
+"""Endings tried if a name has none or that of another kind of file, lower case."""
 
 
 def read_info(path: str | Path) -> ImageInfo:
-    """Size and kind of an image, without decoding it.
+    """Size, transparency and orientation of an image, without decoding it.
 
-    PNG and JPEG take the standard library alone, other kinds take Pillow.
+    PNG and JPEG need only the standard library, other formats need Pillow.
 
     Raises:
-        DatasetError: the file is missing or no regular one.
-        FormatError: it is no image, or too large to be read.
+        DatasetError: the file is missing or no regular file.
+        FormatError: it is no image, or too large.
         BackendError: Pillow is needed and not installed.
     """
     path = Path(path)
@@ -46,17 +46,17 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
     """Decode an image.
 
     Args:
-        path: The file, of `pillow.PICTURE_FORMATS`. Grey, palette, CMYK and 16-bit images are
-            converted, floats from 0 to 1 too; of several pictures in a file the first is taken.
-        upright: Turn it as EXIF asks. COLMAP does not, so neither does gscore by default.
+        path: The file, in one of `PICTURE_FORMATS`. Grey, palette, CMYK and 16-bit images and
+            floats from 0 to 1 are converted; of several pictures in a file the first is read.
+        upright: Apply the EXIF orientation. Off by default, as in COLMAP.
 
     Returns:
         [H, W, 3] uint8 sRGB, or [H, W, 4] if the file has transparency (not premultiplied).
 
     Raises:
-        DatasetError: the file is missing or no regular one.
-        FormatError: it is no image, truncated, corrupt or too large, or which of its numbers is
-            white is not known.
+        DatasetError: the file is missing or no regular file.
+        FormatError: it is no image, truncated, corrupt or too large, or its value of white is
+            unknown.
         BackendError: Pillow is not installed.
     """
     path = Path(path)
@@ -73,12 +73,11 @@ def read_mask(path: str | Path, *, inverted: bool = False) -> np.ndarray:
     """Decode a mask.
 
     Args:
-        path: Grey, black and white, or colour image; one whose transparency varies gives that.
-        inverted: Its white marks what to leave out.
+        path: Grey, black and white, or colour image; an alpha channel that varies is the mask.
+        inverted: White marks pixels to ignore.
 
     Returns:
-        [H, W] uint8, 255 = keep. Masks that hold only 0 and one other number are stretched to 0
-        and 255.
+        [H, W] uint8, 255 = keep. A mask with only 0 and one other value is stretched to 0 and 255.
 
     Raises:
         As `read_image`.
@@ -88,23 +87,23 @@ def read_mask(path: str | Path, *, inverted: bool = False) -> np.ndarray:
 
 
 def assumed_of_mask(path: str | Path) -> str:
-    """What `read_mask` takes for white in a mask where that is not white, as the end of a sentence
-    that begins with masks; empty where nothing is assumed. Raises as `read_image`."""
+    """Assumption of `read_mask` about the white value of a mask, as the end of a message that
+    begins with "masks"; empty without one. Raises as `read_image`."""
     return _mask(Path(path))[1]
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Scale an image down by averaging.
+    """Downscale an image by averaging.
 
-    Whole-numbered factors use the mean of the pixels each new pixel covers; others a Hamming
-    window of that size, Pillow's advice for downscaling, because a box would shift edges by up to
-    half a pixel. Neither rings as bicubic and Lanczos do; splats cannot follow ringing. RGBA is
+    Integer factors use the mean of the pixels each new pixel covers; others a Hamming window of
+    that size, which Pillow recommends for downscaling, because a box would shift edges by up to
+    half a pixel. Neither rings as bicubic and Lanczos do; splats cannot reproduce ringing. RGBA is
     weighted by its alpha.
 
     Args:
         image: [H, W], [H, W, 3] or [H, W, 4] uint8.
-        width: New width in pixels, not above the old one.
-        height: New height in pixels, not above the old one.
+        width: New width in pixels, at most the old one.
+        height: New height in pixels, at most the old one.
 
     Returns:
         [height, width, ...] uint8, contiguous.
@@ -120,13 +119,13 @@ def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
     pil = pillow()
     source = pil.fromarray(image)
     if old_width % width == 0 and old_height % height == 0:
-        # Rounds once; resize with a box rounds up after each axis and brightens by half a step.
+        # Rounds once; resize with a box rounds up after each axis, which brightens by half a step.
         return np.array(source.reduce((old_width // width, old_height // height)))
     return np.array(source.resize((width, height), pil.Resampling.HAMMING))
 
 
 def resize_map(values: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Scale a map of numbers to any size, each pixel the mean of the known ones it covers.
+    """Resize a map of numbers to any size, averaging the known values under each pixel.
 
     Args:
         values: [H, W] float32; NaN: unknown.
@@ -134,7 +133,7 @@ def resize_map(values: np.ndarray, width: int, height: int) -> np.ndarray:
         height: New height in pixels.
 
     Returns:
-        [height, width] float32; NaN where less than half of a pixel is known.
+        [height, width] float32; NaN for pixels that are less than half known.
     """
     if values.shape == (height, width):
         return values
@@ -153,14 +152,14 @@ def resize_map(values: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def is_scaled(size: tuple[int, int], photo: tuple[int, int]) -> bool:
-    """Whether a picture shows all of a photo that was scaled down: it is larger by a tenth or more,
-    and of the same proportions within the rounding of the photo's sides."""
+    """True if a picture can be the full-size version of a downscaled photo: larger by a tenth or
+    more, with the same aspect ratio within the rounding of the photo's sides; sizes in px."""
     scale = size[0] / photo[0]
     return scale >= 1.1 and abs(size[1] / scale - photo[1]) <= 1
 
 
 def resize_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Scale a mask [H, W] down as `resize` does; one of only 0 and 255 stays one."""
+    """Downscale a mask [H, W] as `resize` does; a mask of only 0 and 255 stays binary."""
     scaled = resize(mask, width, height)
     if np.any((mask > 0) & (mask < 255)):
         return scaled
@@ -168,7 +167,7 @@ def resize_mask(mask: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def reduce(image: np.ndarray, factor: int) -> np.ndarray:
-    """Mean of `factor` x `factor` blocks; the last row and column average what is left.
+    """Mean of `factor` x `factor` blocks; the last row and column average the remaining pixels.
 
     Args:
         image: [H, W], [H, W, 3] or [H, W, 4] uint8.
@@ -181,17 +180,17 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
 
 
 SIGNED = {"Software": "gscore"}
-"""Texts of a PNG that says who made it, so that another of its name may replace it unasked."""
+"""Texts of PNGs made by gscore, which may be overwritten without asking."""
 
 
 def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | None = None) -> None:
-    """Write a PNG with the standard library alone, completely or not at all.
+    """Write a PNG with the standard library only, completely or not at all.
 
     Args:
         path: The file to write; its folder is made.
         image: [H, W], [H, W, 3] or [H, W, 4] uint8; grey, RGB or RGBA (not premultiplied), sRGB. Or
             [H, W] uint16, grey.
-        texts: By keyword, ASCII both.
+        texts: Texts by keyword, both ASCII.
 
     Raises:
         ShapeError: another shape or dtype.
@@ -207,7 +206,7 @@ def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | No
             f"{image.dtype} {list(shape)}."
         )
     height, width = shape[:2]
-    size = 2 if deep else channels  # bytes of a pixel, the high one of 16 bits first
+    size = 2 if deep else channels  # bytes per pixel, 16 bits big endian
     pixels = np.ascontiguousarray(image, ">u2" if deep else None).view(np.uint8)
     pixels = pixels.reshape(height, width, size)
     rows = np.zeros((height, width * size + 1), np.uint8)
@@ -215,8 +214,8 @@ def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | No
     rows[:, 1 : 1 + size] = pixels[:, 0]
     rows[:, 1 + size :] = (pixels[:, 1:] - pixels[:, :-1]).reshape(height, -1)
     head = struct.pack(">IIBBBBB", width, height, 16 if deep else 8, kinds[channels], 0, 0, 0)
-    words = [(b"tEXt", f"{key}\0{text}".encode("ascii")) for key, text in (texts or {}).items()]
-    chunks = [(b"IHDR", head), *words, (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
+    notes = [(b"tEXt", f"{key}\0{text}".encode("ascii")) for key, text in (texts or {}).items()]
+    chunks = [(b"IHDR", head), *notes, (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
     out = [b"\x89PNG\r\n\x1a\n"]
     for kind, body in chunks:
         check = struct.pack(">I", zlib.crc32(kind + body))
@@ -233,7 +232,7 @@ TURNS = {
     7: "TRANSVERSE",
     8: "ROTATE_90",
 }
-"""Pillow's names for what shows a picture as its EXIF orientation asks."""
+"""Pillow's transpose that applies each EXIF orientation."""
 
 
 def _exif_turn(image: Any) -> int:

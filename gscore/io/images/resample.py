@@ -1,29 +1,29 @@
-"""Resampling of photos to smaller sizes in numpy, with the same bits as Pillow's."""
+"""Downscaling of photos in numpy, bit-identical to Pillow's."""
 
 import numpy as np
 
 from ...errors import ShapeError
 
 _BITS = 22
-"""Fraction bits of a weight; Pillow's 32 less 8 of a value and 2 of headroom."""
+"""Fraction bits of a weight, as in Pillow: 32 less 8 of a value and 2 of headroom."""
 
 
 def downscale(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Scale an image down by averaging.
+    """Downscale an image by averaging.
 
-    Whole-numbered factors use the mean of the pixels each new pixel covers, others a Hamming window
-    of that size, first along rows, then along columns, rounded to bytes after each.
+    Integer factors use the mean of the pixels each new pixel covers, others a Hamming window of
+    that size, first along rows, then along columns, rounded to bytes after each.
 
     Args:
         image: [H, W] or [H, W, 3] uint8.
-        width: New width in pixels, not above the old one.
-        height: New height in pixels, not above the old one.
+        width: New width in pixels, at most the old one.
+        height: New height in pixels, at most the old one.
 
     Returns:
         [height, width, ...] uint8.
 
     Raises:
-        ShapeError: another shape or dtype, or a size that is not smaller.
+        ShapeError: another shape or dtype, or a larger size.
     """
     old_height, old_width = image.shape[:2]
     fits = 0 < width <= old_width and 0 < height <= old_height
@@ -51,7 +51,7 @@ def _block_means(image: np.ndarray, across: int, down: int) -> np.ndarray:
 
 
 def _resample_rows(image: np.ndarray, count: int) -> np.ndarray:
-    """[count, ...] uint8 from [H, ...]: each new row a weighted sum of those around it."""
+    """[count, ...] uint8 from [H, ...]: each new row is a weighted sum of its neighbours."""
     scale = len(image) / count
     out = np.empty((count, *image.shape[1:]), np.uint8)
     for row in range(count):

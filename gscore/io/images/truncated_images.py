@@ -1,8 +1,8 @@
 """Truncated images: detection of missing data, which decoders ignore silently.
 
-Files that are cut off are refused by the decoders themselves. What they fill up without a word is a
-file whose data end early and properly: a PNG with fewer rows than its header states becomes black
-below, a JPEG grey, an uncompressed TIFF shows the bytes that come next.
+Decoders refuse files that are cut off. But they silently pad files whose data end early in a valid
+way: a PNG with fewer rows than its header states becomes black at the bottom, a JPEG grey, and an
+uncompressed TIFF shows the bytes that follow.
 """
 
 import struct
@@ -14,27 +14,27 @@ from ..files import open_regular
 from .jpeg_scan import missing_blocks
 
 _PIECE = 1 << 20
-"""Bytes that are unpacked at a time."""
+"""Bytes decompressed at a time."""
 _PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2))
 _INTERLACED = (*_PASSES, (0, 1, 1, 2))
 """First column and row, and steps, of the passes of Adam7."""
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""By colour type of a PNG."""
+"""Channels by colour type of a PNG."""
 _TIFF_PLAIN, _TIFF_COLOURS = 1, (0, 1, 2, 3)
-"""Compression without any; kinds of colour whose rows have a size that is known beforehand."""
+"""Tag values of no compression, and of colour types with a known row size."""
 
 
 def why_cut_short(path: Path, image: Any) -> str:
-    """Why a picture lacks pixels, as part of a sentence; empty where it is whole.
+    """Reason why a picture lacks pixels, as part of a message; empty if it is complete.
 
     Args:
         path: Its file.
-        image: The same as PIL.Image.Image, loaded.
+        image: The picture as PIL.Image.Image, loaded.
     """
     if image.format == "PNG":
         return _png(path, image)
     if image.format in ("JPEG", "MPO"):  # MPO: several JPEGs in a file, as phones write them
-        # Where data are missing libjpeg leaves grey; the blocks are counted only if the last is.
+        # libjpeg leaves missing data grey; the blocks are counted only if the last pixel is grey.
         last = _last_pixel(image)
         missing = missing_blocks(path) if all(v in (127, 128) for v in last) else 0
         return f"it is cut short, {missing} of its blocks are missing" if missing else ""
@@ -49,7 +49,7 @@ def _last_pixel(image: Any) -> tuple[float, ...]:
 
 
 def _png(path: Path, image: Any) -> str:
-    # Pixels that never came are 0, so only pictures that end in one are looked through again.
+    # Missing pixels are 0, so only pictures whose last pixel is 0 are checked.
     if any(_last_pixel(image)) and not image.info.get("interlace"):
         return ""
     try:
@@ -60,7 +60,7 @@ def _png(path: Path, image: Any) -> str:
 
 
 def _png_bytes(path: Path) -> tuple[int, int]:
-    """Bytes that the pixels of a PNG unpack to, and those that its header asks for."""
+    """Decompressed bytes of a PNG's pixels, and the number that its header requires."""
     whole, there, packed = 0, 0, zlib.decompressobj()
     with open_regular(path) as file:
         file.seek(8)
@@ -92,7 +92,7 @@ def _png_size(width: int, height: int, depth: int, colour: int, interlace: int) 
 
 
 def _tiff(image: Any) -> str:
-    """Uncompressed strips or tiles that hold fewer bytes than the picture has."""
+    """Reason if uncompressed strips or tiles have fewer bytes than the picture."""
     tags = image.tag_v2
     stated = tags.get(279) or tags.get(325)
     if tags.get(259, 1) != _TIFF_PLAIN or tags.get(262) not in _TIFF_COLOURS or not stated:

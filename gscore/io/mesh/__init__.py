@@ -1,1 +1,1 @@
-"""Triangle meshes: PLY and OBJ files in, PLY out."""
+"""Triangle meshes: reads PLY and OBJ files, writes PLY."""

@@ -1,4 +1,4 @@
-"""Mesh files: reader of either format."""
+"""Mesh files: reader of PLY and OBJ."""
 
 from pathlib import Path
 
@@ -11,14 +11,14 @@ from .triangles import TriangleMesh
 
 
 def read_mesh(path: str | Path) -> TriangleMesh:
-    """Read a mesh, PLY by its content, OBJ by its name.
+    """Read a mesh; PLY is recognised by content, OBJ by name.
 
-    Polygons of more than three corners become fans about their first corners, which is right where
-    they are convex.
+    Polygons of more than three corners become fans around their first corner, which is right for
+    convex ones.
 
     Raises:
         DatasetError: the file is missing or cannot be opened.
-        FormatError: it is of another format, damaged, or holds no mesh.
+        FormatError: it has another format, is damaged, or contains no mesh.
     """
     path = Path(path)
     if _begins_with_ply(path):

@@ -10,15 +10,15 @@ from ..files import read_bytes
 from .triangles import TriangleMesh, check_count, checked_mesh, fans
 
 _LAST = 2**31 - 1
-"""Of rows that an int32 counts."""
+"""Largest row number, of int32."""
 
 
 def read_mesh_obj(path: Path) -> TriangleMesh:
-    """The faces of all objects in an OBJ file as triangles.
+    """Read the faces of all objects in an OBJ file as triangles.
 
     Raises:
         DatasetError: the file is missing or cannot be opened.
-        FormatError: a line makes no sense, or it holds no mesh.
+        FormatError: a line is invalid, or the file contains no mesh.
     """
     vertices: list[tuple[float, ...]] = []
     polygons: list[list[int]] = []
@@ -39,12 +39,12 @@ def read_mesh_obj(path: Path) -> TriangleMesh:
                 "Export the mesh again."
             ) from error
     check_count(path, len(polygons))
-    places = np.array(vertices, np.float64).reshape(-1, 3)
-    return checked_mesh(path, places, fans([np.array(polygon, np.int64) for polygon in polygons]))
+    points = np.array(vertices, np.float64).reshape(-1, 3)
+    return checked_mesh(path, points, fans([np.array(polygon, np.int64) for polygon in polygons]))
 
 
 def _row(word: bytes, known: int) -> int:
-    """Of a corner like 7, 7/1, 7/1/3 or 7//3, from 0; negative ones count back from the last."""
+    """Row, from 0, of a corner like 7, 7/1, 7/1/3 or 7//3; negative ones count from the end."""
     stated = int(word.split(b"/", 1)[0])
     if stated == 0 or abs(stated) > _LAST:
         raise ValueError("no row of a file")

@@ -13,15 +13,15 @@ from .triangles import TriangleMesh, check_count, checked_mesh, fans
 _FACES = ("vertex_indices", "vertex_index")
 """Names of the list of a face's corners; programs use either."""
 _ROWS = 1 << 18
-"""Faces that are written together."""
+"""Faces written at a time."""
 
 
 def read_mesh_ply(path: Path) -> TriangleMesh:
-    """The faces of a PLY file as triangles.
+    """Read the faces of a PLY file as triangles.
 
     Raises:
         DatasetError: the file is missing or cannot be opened.
-        FormatError: it is damaged, or holds no mesh.
+        FormatError: it is damaged, or contains no mesh.
     """
     elements = read_elements(path)
     table = elements.get("vertex", np.zeros(0, [("none", "f4")]))
@@ -49,8 +49,8 @@ def write_mesh(path: str | Path, vertices: np.ndarray, triangles: np.ndarray) ->
 
     Args:
         path: The file.
-        vertices: [V, 3] float; kept in double precision.
-        triangles: [T, 3] whole numbers, rows of `vertices`.
+        vertices: [V, 3] float; stored in double precision.
+        triangles: [T, 3] int, rows of `vertices`.
 
     Raises:
         GsError: the file cannot be written.

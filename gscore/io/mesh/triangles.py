@@ -1,4 +1,4 @@
-"""Triangle mesh, and the checks of one that comes from a file."""
+"""Triangle mesh, and checks of meshes read from files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from ...errors import FormatError
 from ...text_format import count_words, number
 
 MOST_TRIANGLES = 20_000_000
-"""Of one mesh: more than that takes gigabytes, and says no more of where a surface is."""
+"""Most triangles of a mesh: more take gigabytes without locating the surface better."""
 _LARGEST = 1e9
-"""Of a coordinate; scenes in any unit are smaller, and K times it stays exact."""
+"""Largest coordinate; scenes in any unit are smaller, and its products with K stay exact."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TriangleMesh:
-    """Triangles with corners in common."""
+    """Triangles with shared vertices."""
 
     vertices: np.ndarray
     """[V, 3] float64, world of the capture."""
@@ -29,7 +29,7 @@ class TriangleMesh:
 
 
 def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> TriangleMesh:
-    """The mesh of a file.
+    """Mesh of a file, after checks.
 
     Args:
         path: The file, for messages.
@@ -37,20 +37,20 @@ def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Tri
         triangles: [T, 3] int64.
 
     Raises:
-        FormatError: there are no triangles or too many, one names a vertex that is not there, or
-            has a corner that is no place.
+        FormatError: there are no triangles or too many, or one uses a vertex that does not exist or
+            has coordinates that are not finite or too large.
     """
     if len(triangles) == 0:
         raise FormatError(
             f"{path} has no faces ({count_words(len(vertices), 'vertex', 'vertices')}). Export a "
-            "mesh with faces; a cloud of points has none."
+            "mesh with faces; a point cloud has none."
         )
     check_count(path, len(triangles))
     outside = (triangles < 0) | (triangles >= len(vertices))
     if outside.any():
         row, corner = (int(at) for at in np.argwhere(outside)[0])
         raise FormatError(
-            f"{path} is damaged: a face names vertex {int(triangles[row, corner])}, and there are "
+            f"{path} is damaged: a face uses vertex {int(triangles[row, corner])} of "
             f"{number(len(vertices))}. Export it again."
         )
     with np.errstate(invalid="ignore"):
@@ -64,23 +64,23 @@ def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Tri
             f"the first one number {wrong[0]} (counted from 0): {vertices[wrong[0]].tolist()}. "
             "Clean the mesh up and export it again."
         )
-    places = vertices.copy()
-    places[~good] = 0  # no face knows them
-    return TriangleMesh(vertices=places, triangles=np.ascontiguousarray(triangles, np.int32))
+    points = vertices.copy()
+    points[~good] = 0  # no face uses them
+    return TriangleMesh(vertices=points, triangles=np.ascontiguousarray(triangles, np.int32))
 
 
 def check_count(path: Path, triangles: int) -> None:
-    """Raise FormatError where these are more triangles than are taken."""
+    """Raise FormatError for more than `MOST_TRIANGLES`."""
     if triangles > MOST_TRIANGLES:
         raise FormatError(
             f"{path} has {number(triangles)} triangles, at most {number(MOST_TRIANGLES)} are "
-            "taken. Simplify the mesh; a hundred thousand say as much about a room."
+            "supported. Simplify the mesh; a hundred thousand are enough for a room."
         )
 
 
 def fans(polygons: Sequence[np.ndarray]) -> np.ndarray:
-    """[T, 3] int64 triangles of polygons [n] of n >= 3 corners each, about their first corners;
-    shorter ones are none."""
+    """[T, 3] int64 triangle fans around the first corners of polygons [n] int each; polygons with
+    less than 3 corners give none."""
     sizes = np.fromiter((len(polygon) for polygon in polygons), np.int64, len(polygons))
     if not (sizes >= 3).any():
         return np.zeros((0, 3), np.int64)

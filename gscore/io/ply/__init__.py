@@ -1,1 +1,1 @@
-"""PLY files: every dialect of splats in, the official 3DGS layout out; points."""
+"""PLY files: reads every dialect of splats and point clouds, writes the official 3DGS layout."""

@@ -1,7 +1,7 @@
 """Compressed PLY of SuperSplat: decoding, 256 splats per chunk, 16 bytes per splat.
 
-Layout of the public format: element `chunk` holds the bounds of positions, log scales and colours
-of 256 splats; element `vertex` four uint32 a splat; element `sh`, if there, one byte a coefficient.
+Public format: element `chunk` has the bounds of positions, log scales and colours of 256 splats;
+element `vertex` four uint32 per splat; the optional element `sh` one byte per coefficient.
 """
 
 from pathlib import Path
@@ -16,13 +16,13 @@ from ..splat_rows import LOGIT_OF_BYTE
 from .elements import columns
 
 CHUNK = 256
-"""Splats a chunk."""
+"""Splats per chunk."""
 _ENDS = ("min", "max")
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 
 def is_compressed(elements: dict[str, np.ndarray]) -> bool:
-    """Whether the elements of a PLY file are a compressed splat model."""
+    """True if the elements of a PLY file are a compressed splat model."""
     vertex = elements.get("vertex")
     return vertex is not None and "packed_position" in (vertex.dtype.names or ())
 
@@ -31,7 +31,7 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
     """Decode the packed elements.
 
     Args:
-        path: Named in errors only.
+        path: For error messages.
         elements: Elements of the file.
 
     Returns:
@@ -93,7 +93,7 @@ def _lerp(chunk: np.ndarray, pattern: str, axes: str, of: np.ndarray, t: np.ndar
 
 
 def _unpack_rotation(values: np.ndarray) -> np.ndarray:
-    """[N, 4] float32 wxyz: two bits name the largest component, 3 x 10 bits hold the others."""
+    """[N, 4] float32 wxyz: 2 bits for the index of the largest component, 3 x 10 for the others."""
     others = np.stack([_unorm(values, shift, 10) for shift in (20, 10, 0)], axis=1)
     others = (others - 0.5) * np.sqrt(2.0)
     return with_largest(values >> np.uint32(30), others).astype(np.float32)
@@ -110,9 +110,11 @@ def _unpack_rest(path: Path, table: np.ndarray | None, count: int) -> np.ndarray
             f"Export it again."
         )
     out = np.empty((count, len(names)), np.float32)
-    for k in range(len(names)):  # one at a time: in float64 all of them take twice the result
+    for k in range(
+        len(names)
+    ):  # one at a time: all of them in float64 take twice the memory of the result
         raw = columns(table, [f"f_rest_{k}"])[:, 0]
-        # The ends stand for themselves, everything between for the middle of its step.
+        # 0 and 255 decode to the ends of the range, all others to the middle of their step.
         unit = np.where(raw == 0, 0.0, np.where(raw == 255, 1.0, (raw + 0.5) / 256))
         out[:, k] = (unit - 0.5) * 8
     return out

@@ -1,9 +1,8 @@
 """PLY dialects: raw splat parameters from the vertices of any program's PLY.
 
 Sources: the official 3DGS layout; `filter_3D` as the code of Mip-Splatting applies it (Yu et al.
-2024, section 4.1; GOF and RaDe-GS write the same); 2DGS (Huang et al. 2024), whose discs have two
-scales; CloudCompare, which writes every property but positions and colours as `scalar_` and its
-name.
+2024, section 4.1; also written by GOF and RaDe-GS); 2DGS (Huang et al. 2024), whose discs have two
+scales; CloudCompare, which prefixes every property except positions and colours with `scalar_`.
 """
 
 from pathlib import Path
@@ -23,14 +22,14 @@ _RGB = ["red", "green", "blue"]
 _FILTER = "filter_3D"
 _PREFIX = "scalar_"
 _DISC = np.float32(np.log(1e-6))
-"""Log scale across a disc of 2DGS, which has no thickness."""
+"""Log scale along the normal of a 2DGS disc, which has no thickness."""
 
 
 def parameters_of(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
-    """Parameters of an uncompressed vertex element, `rest` in the order of the file's names.
+    """Raw parameters of an uncompressed vertex element, as `compressed.decompress` returns them.
 
     Raises:
-        FormatError: it holds no splats, or its properties do not fit each other.
+        FormatError: it contains no splats, or its properties contradict each other.
     """
     table = _without_prefix(table)
     names = table.dtype.names or ()
@@ -41,7 +40,7 @@ def parameters_of(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
         missing += [n for n in DC if n not in names]
     if missing:
         raise FormatError(
-            f"{path} holds no Gaussian splats: its vertices lack {', '.join(missing)}, so it is a "
+            f"{path} has no Gaussian splats: its vertices lack {', '.join(missing)}, so it is a "
             f"plain mesh or point cloud; choose the point_cloud.ply that a 3D Gaussian Splatting "
             f"trainer wrote."
         )
@@ -62,7 +61,7 @@ def parameters_of(path: Path, table: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
-    """[N, K-1, 3] from channel-major [N, 3(K'-1)], cut to whole bands of degree 4 at most.
+    """[N, K-1, 3] from channel-major [N, 3(K'-1)], truncated to whole bands up to degree 4.
 
     Raises:
         FormatError: the coefficients are not three channels.
@@ -78,7 +77,7 @@ def rest_by_coefficient(path: Path, rest: np.ndarray) -> np.ndarray:
 
 
 def _without_prefix(table: np.ndarray) -> np.ndarray:
-    """The table under the names that its properties had before CloudCompare."""
+    """The table with its property names restored from CloudCompare's."""
     names = table.dtype.names or ()
     short = [name.removeprefix(_PREFIX) for name in names]
     if len(set(short)) != len(names) or tuple(short) == names or table.dtype.hasobject:
@@ -90,8 +89,8 @@ def _without_prefix(table: np.ndarray) -> np.ndarray:
 def _filtered(
     scales: np.ndarray, opacities: np.ndarray, radius: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Log scales [N, 2 or 3] and logits [N] of splats smoothed by Gaussians of the radius [N, 1],
-    whose opacity falls as their extent grows; those with the radius 0 keep their bits."""
+    """Log scales [N, 2 or 3] and opacity logits [N] of splats convolved with Gaussians of the
+    radius [N, 1], which lowers the opacity; splats with the radius 0 keep their bits."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         squares = np.exp(2 * scales.astype(np.float64))
         wider = squares + radius.astype(np.float64) ** 2
@@ -103,19 +102,19 @@ def _filtered(
 
 
 def _from_rgb(table: np.ndarray) -> np.ndarray:
-    """[N, 3] constant SH coefficients of red, green and blue."""
+    """[N, 3] SH coefficients of degree 0 from red, green and blue."""
     kind = table.dtype[_RGB[0]]
     top = float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
     return rgb_to_sh0(columns(table, _RGB) / top).astype(np.float32)
 
 
 def _rest_names(path: Path, names: tuple[str, ...]) -> list[str]:
-    """f_rest_0 and those that follow, as many as there are."""
+    """Names f_rest_0 to f_rest_{n-1} of all n such properties."""
     count = sum(1 for name in names if name.startswith("f_rest_"))
-    found = [f"f_rest_{k}" for k in range(count)]
-    if any(name not in names for name in found):
+    rest = [f"f_rest_{k}" for k in range(count)]
+    if any(name not in names for name in rest):
         raise FormatError(
             f"{path} has {count} properties f_rest_*, but they are not numbered 0 to {count - 1}. "
             f"Export it again."
         )
-    return found
+    return rest

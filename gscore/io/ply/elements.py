@@ -1,4 +1,4 @@
-"""PLY elements of any file as named numpy tables; one error sentence per broken file."""
+"""PLY elements of any file as structured numpy arrays; one-line errors for broken files."""
 
 import io
 import logging
@@ -18,13 +18,13 @@ from ..unsupported_formats import describe_unsupported
 _log = logging.getLogger(__name__)
 
 HEADER_LIMIT = 1 << 20
-"""Bytes that a header may have; those of known programs have a few thousand."""
+"""Most bytes of a header; known programs write a few thousand."""
 HEADER_END = re.compile(rb"[\r\n]end_header(?:\r\n|[\r\n])")
-"""The last line of a header, with the end of the line before it."""
+"""Last line of a header, with the line end before it."""
 _REMARK = re.compile(rb"(?<=[\r\n])(?:comment|obj_info)(?:[ \t][^\r\n]*)?(?:\r\n|[\r\n])")
-"""A line of a header that says nothing about its rows."""
+"""Comment line of a header."""
 _MOST_DIGITS = 18
-"""Of a number of rows; no file has more."""
+"""Most digits of a row count."""
 _ASCII = bytes(byte if byte < 128 else ord("?") for byte in range(256))
 
 
@@ -35,7 +35,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
         path: The file.
 
     Returns:
-        Structured arrays by element name; they may be mapped from the file, so copy what you keep.
+        Structured arrays by element name; they may be memory-mapped, so copy what you keep.
 
     Raises:
         DatasetError: the file is missing or cannot be opened.
@@ -46,14 +46,14 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
         import plyfile
     except ImportError as error:
         raise BackendError(
-            "Reading PLY files takes the package plyfile: pip install plyfile"
+            "Reading PLY files needs the package plyfile: pip install plyfile"
         ) from error
     try:
         with _PlainHeader(path.open("rb", buffering=0), header, end) as file:
             data = plyfile.PlyData.read(file, mmap="c")
         _warn_of_rest(path, data, end)
         return {element.name: np.asarray(element.data) for element in data.elements}
-    # What plyfile, numpy and mmap raise on damaged input, by experiment with mutated files.
+    # Errors of plyfile, numpy and mmap on damaged input, found with mutated files.
     except (
         plyfile.PlyParseError,
         ValueError,
@@ -72,23 +72,23 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
 
 
 def header_bytes(lines: list[str]) -> bytes:
-    """The header of a PLY of these lines between the first and the last; letters that are not ASCII
-    as Python's escapes.
+    """PLY header with these lines between `ply` and `end_header`; other characters than ASCII as
+    Python's escapes.
 
     Raises:
-        ConfigError: it is longer than readers take.
+        ConfigError: it is longer than readers accept.
     """
     text = "\n".join(["ply", *lines, "end_header\n"]).encode("ascii", "backslashreplace")
     if len(text) > HEADER_LIMIT:
         raise ConfigError(
-            f"The header of the PLY would have {len(text)} bytes, and may have {HEADER_LIMIT}. "
+            f"The header of the PLY would have {len(text)} bytes, at most {HEADER_LIMIT} allowed. "
             f"Shorten its comments."
         )
     return text
 
 
 def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
-    """The named properties of an element as [N, len(names)] float32; too large ones are infinite.
+    """Named properties of an element as [N, len(names)] float32; too large values become infinite.
 
     Raises:
         FormatError: a property is a list.
@@ -98,7 +98,7 @@ def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
         return np.zeros((len(table), 0), np.float32)
     plain = np.dtype("<f4")
     if all(table.dtype[k] == plain for k in range(len(table.dtype.names))):
-        # One gather over rows reads the file once; column after column reads it len(names) times.
+        # A gather over rows reads the file once; a loop over columns reads it len(names) times.
         rows = table.view(plain).reshape(len(table), len(table.dtype.names))
         at = [table.dtype.names.index(name) for name in names]
         if at == list(range(at[0], at[0] + len(at))):  # a slice copies ten times faster
@@ -107,16 +107,15 @@ def columns(table: np.ndarray, names: list[str]) -> np.ndarray:
     out = np.zeros((len(table), len(names)), np.float32)
     for k, name in enumerate(names):
         if table.dtype[name].kind == "O":
-            raise FormatError(f"Property {name} is a list, expected one number a vertex.")
+            raise FormatError(f"Property {name} is a list, expected one number per vertex.")
         with np.errstate(over="ignore"):  # too large for float32: infinite
             out[:, k] = table[name]
     return out
 
 
 class _PlainHeader(io.BufferedReader):
-    """A PLY file from the word ply on, whose header has no comments, in any language and of any
-    length, and question marks for other bytes that are not ASCII: plyfile takes it apart letter by
-    letter."""
+    """PLY file, from the word ply on, with a header reduced for plyfile, which parses it one byte
+    at a time: without comments, and with question marks for bytes that are not ASCII."""
 
     def __init__(self, raw: io.FileIO, header: bytes, end: int) -> None:
         super().__init__(raw)
@@ -124,7 +123,7 @@ class _PlainHeader(io.BufferedReader):
         self._header = io.BytesIO(_REMARK.sub(b"", header).translate(_ASCII))
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As any file, but for what stands before the end of the header."""
+        """Read from the reduced header, then from the file."""
         head = self._header.read(size)
         if size is None or size < 0:
             return head + super().read()
@@ -132,10 +131,10 @@ class _PlainHeader(io.BufferedReader):
 
 
 def _check_header(path: Path) -> tuple[bytes, int]:
-    """Refuse what is no PLY, and counts that the file cannot hold, before anything is allocated.
+    """Refuse files that are no PLY, and row counts too large for the file, before allocating.
 
     Returns:
-        The header, from the word ply on, after a byte order mark, and where it ends.
+        The header without a byte order mark, and the offset of its end in the file.
     """
     try:
         with open_regular(path) as file:
@@ -167,8 +166,8 @@ def _check_header(path: Path) -> tuple[bytes, int]:
 
 
 def _warn_of_rest(path: Path, data: Any, end: int) -> None:
-    """Tell of what belongs to no row after a header of `end` bytes; rows of lists in binary have
-    no fixed size."""
+    """Warn of data after the last row; the header ends at byte `end`. Binary rows with lists are
+    not checked, because they have no fixed size."""
     tables = [np.asarray(element.data) for element in data.elements]
     if data.text:
         with path.open("rb") as file:

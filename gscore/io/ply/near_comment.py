@@ -1,4 +1,4 @@
-"""The header comment of a splat PLY that states the near plane of its training."""
+"""Header comment of a splat PLY with the near plane of its training."""
 
 import math
 from collections.abc import Iterable
@@ -10,15 +10,15 @@ _NEAR = "gscore near "
 
 
 def near_comment(near: float) -> str:
-    """The comment that states a near plane, world units, to the bit."""
+    """Comment that states a near plane, world units, exactly."""
     return f"{_NEAR}{near!r}"
 
 
 def stated_near(comments: Iterable[str]) -> float | None:
-    """The near plane that header comments state, world units; None: none.
+    """Near plane from header comments, world units; None if they state none.
 
     Raises:
-        FormatError: one states no positive number.
+        FormatError: a near comment has no positive number.
     """
     for line in comments:
         if line.startswith(_NEAR):

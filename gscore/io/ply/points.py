@@ -9,11 +9,11 @@ from ...scene import PointCloud
 from .elements import read_elements
 
 _BLOCK = 1 << 16
-"""Points that are converted together."""
+"""Points converted at a time."""
 
 
 def read_point_cloud(path: str | Path) -> PointCloud:
-    """Positions and colours of the vertices of any PLY file; black where it has no colours.
+    """Positions and colours of the vertices of any PLY file; black if it has no colours.
 
     Raises:
         DatasetError: the file is missing.
@@ -31,7 +31,9 @@ def read_point_cloud(path: str | Path) -> PointCloud:
     colors = np.zeros((len(table), 3), np.uint8)
     rgb = ("red", "green", "blue")
     colored = all(name in names and table.dtype[name].kind in "iuf" for name in rgb)
-    for at in range(0, len(table), _BLOCK):  # millions of points are not there twice
+    for at in range(
+        0, len(table), _BLOCK
+    ):  # in blocks, so that millions of points are not copied whole
         part = slice(at, at + _BLOCK)
         for k, name in enumerate("xyz"):
             points[part, k] = table[name][part]
@@ -41,6 +43,7 @@ def read_point_cloud(path: str | Path) -> PointCloud:
 
 
 def _bytes_of(values: np.ndarray) -> np.ndarray:
-    """One channel [n] as 0 to 255: integers by the range of their type, others as 0 to 1."""
+    """One channel [n] as 0 to 255: integers scaled from the range of their type, floats from 0 to
+    1."""
     scale = 255.0 / np.iinfo(values.dtype).max if values.dtype.kind in "iu" else 255.0
     return np.clip(np.rint(np.nan_to_num(values.astype(np.float64) * scale)), 0, 255)

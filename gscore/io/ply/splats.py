@@ -28,18 +28,18 @@ __all__ = [
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
 _ORIGIN = "gscore origin "
-"""Begins the header comment with the local origin that means are about."""
+"""Start of the header comment with the local origin of the means."""
 _ROWS_A_BLOCK = 1 << 15
 
 
 def read_ply(path: str | Path) -> Splats:
     """Read a splat model; properties are found by name, in any order and among any others.
 
-    Understood are the official layout and its relatives (no normals, SH degree 0 to 4, colours as
-    red, green, blue instead of SH, ASCII, either byte order, `filter_3D` of Mip-Splatting, discs of
+    Supports the official layout and its variants (no normals, SH degree 0 to 4, colours as red,
+    green, blue instead of SH, ASCII, either byte order, `filter_3D` of Mip-Splatting, discs of
     2DGS, CloudCompare's names) and SuperSplat's compressed layout. A log scale of -inf becomes that
-    of 1e-12. Splats with other numbers that are not finite, or a zero quaternion, are left out; a
-    coefficient beyond degree 4 is cut. Both are logged as a warning.
+    of 1e-12. Splats with other non-finite numbers or a zero quaternion are dropped, and
+    coefficients beyond degree 4 are cut, both with a logged warning.
 
     Args:
         path: The .ply file.
@@ -49,7 +49,7 @@ def read_ply(path: str | Path) -> Splats:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is truncated or corrupt, no PLY, or a PLY that holds no splats.
+        FormatError: it is truncated or corrupt, no PLY, or a PLY without splats.
     """
     path = Path(path)
     elements = read_elements(path)
@@ -62,28 +62,28 @@ def read_ply(path: str | Path) -> Splats:
 
 
 def read_ply_parts(path: str | Path, rows: int) -> Iterator[Splats]:
-    """As `read_ply`, `rows` splats of the file at a time, for models that outgrow the memory.
+    """As `read_ply`, `rows` splats of the file at a time, for models larger than memory.
 
     Raises:
-        As `read_ply`; FormatError besides for the compressed layout.
+        As `read_ply`; FormatError also for the compressed layout.
     """
     path = Path(path)
     table = _vertices(read_elements(path))
-    count, left_out = len(table), 0
+    count, dropped = len(table), 0
     for at in range(0, count, rows):
-        if isinstance(table.base, np.memmap):  # pages that were read stay as long as it is mapped
+        if isinstance(table.base, np.memmap):  # a mapping keeps the pages it has read
             table = _vertices(read_elements(path))
         raw = parameters_of(path, table[at : at + rows])
         rest = rest_by_coefficient(path, raw.pop("rest"))
         part = Splats(**raw | {"sh0": raw["sh0"][:, None]}, shN=rest)
         kept = drawable_rows(part)
-        left_out += len(part) - len(kept)
+        dropped += len(part) - len(kept)
         yield kept
-    warn_dropped_rows(path, left_out, count)
+    warn_dropped_rows(path, dropped, count)
 
 
 def _vertices(elements: dict[str, np.ndarray]) -> np.ndarray:
-    """The vertex element; one of no rows where there is none."""
+    """The vertex element; without one, an empty table."""
     return elements.get("vertex", np.zeros(0, [("none", "f4")]))
 
 
@@ -104,26 +104,26 @@ def header_comments(path: str | Path) -> tuple[str, ...]:
 
 
 def has_antialias_comment(comments: tuple[str, ...]) -> bool:
-    """Whether a header comment says that opacities were compensated, as ours or Postshot's do."""
+    """True if a header comment of gscore or Postshot states compensated opacities."""
     marks = (MIP_COMMENT.lower(), "antialiased 1", "antialiased: 1")
     return any(line.lower().startswith(marks) for line in comments)
 
 
 def origin_comment(origin: np.ndarray) -> str:
-    """The header comment that states a local origin [3], to the bit."""
+    """Header comment that states a local origin [3] exactly."""
     return _ORIGIN + " ".join(map(repr, origin.astype(np.float64).tolist()))
 
 
 def is_origin_comment(line: str) -> bool:
-    """Whether a header comment states a local origin."""
+    """True if a header comment states a local origin."""
     return line.startswith(_ORIGIN)
 
 
 def stated_origin(path: Path, comments: tuple[str, ...]) -> np.ndarray | None:
-    """[3] float64, the local origin that header comments state; None: none.
+    """[3] float64, local origin from header comments; None if they state none.
 
     Raises:
-        FormatError: one states something else.
+        FormatError: an origin comment has no three numbers.
     """
     for line in filter(is_origin_comment, comments):
         try:
@@ -131,13 +131,13 @@ def stated_origin(path: Path, comments: tuple[str, ...]) -> np.ndarray | None:
         except ValueError as error:
             raise FormatError(
                 f"{path}: its comment {quoted(line)} states no local origin; expected three "
-                f"numbers. Remove the comment where the splats have none."
+                f"numbers. Remove the comment if the splats have no local origin."
             ) from error
     return None
 
 
 def is_antialiased_ply(path: str | Path) -> bool:
-    """Whether the header of a PLY says that its splats want the anti-aliasing compensation.
+    """True if the header of a PLY states that its splats need the anti-aliasing compensation.
 
     Raises:
         DatasetError: the file is missing.
@@ -154,12 +154,12 @@ def write_splats(path: str | Path, splats: Splats, *, comments: tuple[str, ...] 
     Args:
         path: The file to write; its folder is made.
         splats: The model, raw parameters.
-        comments: For the header, for example `MIP_COMMENT`. PLY is ASCII: other letters are written
-            as Python's escapes, and each line of a text as a comment of its own.
+        comments: Header comments, for example `MIP_COMMENT`. PLY is ASCII: other characters are
+            written as Python's escapes, and each line of a text as its own comment.
 
     Raises:
         GsError: the file cannot be written.
-        ConfigError: the comments are longer than readers take.
+        ConfigError: the comments are longer than readers accept.
     """
     write_splat_parts(
         path, [splats], count=len(splats), sh_degree=splats.sh_degree, comments=comments
@@ -174,7 +174,7 @@ def write_splat_parts(
     sh_degree: int,
     comments: tuple[str, ...] = (),
 ) -> None:
-    """As `write_splats`, for a model that comes in parts: `count` splats of one degree in all."""
+    """As `write_splats`, for a model in parts with `count` splats of one SH degree in total."""
     rest = 3 * SH_REST_BY_DEGREE[sh_degree]
     names = [*POSITION, "nx", "ny", "nz", *DC, *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *SCALE, *QUAT]
@@ -186,7 +186,7 @@ def write_splat_parts(
     def write(file: BinaryIO) -> None:
         file.write(header)
         for splats in parts:
-            # Blocks keep the memory small and the transposition in cache.
+            # Blocks limit memory and keep the transposition in cache.
             for at in range(0, len(splats), _ROWS_A_BLOCK):
                 file.write(_table(splats, slice(at, at + _ROWS_A_BLOCK)).data)
 

@@ -4,14 +4,14 @@ import re
 from collections.abc import Iterable
 
 UP_NOTE = "gscore up "
-"""Begins gscore's own comment, which an axis follows: X, Y, Z, or one of them after a minus."""
+"""Start of gscore's own comment, followed by an axis: X, Y or Z, or one of them after a minus."""
 _VERTICAL = re.compile(r"vertical axis:\s*([+-]?)([xyz])\b", re.IGNORECASE)
-"""Of nerfstudio and Brush. Brush writes y whatever its axes are, and -Y, the usual axis, is one
-along y too: without a sign y states nothing."""
+"""Comment of nerfstudio and Brush. A y without a sign is ignored, because Brush always writes it,
+and the usual axis, -Y, is also one along y."""
 
 
 def stated_up(comments: Iterable[str]) -> str:
-    """The axis, as X or -Y, that the comments state to point up; empty: none."""
+    """Up axis from header comments, as X or -Y; empty if they state none."""
     lines = list(comments)
     for line in lines:
         if line.startswith(UP_NOTE):
