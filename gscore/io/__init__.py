@@ -1,1 +1,1 @@
-"""Readers and writers of files; numpy only, one format a module."""
+"""Readers and writers of files; numpy only, one format per module."""

@@ -1,4 +1,4 @@
-"""Block record: `block.json`, the part of a capture that a block is, for the later merge."""
+"""Block record: `block.json`, the part of a capture that a block covers, for the later merge."""
 
 import math
 from dataclasses import dataclass
@@ -15,47 +15,47 @@ from ..scene import checked_origin, offset_between
 from .files import atomic_write, is_file, read_bytes
 
 BLOCK_RECORD = "block.json"
-"""In the folder of a capture that is a block of another one."""
+"""File in the folder of a block, itself a capture."""
 RUN_BLOCK = "trained_block.json"
-"""In the folder of a run: the record of the block as it was when the run began."""
+"""File in the folder of a run: the record of its block at the start of the run."""
 _FARTHEST = 1e30
-"""World units; numbers beyond are none of a capture."""
+"""Largest finite bound, world units."""
 _KIND = "gscore block 1"
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockRecord:
-    """A block, and how the whole was cut."""
+    """A block and the cells of all blocks."""
 
     split: str
-    """The same for all blocks that were cut together, and for no others."""
+    """Id of the split, common to its blocks."""
     index: int
-    """Which block this is, from 0."""
+    """Number of this block, from 0."""
     axes: np.ndarray
-    """[2, 3] float64, the directions across which the world is cut, of length 1."""
+    """[2, 3] float64, unit directions along which the world is cut."""
     bounds: np.ndarray
-    """[N, 2, 2] float64: of each block the lower and upper ends along both; infinite at the rim.
-    What lies on a lower end is inside."""
+    """[N, 2, 2] float64: per block, the lower and upper bounds along both axes, world units;
+    infinite at the rim. Lower bounds are inclusive."""
     test_names: tuple[str, ...] = ()
-    """Views of this block that the whole holds out."""
+    """Held-out views of the whole capture that are in this block."""
     masks_are: str = ""
-    """What masks mean, as `Capture.masks_are`."""
+    """Meaning of masks, as `Capture.masks_are`."""
     origin: np.ndarray | None = None
-    """[3] float64, the local origin that `bounds` are about, as `Cameras.origin`."""
+    """[3] float64, local origin of `bounds`, as `Cameras.origin`."""
 
     @property
     def count(self) -> int:
-        """How many blocks there are."""
+        """Number of blocks."""
         return len(self.bounds)
 
     def holds(self, points: np.ndarray, origin: np.ndarray | None = None) -> np.ndarray:
-        """[P] bool: which of `points` [P, 3], in the world of the capture about a local origin, lie
-        in its cell."""
+        """Mask [P] bool of the `points` [P, 3] in the block's cell, in the world of the capture
+        relative to a local origin."""
         points = points + offset_between(origin, self.origin)
         return in_cells(points, self.axes, self.bounds[self.index][None])[0]
 
     def is_cell_of(self, other: "BlockRecord") -> bool:
-        """Whether both are the same cell of the same cut."""
+        """True if both are the same cell of the same split."""
         return (
             (self.split, self.index) == (other.split, other.index)
             and np.array_equal(self.axes, other.axes)
@@ -63,7 +63,7 @@ class BlockRecord:
         )
 
     def write(self, folder: Path, name: str = BLOCK_RECORD) -> None:
-        """Write it into the folder of its block, or as RUN_BLOCK into that of a run.
+        """Write the record into the folder of its block, or as RUN_BLOCK into that of a run.
 
         Raises:
             GsError: the file cannot be written.
@@ -84,7 +84,7 @@ class BlockRecord:
 
 
 def in_cells(points: np.ndarray, axes: np.ndarray, bounds: np.ndarray) -> np.ndarray:
-    """[N, P] bool: which of `points` [P, 3] lie in which of N cells; `axes` and `bounds` as in
+    """Mask [N, P] bool of `points` [P, 3] in each of N cells; `axes` and `bounds` as in
     `BlockRecord`."""
     ground = (points @ axes.T)[None]
     inside = (ground >= bounds[:, None, 0]) & (ground < bounds[:, None, 1])
@@ -92,34 +92,34 @@ def in_cells(points: np.ndarray, axes: np.ndarray, bounds: np.ndarray) -> np.nda
 
 
 def block_name(index: int) -> str:
-    """The folder of a block, in that of all."""
+    """Name of a block's folder within the folder of the split."""
     return f"block_{index}"
 
 
 def block_records(folder: Path) -> dict[int, BlockRecord]:
-    """The blocks in the folder that `gscore split` wrote, by number; none where it is another one.
+    """Blocks by number in a folder that `gscore split` wrote; empty for other folders.
 
     Raises:
-        FormatError: a record is damaged, or two blocks were not cut together.
-        DatasetError: one cannot be read.
+        FormatError: a record is damaged, or two blocks are from different splits.
+        DatasetError: a record cannot be read.
     """
-    found: dict[int, BlockRecord] = {}
+    records: dict[int, BlockRecord] = {}
     for path in sorted(folder.glob(f"block_*/{BLOCK_RECORD}")):
         record = read_block(path.parent)
         if record is None or path.parent.name != block_name(record.index):
             continue
-        other = next(iter(found.values()), record)
+        other = next(iter(records.values()), record)
         if other.split != record.split:
             raise FormatError(
-                f"{brief(path.parent)} was not cut together with {block_name(other.index)} beside "
-                "it. Keep the blocks of each split in a folder of their own."
+                f"{brief(path.parent)} and {block_name(other.index)} next to it are from different "
+                "splits. Keep the blocks of each split in their own folder."
             )
-        found[record.index] = record
-    return found
+        records[record.index] = record
+    return records
 
 
 def read_block(folder: Path, name: str = BLOCK_RECORD) -> BlockRecord | None:
-    """The record in the folder of a capture, or as RUN_BLOCK in that of a run; None: no block.
+    """Record in the folder of a block, or as RUN_BLOCK in that of a run; None: no block.
 
     Raises:
         FormatError: the record is damaged.
@@ -130,14 +130,14 @@ def read_block(folder: Path, name: str = BLOCK_RECORD) -> BlockRecord | None:
         return None
     try:
         content = parse_json(read_bytes(path))
-        return _understood(content)
+        return _record(content)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise FormatError(
-            f"{brief(path)} is no record of a block. Split the capture anew with gscore split."
+            f"{brief(path)} is no record of a block. Split the capture again with gscore split."
         ) from error
 
 
-def _understood(content: Any) -> BlockRecord:
+def _record(content: Any) -> BlockRecord:
     if content["kind"] != _KIND:
         raise ValueError
     ends = [
@@ -160,9 +160,9 @@ def _understood(content: Any) -> BlockRecord:
 
 
 def _tiles(record: BlockRecord) -> bool:
-    """Whether the block's cell overlaps no other and all fill the world: within a square that
-    holds their finite ends, their areas add up to its own. Other cells are compared by the blocks
-    that they belong to."""
+    """True if the block's cell overlaps no other and the cells fill the world: within a square
+    around all finite bounds, their areas add up to its area. Overlaps among the other cells are
+    checked with their own records."""
     axes, bounds = record.axes, record.bounds
     most = 2 * np.abs(bounds[np.isfinite(bounds)]).max(initial=0.5)
     if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-6) or not most < _FARTHEST:
@@ -180,5 +180,5 @@ def _finite(value: float) -> float | None:
 
 
 def _number(value: float | None, end: int) -> float:
-    """JSON has no infinity: where there is no number, the block goes on without end."""
+    """Bound from JSON, which has no infinity: null is infinite."""
     return end * math.inf if value is None else float(value)

@@ -18,9 +18,9 @@ from .world_file import checked_up
 def write_cameras(path: str | Path, cameras: Cameras) -> None:
     """Write cameras in the official layout: position and rotation are camera to world, OpenCV axes.
 
-    The official layout has no principal point and takes the centre; `cx` and `cy` are added, which
-    other readers skip, and where they are known, `up` of the world and its local `origin` to the
-    first camera.
+    The official layout has no principal point and assumes the centre. Added are `cx` and `cy`,
+    which other readers skip, and, if known, `up` of the world and its local `origin` in the first
+    camera.
 
     Raises:
         GsError: the file cannot be written.
@@ -63,7 +63,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if not isinstance(entries, list):
         raise FormatError(
-            f"{path} must hold a list of cameras, got {type(entries).__name__}. Export it again."
+            f"{path} must be a list of cameras, got {type(entries).__name__}. Export it again."
         )
     count = len(entries)
     poses, intrinsics = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1))
@@ -76,7 +76,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
             origin = checked_origin(entry["origin"]) if "origin" in entry else origin
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise FormatError(
-                f"{path}: camera {i} lacks or misstates {brief(error)}; expected img_name, width, "
+                f"{path}: camera {i} has no valid {brief(error)}; expected img_name, width, "
                 f"height, position [3], rotation [3][3], fx, fy. Export it again."
             ) from error
     return Cameras(
@@ -91,7 +91,8 @@ def read_cameras_json(path: str | Path) -> Cameras:
 
 
 def _fill(entry: Any, pose: np.ndarray, intrinsics: np.ndarray, size: np.ndarray) -> str:
-    """Write one entry into its rows; any misfit raises KeyError, TypeError or ValueError."""
+    """Write one entry into its rows and return its name; raises KeyError, TypeError or ValueError
+    for invalid ones."""
     width, height = entry["width"], entry["height"]
     if type(width) is not int or type(height) is not int or width <= 0 or height <= 0:
         raise ValueError("width, height")

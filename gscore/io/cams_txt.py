@@ -13,10 +13,10 @@ _NAME = re.compile(r"(\d+)_cam\.txt", re.IGNORECASE)
 
 
 def list_cams(folder: Path) -> dict[int, Path]:
-    """Files `<number>_cam.txt` of a folder, by number, rising.
+    """Files `<number>_cam.txt` of a folder by number, ascending.
 
     Raises:
-        DatasetError: there is no such folder or no such file, or a number is there twice.
+        DatasetError: there is no such folder or no such file, or a number occurs twice.
     """
     if not folder.is_dir():
         raise DatasetError(
@@ -42,7 +42,7 @@ def list_cams(folder: Path) -> dict[int, Path]:
 def read_cam(path: Path) -> tuple[list[list[float]], list[list[float]]]:
     """Extrinsic matrix, 4 x 4, world to camera in OpenCV axes, and intrinsic matrix, 3 x 3, pixels.
 
-    What follows them (depth range and interval) is not used.
+    The depth range and interval after them are ignored.
 
     Raises:
         DatasetError: the file is missing.
@@ -59,23 +59,23 @@ def read_cam(path: Path) -> tuple[list[list[float]], list[list[float]]]:
 def _matrix(
     path: Path, words: list[str], lower: list[str], name: str, size: int
 ) -> list[list[float]]:
-    """`size` x `size` numbers after the word `name`."""
-    wanted = f"the word {quoted(name)} and {size * size} numbers after it"
+    """Parse `size` x `size` numbers after the word `name`."""
+    layout = f"the word {quoted(name)} and {size * size} numbers after it"
     if name not in lower:
         raise FormatError(
-            f"{path} has no {quoted(name)}; expected {wanted}. Copy the camera file again."
+            f"{path} has no {quoted(name)}; expected {layout}. Copy the camera file again."
         )
     at = lower.index(name) + 1
     try:
         values = np.array([float(word) for word in words[at : at + size * size]])
     except ValueError as error:
         raise FormatError(
-            f"{path}: {brief(error)} in the {name} matrix; expected {wanted}. Copy the camera "
+            f"{path}: {brief(error)} in the {name} matrix; expected {layout}. Copy the camera "
             f"file again."
         ) from error
     if len(values) != size * size:
         raise FormatError(
-            f"{path} ends within the {name} matrix ({len(values)} numbers); expected {wanted}. "
+            f"{path} ends within the {name} matrix ({len(values)} numbers); expected {layout}. "
             f"Copy the camera file again."
         )
     return values.reshape(size, size).tolist()

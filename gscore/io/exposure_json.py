@@ -16,10 +16,10 @@ def write_exposures(path: Path, gains: Mapping[str, np.ndarray]) -> None:
 
     Args:
         path: The file.
-        gains: By name, [3] gain by channel.
+        gains: [3] gains per channel by photo name.
 
     Raises:
-        GsError: it cannot be written.
+        GsError: the file cannot be written.
     """
     maps = {
         name: np.column_stack([np.diag(gain.astype(np.float64)), np.zeros(3)]).tolist()

@@ -1,4 +1,4 @@
-"""File sample: the first and last bytes of a file, for format detection."""
+"""File sample: first and last bytes of a file, for format detection."""
 
 import os
 import zlib
@@ -8,34 +8,35 @@ from pathlib import Path
 from .files import open_regular
 
 _HEAD = 1 << 14
-"""Bytes looked at from the start of a file."""
+"""Bytes read from the start of a file."""
 _TAIL = 1 << 16
-"""And from its end, where ZIP archives list what they hold."""
+"""Bytes read from its end, where ZIP archives list their files."""
 
 
 @dataclass(frozen=True)
 class FileSample:
-    """What is looked at of a file."""
+    """First and last bytes of a file, its size and ending."""
 
     head: bytes
     inflated: bytes
-    """The first bytes inside, of gzip; else empty."""
+    """First bytes of gzip's content; else empty."""
     tail: bytes
     size: int
+    """Bytes."""
     ending: str
-    """The last suffix of its name, in small letters."""
+    """Last suffix of its name, lower case."""
 
     def is_zip_of(self, *names: bytes) -> bool:
-        """Whether it is a ZIP archive in whose list of files all the words stand."""
+        """True if it is a ZIP archive whose file list contains all `names`."""
         is_zip = self.head.startswith(b"PK\x03\x04")
         return is_zip and all(name in self.head + self.tail for name in names)
 
 
 def sample_file(path: Path) -> FileSample:
-    """Look at a file.
+    """Read the sample of a file.
 
     Raises:
-        OSError: it is missing or must not be read.
+        OSError: it is missing or not readable.
         DatasetError: it is no regular file.
     """
     with open_regular(path) as file:

@@ -23,8 +23,8 @@ _of_thread = threading.local()
 
 @contextlib.contextmanager
 def file_errors(check: Callable[[], None]) -> Iterator[None]:
-    """Within the block, on this thread, no file is put in its place once `check` raises: whoever
-    waits for a long file may have given it up. What `check` raises is passed on."""
+    """Call `check` before each file of this thread is renamed to its final name within the block,
+    so that a cancelled write has no effect. Errors of `check` are passed on."""
     _of_thread.check = check
     try:
         yield
@@ -33,17 +33,17 @@ def file_errors(check: Callable[[], None]) -> Iterator[None]:
 
 
 def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) -> None:
-    """Write a file under a temporary name beside `path`, flush it to the disk, then rename it.
+    """Write a file under a temporary name next to `path`, flush it to the disk, then rename it.
 
-    Whoever looks at `path` sees the old file or the whole new one. The folder is made if need be.
-    What writes of the same file left that were killed is removed.
+    Readers of `path` get the old file or the complete new one. The folder is made if needed.
+    Temporary files left by killed writes of the same file are removed.
 
     Args:
         path: The file to write.
-        content: The bytes, or a function that writes them to the open binary file it is given.
+        content: The bytes, or a function that writes them to an open binary file.
 
     Raises:
-        GsError: the disk is full, the folder is read-only or is no folder; `path` is untouched.
+        GsError: the disk is full, the folder is read-only or no folder; `path` is untouched.
     """
     path = Path(path)
     temporary: Path | None = None
@@ -60,14 +60,14 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
             os.fsync(file.fileno())
             if (check := getattr(_of_thread, "check", None)) is not None:
                 check()
-            if sys.platform != "win32":  # where an open file cannot be renamed, or removed
+            if sys.platform != "win32":  # Windows can neither rename nor remove an open file
                 candidate.replace(path)
         if sys.platform == "win32":
             candidate.replace(path)
         temporary = None
     except (OSError, ValueError) as error:
         if isinstance(error, ValueError) and temporary is not None:
-            raise  # of whoever writes the content
+            raise  # from `content`
         raise GsError(f"Cannot write {brief(path)}: {reason(error)}") from error
     finally:
         if temporary is not None:
@@ -76,36 +76,36 @@ def atomic_write(path: str | Path, content: bytes | Callable[[BinaryIO], None]) 
 
 
 def _temporary_name(name: str) -> str:
-    """`.name.xxxxxxxx.tmp`, shortened where it would be longer than a name may be."""
+    """`.name.xxxxxxxx.tmp`, shortened to the longest possible name."""
     end = f".{secrets.token_hex(_TEMPORARY // 2)}.tmp"
     raw = os.fsencode(name)
-    # A name that is too long itself stays so: the system says why it cannot be written.
+    # A name that is too long itself is kept, so that the system reports it.
     most = max(LONGEST_NAME - len(end) - 1, 0) if len(raw) <= LONGEST_NAME else len(raw)
     return f".{os.fsdecode(raw[:most]) if len(raw) > most else name}{end}"
 
 
 _remains: dict[Path, tuple[float, list[str]]] = {}
-"""By folder: when it was looked through, and the temporary files that were in it."""
+"""By folder: the time of its last listing, and the temporary files in it."""
 
 
 def _temporary(path: Path) -> tuple[Path, BinaryIO]:
-    """A new file, locked and open, beside the one that is written, because a rename is atomic only
-    within one file system."""
+    """A new file, locked and open, next to `path`, because a rename is atomic only within one file
+    system."""
     while True:
         candidate = path.with_name(_temporary_name(path.name))
         _remove_remains(candidate)
         file = candidate.open("xb")
-        # Before it was locked, another process may have taken it for what a killed one left.
+        # Before it was locked, another process may have removed it as one left by a killed process.
         if _try_lock(file, otherwise=True) and candidate.exists():
             return candidate, file
         file.close()
 
 
 def _remove_remains(candidate: Path) -> None:
-    """Remove temporary files of the same name as `candidate` whose process is gone."""
+    """Remove temporary files for the same name as `candidate` whose process has ended."""
     folder, now = candidate.parent, time.monotonic()
-    seen, names = _remains.get(folder, (-math.inf, []))
-    if now - seen > _LOOK_AGAIN:
+    listed, names = _remains.get(folder, (-math.inf, []))
+    if now - listed > _LIST_AGAIN:
         with contextlib.suppress(OSError):
             names = [entry.name for entry in os.scandir(folder) if entry.name.endswith(".tmp")]
         _remains[folder] = now, names
@@ -118,10 +118,10 @@ def _remove_remains(candidate: Path) -> None:
 
 
 def _try_lock(file: BinaryIO, *, otherwise: bool) -> bool:
-    """Hold a file until it is closed, however that happens; False where another process or thread
-    holds it, and `otherwise` where the file system knows no locks."""
+    """Lock a file until it is closed, also by the end of the process; False if another process or
+    thread has locked it, `otherwise` if the file system has no locks."""
     if sys.platform == "win32":
-        return True  # the system removes no file that is open
+        return True  # Windows does not remove open files
     import fcntl
 
     try:
@@ -132,8 +132,8 @@ def _try_lock(file: BinaryIO, *, otherwise: bool) -> bool:
 
 
 def check_regular(path: str | Path) -> None:
-    """Refuse what is there and is no regular file: opening a named pipe waits for a writer, perhaps
-    for ever, and a device need not end. Missing files are left to whoever opens them.
+    """Refuse anything but a regular file: opening a named pipe waits for a writer, perhaps for
+    ever, and a device may have no end. Missing files pass, and fail when opened.
 
     Raises:
         DatasetError: a named pipe, a device, a socket or a folder.
@@ -154,7 +154,7 @@ def open_regular(path: str | Path) -> BufferedReader:
     """Open a regular file for reading.
 
     Raises:
-        OSError: it is missing or must not be read.
+        OSError: it is missing or not readable.
         DatasetError: it is no regular file.
     """
     check_regular(path)
@@ -162,7 +162,7 @@ def open_regular(path: str | Path) -> BufferedReader:
 
 
 def check_readable(path: str | Path) -> None:
-    """Refuse a file that another library is to open and that cannot be read.
+    """Raise unless a file can be read, before another library opens it.
 
     Raises:
         DatasetError: it is missing, cannot be read or is no regular file.
@@ -188,7 +188,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether a file stands there; none does under a name that no file can have."""
+    """True if `path` is a file; False also for invalid names."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):
@@ -196,16 +196,16 @@ def is_file(path: str | Path) -> bool:
 
 
 LONGEST_NAME = 255
-"""Bytes of the name of a file, as all usual file systems have it."""
+"""Most bytes of a file name on all common file systems."""
 LONGEST_PATH = 4095
-"""Bytes of a path that Linux takes; other systems take fewer."""
+"""Most bytes of a path on Linux; other systems allow fewer."""
 _TEMPORARY = 8
-"""Bytes of a temporary name that make it unique."""
+"""Random bytes of a temporary name."""
 _RANDOM = f".{'0' * _TEMPORARY}.tmp"
 _IS_RANDOM = re.compile(rf"\.[0-9a-f]{{{_TEMPORARY}}}\.tmp")
 """Ends of temporary names."""
-_LOOK_AGAIN = 30.0
-"""Seconds after which a folder is looked through again: it may hold thousands of files."""
+_LIST_AGAIN = 30.0
+"""Seconds after which a folder is listed again: it may have thousands of files."""
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFCHR: "a device",
@@ -221,24 +221,24 @@ _REASONS = {
     errno.EACCES: "permission denied. Check the rights of the folder or choose another one.",
     errno.EPERM: "permission denied. Check the rights of the folder or choose another one.",
     errno.ENOTDIR: "a part of its path is a file, not a folder.",
-    errno.EEXIST: "a file stands where a folder is needed.",
+    errno.EEXIST: "a file exists where a folder is needed.",
     errno.EISDIR: "it is a folder, a file was expected.",
     errno.ENOENT: "there is no such file.",
     errno.ENAMETOOLONG: "the name is too long for the file system. Choose a shorter one.",
-    errno.EFBIG: "the file system does not take files of this size.",
+    errno.EFBIG: "the file system does not support files of this size.",
 }
 
 
 def is_unnameable(letter: str) -> bool:
-    """Whether no file should have the letter in its name: control codes, halves of surrogates."""
+    """True for characters not allowed in file names: control codes, lone surrogates."""
     return ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000
 
 
 def reason(error: OSError | ValueError) -> str:
-    """Why the system refused a path, and what to do, as the end of a sentence.
+    """Reason why the system refused a path, and the remedy, as the end of a message.
 
-    Names that hold a zero byte or half of a surrogate pair are ValueErrors of Python.
+    Python raises ValueError for names with a zero byte or a lone surrogate.
     """
     if isinstance(error, OSError):
         return _REASONS.get(error.errno or 0, f"{error.strerror or error}".rstrip(".") + ".")
-    return "the name holds letters that no file name can hold. Choose another one."
+    return "the name has characters that no file name can have. Choose another one."

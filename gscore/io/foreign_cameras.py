@@ -9,7 +9,7 @@ from ..errors import GsError
 from .file_sample import FileSample, sample_file
 
 _MOST_NAMES = 10_000
-"""Of a folder that are looked at."""
+"""Most names of a folder that are checked."""
 _NERFSTUDIO = (
     "Convert it with nerfstudio's ns-process-data {} to a transforms.json, and give that folder."
 )
@@ -29,12 +29,12 @@ class _Kind:
     name: str
     advice: str
     names: tuple[str, ...]
-    """Ends of names, in small letters; each begins with a dot or is the whole name."""
-    holds: Callable[[FileSample], bool] = lambda sample: True
+    """Lower-case file names, or their ends if they begin with a dot or underscore."""
+    matches: Callable[[FileSample], bool] = lambda sample: True
 
 
-def _says(*words: bytes) -> Callable[[FileSample], bool]:
-    """Text in whose beginning all the words stand."""
+def _has(*words: bytes) -> Callable[[FileSample], bool]:
+    """True for files whose first bytes contain all the words."""
     return lambda sample: all(word in sample.head for word in words)
 
 
@@ -43,36 +43,36 @@ _CAMERAS = (
     _Kind("a project or component of RealityScan (RealityCapture)", REALITYSCAN_EXPORT,
           (".rcproj", ".rsproj", ".rcalign", ".rsalign")),
     _Kind("a camera file of Bundler", "It states no size of the photos, and programs disagree on "
-          f"its axes. {_COLMAP}", (".out",), _says(b"# Bundle file")),
-    _Kind("a camera file of VisualSFM (NVM)", _COLMAP, (".nvm",), _says(b"NVM_V3")),
+          f"its axes. {_COLMAP}", (".out",), _has(b"# Bundle file")),
+    _Kind("a camera file of VisualSFM (NVM)", _COLMAP, (".nvm",), _has(b"NVM_V3")),
     _Kind("a Blocks Exchange file of ContextCapture", _COLMAP, (".xml",),
-          _says(b"<BlocksExchange")),
+          _has(b"<BlocksExchange")),
     _Kind("a camera file of OpenMVG", "Convert it with openMVG_main_openMVG2Colmap.", (".json",),
-          _says(b'"sfm_data_version"')),
+          _has(b'"sfm_data_version"')),
     _Kind("a camera file of Meshroom (AliceVision)", "Add its node ExportColmap, and give the "
-          "folder that it writes.", (".sfm", ".json"), _says(b'"featuresFolders"')),
+          "folder that it writes.", (".sfm", ".json"), _has(b'"featuresFolders"')),
     _Kind("a camera file of Pix4D", _COLMAP, ("_calibrated_camera_parameters.txt", ".p4d",
           "_calibrated_external_camera_parameters.txt")),
     _Kind("a capture of Polycam", _NERFSTUDIO.format("polycam"), ("mesh_info.json",)),
     _Kind("a capture of Record3D", _NERFSTUDIO.format("record3d"), (".r3d",)),
     _Kind("a capture of Record3D", _NERFSTUDIO.format("record3d"), ("metadata",),
-          _says(b'"poses"', b'"K"')),
+          _has(b'"poses"', b'"K"')),
     _Kind("a file of poses in the layout of transforms.json", "Give that file itself, or call it "
-          "transforms.json.", (".json",), _says(b'"frames"', b'"transform_matrix"')),
+          "transforms.json.", (".json",), _has(b'"frames"', b'"transform_matrix"')),
 )  # fmt: skip
 _INDEXES = (
-    _Kind("the index of a 3D Tiles tileset", "It holds no splats but lists tiles: give a glTF tile "
-          "(.glb or .gltf) with splats, or put the tiles together in the program that made them.",
-          ("tileset.json",), _says(b'"root"', b'"geometricError"')),
-    _Kind("the index of a Streamed SOG of PlayCanvas", "It holds no splats but lists chunks: give "
-          "the meta.json of a chunk, or make one file of all with splat-transform.",
+    _Kind("the index of a 3D Tiles tileset", "It lists tiles without splats: give a glTF tile "
+          "(.glb or .gltf) with splats, or join the tiles in the program that made them.",
+          ("tileset.json",), _has(b'"root"', b'"geometricError"')),
+    _Kind("the index of a Streamed SOG of PlayCanvas", "It lists chunks without splats: give the "
+          "meta.json of a chunk, or join them into one file with splat-transform.",
           ("lod-meta.json",)),
 )  # fmt: skip
 
 
 def foreign_index(path: Path) -> str:
-    """A sentence where a file, or a folder that holds one, is the index of splats in many files;
-    else empty."""
+    """Message if a file, or a file in a folder, is the index of splats in many files; else
+    empty."""
     names = [name for kind in _INDEXES for name in kind.names]
     return _named(path, _INDEXES) or next(
         (text for name in names if (text := _named(path / name, _INDEXES))), ""
@@ -80,42 +80,41 @@ def foreign_index(path: Path) -> str:
 
 
 def unread_cameras(folder: Path) -> str:
-    """A sentence on what a folder of photos holds besides that looks like their cameras, or splats
-    already, and is not read; empty where there is nothing.
+    """Message about unsupported camera or splat files in a folder of photos; empty without any.
 
     Args:
-        folder: Of the photos, or the one that holds their folder.
+        folder: Folder of the photos, or its parent.
     """
     if not folder.is_dir():
         return ""
     try:
         files = sorted(p for p in islice(folder.iterdir(), _MOST_NAMES) if p.is_file())
     except OSError:
-        return ""  # whoever lists the photos says why it cannot be
-    found = next((text for file in files if (text := _named(file, _INDEXES))), "")
-    if found:
-        return found
-    found = next((text for file in files if (text := _named(file, _CAMERAS))), "")
-    return found.replace(". ", ", whose cameras are not read. ", 1) if found else ""
+        return ""  # listing the photos reports the error
+    message = next((text for file in files if (text := _named(file, _INDEXES))), "")
+    if message:
+        return message
+    message = next((text for file in files if (text := _named(file, _CAMERAS))), "")
+    return message.replace(". ", ", whose cameras are not read. ", 1) if message else ""
 
 
 def foreign_cameras(path: Path) -> str:
-    """A sentence where a file is one of cameras that are not read; else empty."""
+    """Message if a file is an unsupported camera file; else empty."""
     return _named(path, _CAMERAS)
 
 
 def _named(path: Path, kinds: tuple[_Kind, ...]) -> str:
     name = path.name.lower()
-    fitting = [
+    candidates = [
         kind
         for kind in kinds
         if any(name == end or (end[0] in "._" and name.endswith(end)) for end in kind.names)
     ]
     try:
-        sample = sample_file(path) if fitting and path.is_file() else None
+        sample = sample_file(path) if candidates and path.is_file() else None
     except (OSError, ValueError, GsError):
         return ""
     if sample is None:
         return ""
-    found = next((kind for kind in fitting if kind.holds(sample)), None)
-    return f"{path} is {found.name}. {found.advice}" if found else ""
+    match = next((kind for kind in candidates if kind.matches(sample)), None)
+    return f"{path} is {match.name}. {match.advice}" if match else ""

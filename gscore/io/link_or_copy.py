@@ -6,13 +6,13 @@ from pathlib import Path
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """Give the file `source` the name `target`, whose folder is made.
+    """Hard-link the file `source` to `target`, or copy it; the folder of `target` is made.
 
-    A hard link takes no space and holds the file even where its first name is removed. File
-    systems without them, and targets on another one, get a copy.
+    A hard link takes no space and stays valid if the first name is removed. Targets on another file
+    system, or on one without hard links, get a copy.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: `target` cannot be written.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     try:

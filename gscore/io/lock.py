@@ -1,4 +1,4 @@
-"""Folder lock: one process at a time works in a folder; the lock names its owner."""
+"""Folder lock: one process at a time works in a folder; the lock file names its owner."""
 
 import contextlib
 import errno
@@ -17,48 +17,46 @@ _FAR = 1 << 20
 
 
 class FolderLock:
-    """A file in a folder, locked by the system until the process that holds it ends, however it
-    ends."""
+    """A file in a folder, locked by the system until its process ends in any way."""
 
     def __init__(self, folder: Path, name: str, work: str) -> None:
-        """Name the lock of a folder, which need not exist yet.
+        """Create the lock of a folder, which need not exist yet; `take` locks it.
 
         Args:
-            folder: What is held.
-            name: Of the file in it.
-            work: What is done in it, such as `training`, for the sentence of the second one.
+            folder: The folder to lock.
+            name: Name of the lock file in it.
+            work: Kind of work in it, such as `training`, for messages.
         """
         self._folder, self._path, self._work = folder, folder / name, work
         self._file: IO[str] | None = None
 
     def check_free(self) -> None:
-        """Raise GsError where another process holds the folder."""
+        """Raise GsError if another process has locked the folder."""
         holder = self.holder()
         if holder is not None:
             raise self._in_use(holder)
 
     def holder(self) -> int | None:
-        """The process that holds the folder: its number, 0 where it cannot be read; None: nobody
-        does."""
+        """Id of the process that has locked the folder, 0 if it cannot be read; None: no lock."""
         try:
             check_regular(self._path)
             file = self._path.open("r+", encoding="utf-8")
         except (OSError, ValueError, DatasetError):  # no folder, no lock
             return None
         with file:
-            return None if _try_lock(file) else _written_in(file)
+            return None if _try_lock(file) else _owner_in(file)
 
     def take(self) -> None:
-        """Hold the folder, which is made if it is not there.
+        """Lock the folder, which is made if missing.
 
         Raises:
-            GsError: another process holds it, or it cannot be written.
+            GsError: another process has locked it, or it cannot be written.
             ConfigError: it is a file.
         """
         file = self._open()
         try:
             file.truncate(0)
-            # Not through its buffer, which would try again when the file is closed.
+            # Unbuffered, because a buffer would try again when the file is closed.
             os.write(file.fileno(), json.dumps({"pid": os.getpid()}).encode())
         except OSError as error:
             self._file = file
@@ -67,17 +65,17 @@ class FolderLock:
         self._file = file
 
     def release(self) -> None:
-        """Let go of the folder and remove the file."""
+        """Unlock the folder and remove the file."""
         file, self._file = self._file, None
         if file is None:
             return
         with contextlib.suppress(OSError):
             if sys.platform == "win32":
-                # An open file cannot be removed there; nor one that another has opened since.
+                # Windows cannot remove an open file, nor one that another process has opened.
                 file.close()
                 self._path.unlink(missing_ok=True)
             else:
-                # While it is still held: the moment it is not, the file there may be another's.
+                # Remove before unlocking: afterwards the file may be another process's.
                 self._path.unlink(missing_ok=True)
                 file.close()
 
@@ -93,8 +91,8 @@ class FolderLock:
                 ) from None
             except DatasetError as error:
                 raise ConfigError(
-                    f"{brief(self._path)}, by which a {self._work} holds its folder, is no regular "
-                    "file. Remove it, or choose another output folder."
+                    f"{brief(self._path)}, the lock file of a {self._work}, is no regular file. "
+                    "Remove it, or choose another output folder."
                 ) from error
             except (OSError, ValueError) as error:
                 raise GsError(
@@ -102,7 +100,7 @@ class FolderLock:
                 ) from error
             if not _try_lock(file):
                 with file:
-                    raise self._in_use(_written_in(file))
+                    raise self._in_use(_owner_in(file))
             try:
                 current = os.path.samestat(os.fstat(file.fileno()), self._path.stat())
             except OSError:
@@ -119,8 +117,8 @@ class FolderLock:
         )
 
 
-def _written_in(file: IO[str]) -> int:
-    """The process that a lock names; 0: it cannot be read."""
+def _owner_in(file: IO[str]) -> int:
+    """Id of the process named in a lock file; 0: it cannot be read."""
     file.seek(0)
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
         return int(parse_json(file.read())["pid"])
@@ -139,6 +137,6 @@ def _try_lock(file: IO[str]) -> bool:
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        # Anything else is a file system that knows no locks.
+        # Other errors come from file systems without locks.
         return error.errno not in (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
     return True

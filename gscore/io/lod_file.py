@@ -1,7 +1,7 @@
 """Level-of-detail (LOD) file: a header, chunks of raw float32, and an index at the end.
 
-A chunk is its splats' means, quaternions, log scales, logits of opacities, constant SH coefficients
-and further ones, one after the other, each as `Splats` holds it, little endian.
+A chunk is the means, quats, log scales, opacity logits, sh0 and shN of its splats, one array after
+the other as in `Splats`, little endian.
 """
 
 import os
@@ -21,23 +21,23 @@ from .files import open_regular, reason
 from .lod_index import KIND, LodIndex, parse_index, row_floats
 
 LOD_ENDING = ".lod"
-"""Of the names of such files."""
+"""File ending."""
 HEADER_BYTES = 128
-"""Before the first chunk."""
+"""Bytes before the first chunk."""
 _HEADER = re.compile(re.escape(KIND).encode() + rb"\nindex (\d{20}) (\d{20})\n *\n")
 _MOST_INDEX = 1 << 30
-"""Bytes of an index; those of a thousand million splats have fewer."""
-_AGAIN = "Copy the file again, or build it anew with gscore lod."
+"""Most bytes of an index; a billion splats need fewer."""
+_AGAIN = "Copy the file or build it with gscore lod again."
 
 
 def lod_header(begin: int, size: int) -> bytes:
-    """The header of a file whose index begins at a byte and has so many."""
+    """Header of a file whose index has `size` bytes from offset `begin`."""
     text = f"{KIND}\nindex {begin:020} {size:020}\n".encode()
     return text + b" " * (HEADER_BYTES - len(text) - 1) + b"\n"
 
 
 def is_lod_file(path: Path) -> bool:
-    """Whether a file begins as one of levels of detail."""
+    """True if a file has the header of an LOD file."""
     try:
         with open_regular(path) as file:
             return file.read(len(KIND) + 1) == f"{KIND}\n".encode()
@@ -46,20 +46,20 @@ def is_lod_file(path: Path) -> bool:
 
 
 def chunk_bytes(splats: Splats) -> bytes:
-    """Splats as a chunk holds them."""
+    """Bytes of a chunk with these splats."""
     return b"".join(getattr(splats, name).astype("<f4").tobytes() for name in PARAMETERS)
 
 
 def chunk_parts(content: bytes | bytearray | memoryview, sh_degree: int) -> dict[str, np.ndarray]:
-    """The parameters of a chunk by name, float32, as views of its bytes."""
+    """Parameters of a chunk by name, float32, as views of its bytes."""
     count = len(content) // (4 * row_floats(sh_degree))
     values = np.frombuffer(content, "<f4").astype(np.float32, copy=False)
-    found, at = {}, 0
+    parts, at = {}, 0
     for name, shape in _shapes(sh_degree).items():
         size = count * int(np.prod(shape))
-        found[name] = values[at : at + size].reshape(count, *shape)
+        parts[name] = values[at : at + size].reshape(count, *shape)
         at += size
-    return found
+    return parts
 
 
 def _shapes(sh_degree: int) -> dict[str, tuple[int, ...]]:
@@ -69,7 +69,7 @@ def _shapes(sh_degree: int) -> dict[str, tuple[int, ...]]:
 
 
 def empty_splats(count: int, sh_degree: int) -> dict[str, np.ndarray]:
-    """Room for so many splats, by parameter, float32; what it holds is not said."""
+    """Uninitialised float32 arrays for `count` splats, by parameter."""
     return {
         name: np.empty((count, *shape), np.float32) for name, shape in _shapes(sh_degree).items()
     }
@@ -77,7 +77,7 @@ def empty_splats(count: int, sh_degree: int) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class LodFile:
-    """An open file of levels of detail; close it, or use it in a `with`."""
+    """An open LOD file; close it, or use it in a `with`."""
 
     path: Path
     index: LodIndex
@@ -90,19 +90,19 @@ class LodFile:
         self.close()
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         self._file.close()
 
     @property
     def storage_bytes(self) -> int:
-        """Bytes on the disk."""
+        """Size of the file, bytes."""
         return os.fstat(self._file.fileno()).st_size
 
     def chunk(self, level: int, chunk: int) -> dict[str, np.ndarray]:
-        """The parameters of a chunk by name, float32.
+        """Parameters of a chunk by name, float32.
 
         Raises:
-            FormatError: its bytes are not those that were written.
+            FormatError: its checksum is wrong.
             DatasetError: it cannot be read.
         """
         begin, end = self.index.offsets(level)[chunk : chunk + 2].tolist()
@@ -119,13 +119,13 @@ class LodFile:
         return chunk_parts(content, self.index.sh_degree)
 
     def chunks(self, level: int) -> Iterator[Splats]:
-        """All chunks of a level in their order; raises as `chunk`."""
+        """All chunks of a level in order; raises as `chunk`."""
         for chunk in range(len(self.index.levels[level].counts)):
             yield Splats(**self.chunk(level, chunk))
 
 
 def lod_chunks_of(path: Path, index: LodIndex) -> LodFile:
-    """A file of which only the chunks are written yet, with the index that it will have.
+    """A file with its chunks but not yet its index, which is given.
 
     Raises:
         OSError: it cannot be opened.
@@ -134,11 +134,11 @@ def lod_chunks_of(path: Path, index: LodIndex) -> LodFile:
 
 
 def open_lod_file(path: str | Path) -> LodFile:
-    """Open a file of levels of detail and read its index.
+    """Open an LOD file and read its index.
 
     Raises:
         DatasetError: the file is missing or cannot be read.
-        FormatError: it is none, truncated or damaged.
+        FormatError: it is no LOD file, truncated or damaged.
     """
     path = Path(path)
     try:
@@ -160,9 +160,9 @@ def _read_index(path: Path, file: BinaryIO) -> LodIndex:
             raise FormatError(
                 f"{brief(path)} is no file of levels of detail. Make one with gscore lod."
             )
-        found = _HEADER.fullmatch(header)
-        begin, length = map(int, found.groups()) if found else (0, 0)
-        if not found or not 0 < length <= _MOST_INDEX or begin + length != size:
+        match = _HEADER.fullmatch(header)
+        begin, length = map(int, match.groups()) if match else (0, 0)
+        if not match or not 0 < length <= _MOST_INDEX or begin + length != size:
             raise FormatError(f"{brief(path)} is truncated or damaged. {_AGAIN}")
         file.seek(begin)
         text = file.read(length)
@@ -173,5 +173,5 @@ def _read_index(path: Path, file: BinaryIO) -> LodIndex:
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, IndexError) as error:
         raise FormatError(f"{brief(path)}: its index is damaged. {_AGAIN}") from error
     if begin != HEADER_BYTES + index.data_bytes:
-        raise FormatError(f"{brief(path)} does not hold what its index lists. {_AGAIN}")
+        raise FormatError(f"{brief(path)} does not match its index. {_AGAIN}")
     return index

@@ -11,81 +11,82 @@ from ..scene import Cameras, checked_origin
 from ..splats import SH_REST_BY_DEGREE
 
 KIND = "gscore levels of detail 1"
-"""What such a file begins with, and what its index calls itself."""
+"""First line of an LOD file, and the kind in its index."""
 CHILDREN = 4
-"""Chunks of a level that one chunk of the next coarser level stands for."""
+"""Chunks of a level that one chunk of the next coarser level replaces."""
 _MOST_LEVELS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class LodLevel:
-    """C chunks of one level; chunk i stands for chunks 4 i to 4 i + 3 of the level below."""
+    """C chunks of one level; chunk i replaces chunks 4 i to 4 i + 3 of the next finer level."""
 
     counts: np.ndarray
-    """[C] int64, splats, at least one each."""
+    """[C] int64, splats per chunk, at least one."""
     low: np.ndarray
-    """[C, 3] float64, the least coordinates of their means."""
+    """[C, 3] float64, lower bounds of the means, world units."""
     high: np.ndarray
-    """[C, 3] float64, the largest."""
+    """[C, 3] float64, upper bounds."""
     reach: np.ndarray
-    """[C] float64, the largest standard deviation of a splat, world units."""
+    """[C] float64, largest standard deviation of a splat, world units."""
     errors: np.ndarray
-    """[C] float64, how far the finest splats were moved into those of the chunk: the root of the
-    mean square, weighted by what they cover, world units; 0 at the finest level."""
+    """[C] float64, root mean square distance by which the finest splats were moved into those of
+    the chunk, weighted by the area they cover, world units; 0 at the finest level."""
     checks: np.ndarray
     """[C] int64, CRC-32 of the bytes."""
     psnr: float | None = None
-    """Pictures of the level against those of level `against`, from where an error is a pixel, dB;
-    None: not measured."""
+    """PSNR of pictures of the level against those of level `against`, taken from the distance at
+    which the error is one pixel, dB; None: not measured."""
     against: int = 0
-    """The level that `psnr` compares with: the finest, or for coarse ones the finest that fits."""
+    """Level that `psnr` compares with: the finest, or for coarse levels the finest that fits."""
 
     @property
     def splats(self) -> int:
-        """How many there are."""
+        """Number of splats."""
         return int(self.counts.sum())
 
     @property
     def error(self) -> float:
-        """Of half of the chunks, world units."""
+        """Median error of the chunks, world units."""
         return float(np.median(self.errors))
 
 
 @dataclass(frozen=True, kw_only=True)
 class LodIndex:
-    """All levels, the finest first."""
+    """Index of all levels, the finest first."""
 
     sh_degree: int
     antialias: bool
-    """Whether the splats want the anti-aliasing compensation."""
+    """Whether the splats need the anti-aliasing compensation."""
     near: float
     """Near plane of the training, world units."""
     background: tuple[float, float, float]
-    """Colour behind the splats in measurements."""
+    """Background colour of measurements, RGB."""
     cameras: Cameras | None
-    """Those of the run; None: not known."""
+    """Cameras of the run; None: unknown."""
     origin: np.ndarray | None
-    """[3] float64, the local origin that splats and cameras are about, as `Cameras.origin`."""
+    """[3] float64, local origin of splats and cameras, as `Cameras.origin`."""
     levels: tuple[LodLevel, ...]
 
     @property
     def row_bytes(self) -> int:
-        """Of one splat."""
+        """Bytes per splat."""
         return 4 * row_floats(self.sh_degree)
 
     @property
     def data_bytes(self) -> int:
-        """Of all chunks."""
+        """Bytes of all chunks."""
         return self.row_bytes * sum(level.splats for level in self.levels)
 
     def offsets(self, level: int) -> np.ndarray:
-        """[C + 1] int64, where the chunks of a level begin and end, bytes after the header."""
+        """[C + 1] int64, offsets at which the chunks of a level begin and end, bytes after the
+        header."""
         before = self.row_bytes * sum(one.splats for one in self.levels[:level])
         ends = np.cumsum(self.levels[level].counts) * self.row_bytes
         return before + np.concatenate([[0], ends])
 
     def to_bytes(self) -> bytes:
-        """As JSON."""
+        """The index as JSON."""
         cameras = self.cameras
         content = {
             "kind": KIND,
@@ -114,12 +115,12 @@ class LodIndex:
 
 
 def row_floats(sh_degree: int) -> int:
-    """Numbers of one splat of this degree."""
+    """Numbers per splat of this SH degree."""
     return 14 + 3 * SH_REST_BY_DEGREE[sh_degree]
 
 
 def parse_index(text: bytes) -> LodIndex:
-    """The index that `LodIndex.to_bytes` made.
+    """Parse an index written by `LodIndex.to_bytes`.
 
     Raises:
         ValueError, TypeError, KeyError, AttributeError, OverflowError: it is damaged.
@@ -159,7 +160,7 @@ def _level(entry: Any) -> LodLevel:
 
 
 def _check(index: LodIndex) -> None:
-    """Raise ValueError unless its levels fit each other."""
+    """Raise ValueError unless the levels are consistent."""
     levels = index.levels
     if not 1 <= len(levels) <= _MOST_LEVELS or not index.near > 0:
         raise ValueError
@@ -169,15 +170,15 @@ def _check(index: LodIndex) -> None:
         fits = fits and (level.low <= level.high).all() and (level.reach >= 0).all()
         if not fits or not (level.errors >= 0).all() or not 0 <= level.against < len(levels):
             raise ValueError
-        if (level.counts > 1 << 40).any():  # so that sums of bytes stay far from overflowing
+        if (level.counts > 1 << 40).any():  # so that sums of bytes cannot overflow
             raise ValueError
 
 
 def _numbers(values: Any, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
-    found = np.array(values, dtype)
-    if found.shape != shape or not np.isfinite(found).all():
+    numbers = np.array(values, dtype)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ValueError
-    return found
+    return numbers
 
 
 def _camera_columns(cameras: Cameras) -> dict[str, Any]:

@@ -12,21 +12,22 @@ from ..quoting import as_typed
 from .files import read_bytes
 
 _LARGEST = 1 << 53
-"""Larger numbers are none that gscore writes, and some are no floats."""
+"""Largest number that is read: gscore writes no larger ones, and some exceed float."""
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
-    """The metrics.json that a training or an evaluation left in a folder.
+    """Read the metrics.json of a training or an evaluation in a folder.
 
     Returns:
-        Its content without what has another type than gscore gives it; empty where it is missing,
-        broken or no regular file. `metrics_problem` tells.
+        Its content without entries of an unexpected type; empty if the file is missing, broken or
+        no regular file. `metrics_problem` has the reason.
     """
     return _read(path)[0]
 
 
 def metrics_problem(path: Path) -> str:
-    """A sentence about what `read_metrics` left out of the metrics.json of a folder, if it did."""
+    """Message about entries that `read_metrics` left out of a folder's metrics.json; empty if
+    none."""
     return _read(path)[1]
 
 
@@ -46,7 +47,7 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a number that can be reckoned with; True and False are none."""
+    """True for a finite int or float of usual size; False for booleans."""
     return (
         isinstance(value, int | float)
         and not isinstance(value, bool)
@@ -85,7 +86,7 @@ def _are_counts(value: Any) -> bool:
 
 
 def _are_rows(value: Any) -> bool:
-    """A list of objects of numbers, as curves are; the phase of a training is a word."""
+    """True for a list of objects with numbers, as of curves; `phase` is a text."""
     return _are_objects(value) and all(
         item is None or (_is_text(item) if key == "phase" else is_number(item))
         for row in value
@@ -94,7 +95,7 @@ def _are_rows(value: Any) -> bool:
 
 
 def _is_exposure(value: Any) -> bool:
-    """`learnt`, `why`, `stops_apart` and `known_by`."""
+    """True for an object with `learnt`, `why`, `stops_apart` and `known_by`."""
     return (
         _is_object(value)
         and isinstance(value.get("learnt"), bool)
@@ -105,7 +106,7 @@ def _is_exposure(value: Any) -> bool:
 
 
 def _are_poses(value: Any) -> bool:
-    """`why`, and `degrees` and `extents` by name under `cameras`."""
+    """True for an object with `why`, and `degrees` and `extents` by name under `cameras`."""
     return (
         _is_object(value)
         and _is_text(value.get("why"))
@@ -134,4 +135,4 @@ _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
         (r"poses", _are_poses),
     )
 )
-"""What the keys of metrics.json hold where they are not null; the first that fits counts."""
+"""Type check by key of metrics.json, for values other than null; the first match applies."""

@@ -11,16 +11,16 @@ _LONGEST_HEADER = 1 << 16
 
 
 def read_npy(raw: bytes) -> np.ndarray:
-    """The array of numbers in the bytes of an .npy file.
+    """Array of numbers from the bytes of an .npy file.
 
-    `numpy.load` takes memory for what a header announces before it looks for it, evaluates headers
-    with Python's own parser, whose errors are many, and knows pickled objects.
+    Used instead of `numpy.load`, which allocates the size stated in a header before reading, raises
+    any error of Python's parser on a bad header, and supports pickled objects.
 
     Raises:
-        ValueError: no such file, truncated, or of something else than real numbers.
+        ValueError: it is no .npy file, truncated, or has other values than real numbers.
     """
     if len(raw) < 10 or not raw.startswith(_MAGIC):
-        raise ValueError("it does not start as such files do")
+        raise ValueError("it does not start with NumPy's magic number")
     long = raw[6] >= 2
     (length,) = struct.unpack_from("<I" if long else "<H", raw, 8) if len(raw) >= 12 else (0,)
     at = (12 if long else 10) + length
@@ -33,7 +33,7 @@ def read_npy(raw: bytes) -> np.ndarray:
     except Exception as error:  # the parser and numpy raise many kinds
         raise ValueError("its header is damaged") from error
     if kind.kind not in "fiu":
-        raise ValueError(f"it is no array of numbers but of {kind}")
+        raise ValueError(f"it is an array of {kind}, not of numbers")
     if not all(type(side) is int and side >= 0 for side in shape):
         raise ValueError(f"its header states the shape {shape}")
     count = math.prod(shape)

@@ -10,38 +10,38 @@ from .system_folders import is_shared, system_tree
 
 
 def check_output_path(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
-    """Raise unless results may be written into a folder; links count as what they lead to.
+    """Raise unless results may be written into a folder; links are resolved.
 
     Args:
-        folder: Of the results; need not exist.
+        folder: Folder of the results; need not exist.
         data: The capture they are made from.
-        depths: Whether its folder of depth maps is part of it.
+        depths: Whether its folder of depth maps is an input.
 
     Raises:
-        ConfigError: the root, the home folder, one of the system or of all users, the capture or a
-            folder of its photos or maps.
+        ConfigError: it is the root, the home folder, a system or shared folder, the capture or its
+            folder of photos, masks or maps.
     """
-    place = _real(folder)
-    if place == Path(place.anchor):
+    real = _real(folder)
+    if real == Path(real.anchor):
         raise _mixed(folder, "the root folder", "everything")
-    if place == _home():
+    if real == _home():
         raise _mixed(folder, "your home folder", "everything")
-    if data is not None and place == _real(_root(data)):
+    if data is not None and real == _real(_root(data)):
         raise _mixed(folder, "the capture itself", "photos")
     check_separate(folder, data, depths=depths)
-    if is_shared(place):
+    if is_shared(real):
         raise ConfigError(
-            f"{brief(folder)} is where the folders of many programs lie. Choose a folder of the "
-            f"results' own in it, such as {brief(folder / 'gscore')}."
+            f"{brief(folder)} is shared by many programs. Choose a new folder in it, such as "
+            f"{brief(folder / 'gscore')}."
         )
 
 
 def check_separate(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
-    """As `check_output_path`, for single files: the folder must be neither the system's nor that
-    of the photos or maps."""
+    """As `check_output_path`, for single files: the folder must be neither a system folder nor that
+    of the photos, masks or maps."""
     if what := system_tree(_real(folder)):
         raise ConfigError(
-            f"{brief(folder)} {what}, which is no place for results. Choose a folder of your own."
+            f"{brief(folder)} {what}, where no results can be written. Choose a folder of your own."
         )
     if data is None:
         return
@@ -55,8 +55,8 @@ def check_separate(folder: Path, data: DataConfig | None = None, *, depths: bool
 
 def _mixed(folder: Path, what: str, others: str) -> ConfigError:
     return ConfigError(
-        f"{brief(folder)} is {what}, where results would mix with {others}. Choose a folder of "
-        "their own."
+        f"{brief(folder)} is {what}, where results would mix with {others}. Choose a separate "
+        "folder."
     )
 
 
@@ -65,7 +65,7 @@ def _root(data: DataConfig) -> Path:
 
 
 def _home() -> Path | None:
-    """The user's home folder; None for users without one, as containers have them."""
+    """The user's home folder; None for users without one, as in containers."""
     with contextlib.suppress(RuntimeError):
         return _real(Path("~").expanduser())
     return None
@@ -74,5 +74,5 @@ def _home() -> Path | None:
 def _real(path: Path) -> Path:
     try:
         return path.resolve()
-    except (OSError, RuntimeError, ValueError):  # whoever writes there says what is wrong
+    except (OSError, RuntimeError, ValueError):  # writing there reports the error
         return path.absolute()

@@ -1,4 +1,4 @@
-"""poses.json: the camera poses after pose refinement."""
+"""poses.json: camera poses after pose refinement."""
 
 import json
 from pathlib import Path
@@ -26,14 +26,14 @@ def write_poses(
 
     Args:
         path: The file.
-        names: Of V photos.
-        viewmats: [V, 4, 4] world to camera, world units: where cameras stand after the training.
-        degrees: [V] how far they turned.
-        distances: [V] how far they moved, world units.
+        names: Names of V photos.
+        viewmats: [V, 4, 4] world to camera after the training, world units.
+        degrees: [V] rotation of each camera by the refinement.
+        distances: [V] translation of each camera by the refinement, world units.
         origin: [3], as `Cameras.origin`.
 
     Raises:
-        GsError: it cannot be written.
+        GsError: the file cannot be written.
     """
     about = {} if origin is None else {"origin": origin.tolist()}
     facts = {
@@ -49,11 +49,11 @@ def write_poses(
 
 
 def read_moves(path: Path) -> dict[str, tuple[float, float]]:
-    """Degrees and distance, world units, that each camera of a run moved, by name of its photo;
-    nothing where there is no such file.
+    """Rotation in degrees and translation in world units of each camera of a run, by name of its
+    photo; empty without the file.
 
     Raises:
-        FormatError: it is damaged.
+        FormatError: the file is damaged.
     """
     if not path.is_file():
         return {}
@@ -64,4 +64,4 @@ def read_moves(path: Path) -> dict[str, tuple[float, float]]:
             for name, one in facts.items()
         }
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise FormatError(f"{path} is damaged ({error}). Train again to write it anew.") from error
+        raise FormatError(f"{path} is damaged ({error}). Train again to replace it.") from error

@@ -11,24 +11,25 @@ from ..json_text import parse_json
 from ..quoting import brief
 from .files import atomic_write, read_bytes
 
-_WANTED = (
-    '{"box": ...} with the 4 x 4 matrix that takes the cube from -1 to 1 to the box in the '
+_LAYOUT = (
+    '{"box": ...} with the 4 x 4 matrix that maps the cube from -1 to 1 to the box in the '
     'capture\'s world, or {"low": [x, y, z], "high": [x, y, z]}'
 )
 
 
 def read_region(path: str | Path) -> np.ndarray:
-    """The box of a region: [4, 4] float64 that takes the cube [-1, 1]^3 to it, capture's world.
+    """Read the box of a region: [4, 4] float64, maps the cube [-1, 1]^3 to it in the capture's
+    world.
 
     Raises:
         DatasetError: there is no such file, or it cannot be read.
-        FormatError: it does not say which box, or its box has no volume.
+        FormatError: it has no box, or the box has no volume.
     """
     try:
         content: Any = parse_json(read_bytes(path))
         matrix = _matrix(content)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise FormatError(f"{brief(path)} is no region ({error}); expected {_WANTED}.") from error
+        raise FormatError(f"{brief(path)} is no region ({error}); expected {_LAYOUT}.") from error
     return matrix
 
 
@@ -36,7 +37,7 @@ def write_region(path: str | Path, box: np.ndarray) -> None:
     """Write a box, [4, 4] as `read_region` returns it, completely or not at all.
 
     Raises:
-        GsError: it cannot be written.
+        GsError: the file cannot be written.
         ValueError: the box has no volume.
     """
     rows = _checked(np.asarray(box, np.float64)).tolist()
@@ -45,7 +46,7 @@ def write_region(path: str | Path, box: np.ndarray) -> None:
 
 def _matrix(content: Any) -> np.ndarray:
     if not isinstance(content, dict) or not {"box", "low", "high"} & set(content):
-        raise ValueError("it names no box")
+        raise ValueError("it has no box")
     if "box" not in content and not {"low", "high"} <= set(content):
         raise ValueError("it has one corner of two")
     if "box" in content:
@@ -61,7 +62,7 @@ def _matrix(content: Any) -> np.ndarray:
 
 
 def _checked(matrix: np.ndarray) -> np.ndarray:
-    """`matrix` if it takes a cube to a box of some volume; else ValueError."""
+    """Return `matrix` if its box has a volume; else raise ValueError."""
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError("its box is no 4 x 4 matrix of numbers")
     if not np.array_equal(matrix[3], [0, 0, 0, 1]):
@@ -73,4 +74,4 @@ def _checked(matrix: np.ndarray) -> np.ndarray:
 
 
 _FLAT = 1e-6
-"""Volume of a box with sides of length 1 below which it is none."""
+"""Least volume of a box after scaling its sides to length 1."""

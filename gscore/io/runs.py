@@ -20,9 +20,9 @@ from .metrics_file import read_metrics
 from .poses_json import POSES_FILE
 
 RUN_LOCK = ".gscore.lock"
-"""The file by which a training holds its folder."""
+"""Lock file of a training."""
 AGENT = ".torchrun"
-"""The file that says which torchrun has begun what is in a folder, until that has ended."""
+"""File with the torchrun that started the training in a folder, until that has ended."""
 RUN_FILES = (
     "config.json",
     "cfg_args",
@@ -35,24 +35,24 @@ RUN_FILES = (
     "report.html",
     "view.html",
 )
-"""Files that a training writes, and the page made of it."""
+"""Files that a training writes, and the web page made of it."""
 RUN_FOLDERS = ("checkpoints", "point_cloud", "previews", "snapshots")
 """Folders that a training writes."""
 GUIDES = "guides"
-"""Folder of the meshes and boxes that guide a training, where a front end writes them for it."""
+"""Folder of the meshes and boxes that guide a training, written by a front end."""
 GUIDE_FILE = re.compile(
     r"(?P<role>surface|free)-[0-9a-f]{8}(-\d{6,})?\.ply|within-[0-9a-f]{8}\.json"
 )
-"""Names that the add-on gives files in GUIDES: of meshes, for one frame or all, and of boxes."""
+"""Names of the add-on's files in GUIDES: meshes, for one frame or all, and boxes."""
 CAPTURE = "capture"
-"""Folder of the capture made of plain photos, which a next training uses again."""
+"""Folder of the capture made from plain photos, reused by the next training."""
 SEARCH_RECORD = "sfm.json"
-"""In a capture whose cameras gscore found: what was found, and of which photos."""
+"""Record of SfM by gscore in a capture: its results and photos."""
 MADE_OF = "made_of"
-"""In that record: the photos' folder or the video, as an absolute path."""
+"""Key of that record: absolute path of the photos' folder or the video."""
 
 _MOST_STATED = 1 << 27
-"""Bytes before the tensors of a checkpoint."""
+"""Most bytes of a checkpoint's header."""
 _CHECKPOINT = re.compile(r"step_(\d{8,})\.safetensors")
 _SNAPSHOT = re.compile(r"step_(\d{6,})\.ply")
 _BELOW = (
@@ -62,48 +62,47 @@ _BELOW = (
     rf"snapshots/{_SNAPSHOT.pattern}",
 )
 _NAMES = re.compile("|".join((*map(re.escape, RUN_FILES), *_BELOW)))
-"""All paths below its folder that a training writes, whatever its options."""
+"""All paths below its folder that a training can write, with any options."""
 _TEMPORARY = re.compile(r"\.(.+)\.[0-9a-f]{8}\.tmp")
-"""What `atomic_write` leaves of a file when its process is killed."""
+"""Temporary files that `atomic_write` leaves when its process is killed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """What the folder of a run tells about it."""
+    """State of a run from the files in its folder."""
 
     path: Path
     steps: int
-    """Steps taken when the last checkpoint was written; 0 without one."""
+    """Steps taken at the last checkpoint; 0 without one."""
     iterations: int
-    """Steps the run was asked for, or took where it ended by itself; 0 if its options cannot be
-    read."""
+    """Steps requested, or taken if the run ended early; 0 if its options cannot be read."""
     checkpoint: Path | None
     """The last checkpoint."""
     splats: Path | None
-    """point_cloud.ply, where it is written already."""
+    """point_cloud.ply, if already written."""
     psnr: float | None
-    """Of the last evaluation, dB; see `gscore.headline_psnr`."""
+    """PSNR of the last evaluation, dB; see `gscore.headline_psnr`."""
     data: DataConfig | None
-    """Options of the run, None where config.json is missing or broken."""
+    """Options of the run; None if config.json is missing or broken."""
     train: TrainConfig | None
     problem: str
-    """Why the run cannot go on though there is a checkpoint; empty if it can."""
+    """Reason why the run cannot be resumed from its checkpoint; empty if it can."""
 
     @property
     def finished(self) -> bool:
-        """Whether all steps were taken."""
+        """True if all steps were taken."""
         return 0 < self.iterations <= self.steps
 
     @property
     def resumable(self) -> bool:
-        """Whether `gscore train --resume` has steps left to take."""
+        """True if `gscore train --resume` has steps left to take."""
         return self.checkpoint is not None and not self.problem and not self.finished
 
 
 def read_run(path: str | Path) -> RunInfo | None:
-    """How far the training in an output folder is, or None if no training has written there.
+    """State of the training in an output folder, or None if no training has written there.
 
-    Looks at names and at two small JSON files; checkpoints are not opened.
+    Reads file names and two small JSON files; checkpoints are not opened.
     """
     path = Path(path)
     if not results_in(path):
@@ -129,30 +128,30 @@ def read_run(path: str | Path) -> RunInfo | None:
 
 
 def training_in(path: Path) -> int | None:
-    """The process that trains into a folder now: its number, 0 where it cannot be read; None:
-    nobody does."""
+    """Id of the process that trains into a folder now, 0 if it cannot be read; None: no
+    training."""
     return FolderLock(path, RUN_LOCK, "training").holder()
 
 
 def options_of_run(config: Path) -> tuple[DataConfig, TrainConfig]:
-    """The options in the config.json of a run. Where the run was moved, the capture of plain photos
-    in its folder has moved along.
+    """Options in the config.json of a run. If the run was moved, the path of the capture in its
+    folder is updated.
 
     Raises:
         ConfigError: as `load_config`.
     """
     data, train = load_config(config)
-    beside = config.parent / CAPTURE
-    if data.source.name == CAPTURE and not data.source.exists() and beside.is_dir():
-        data = replace(data, source=beside.absolute())
+    capture = config.parent / CAPTURE
+    if data.source.name == CAPTURE and not data.source.exists() and capture.is_dir():
+        data = replace(data, source=capture.absolute())
     return data, train
 
 
 def read_course(checkpoint: str | Path) -> list[tuple[int, float, float]]:
-    """Step, loss and PSNR of a run up to one of its checkpoints, as often as it noted them.
+    """Logged steps, losses and PSNRs (dB) of a run up to one of its checkpoints.
 
-    Reads what the checkpoint states before its tensors, without torch. Of one that cannot be read,
-    or states no such thing, there are none: whether a run can go on from it, its training says.
+    Reads the checkpoint's header, without torch. Empty if it cannot be read or has no such entries;
+    whether a run can be resumed from it is checked by the training.
     """
     try:
         with Path(checkpoint).open("rb") as file:
@@ -160,45 +159,45 @@ def read_course(checkpoint: str | Path) -> list[tuple[int, float, float]]:
             text = file.read(min(length, _MOST_STATED)).decode()
         stated = parse_json(parse_json(text)["__metadata__"]["gscore"])
         rows = stated["session"]["meter"]["history"]
-        found = [(row["step"], row["loss"], row["psnr"]) for row in rows]
-        return [row for row in found if all(isinstance(value, float) for value in row[1:])]
+        course = [(row["step"], row["loss"], row["psnr"]) for row in rows]
+        return [row for row in course if all(isinstance(value, float) for value in row[1:])]
     except (OSError, struct.error, ValueError, LookupError, TypeError, RecursionError):
         return []
 
 
 def checkpoint_path(path: Path, step: int) -> Path:
-    """Where the run in a folder keeps its checkpoint after `step`."""
+    """Path of the checkpoint after `step` of the run in a folder."""
     return path / "checkpoints" / f"step_{step:08d}.safetensors"
 
 
 def checkpoints_in(path: Path) -> dict[int, Path]:
-    """The checkpoints of the run in a folder by their steps, the latest last; none is opened."""
+    """Checkpoints of the run in a folder by step, the latest last; none is opened."""
     return _numbered(path / "checkpoints", _CHECKPOINT)
 
 
 def snapshots_in(path: Path) -> dict[int, Path]:
-    """The snapshots of the run in a folder by their steps, the latest last."""
+    """Snapshots of the run in a folder by step, the latest last."""
     return _numbered(path / "snapshots", _SNAPSHOT)
 
 
 def _numbered(folder: Path, name: re.Pattern[str]) -> dict[int, Path]:
-    found = {
+    by_step = {
         int(match[1]): file
         for file in folder.glob("*")
         if (match := name.fullmatch(file.name)) and file.is_file()
     }
-    return dict(sorted(found.items()))
+    return dict(sorted(by_step.items()))
 
 
 def results_in(path: Path) -> list[str]:
-    """Names of files and folders in `path` that hold what a training writes."""
-    there = {file.relative_to(path).parts[0] for file in _files_of_run(path)}
-    return [name for name in (*RUN_FILES, *RUN_FOLDERS) if name in there]
+    """Names of files and folders in `path` with results of a training."""
+    existing = {file.relative_to(path).parts[0] for file in _files_of_run(path)}
+    return [name for name in (*RUN_FILES, *RUN_FOLDERS) if name in existing]
 
 
 def others_in_run(path: Path) -> list[str]:
-    """What lies in the folder of a run and no training writes, as paths below it, hidden files of
-    the folder itself left out."""
+    """Files in the folder of a run that no training writes, as relative paths, without hidden files
+    directly in the folder."""
     known = (*RUN_FILES, *RUN_FOLDERS, CAPTURE)
     above = [file.name for file in _listed(path) if not file.name.startswith(".")]
     below = [file.relative_to(path).as_posix() for file in _below(path)]
@@ -207,30 +206,30 @@ def others_in_run(path: Path) -> list[str]:
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise unless what `remove_results` would remove from a folder is known to be a training's.
+    """Raise unless all files that `remove_results` would remove were written by a training.
 
-    Every training writes its config.json before all else, and it is removed after all else.
+    A training writes its config.json before all other files, and it is removed last.
 
     Raises:
-        ConfigError: what has the names of results was not written by gscore, or lies elsewhere.
+        ConfigError: files with the names of results were not written by gscore, or are linked.
     """
     if not (names := results_in(path)):
         return
     if not is_run(path):
         raise ConfigError(
-            f"{path} holds {', '.join(names)}, but no config.json by gscore, so they may be "
-            "somebody else's. Choose another folder, or move them away."
+            f"{path} has {', '.join(names)}, but no config.json by gscore, so they may be "
+            "from another program. Choose another folder, or move them away."
         )
     linked = [name for name in RUN_FOLDERS if (path / name).is_symlink()]
     if linked:
         raise ConfigError(
-            f"{path / linked[0]} is a link, and what it leads to may serve others too. Remove the "
-            "link, or choose another folder."
+            f"{path / linked[0]} is a link, whose target may be in use elsewhere. Remove the link, "
+            "or choose another folder."
         )
 
 
 def remove_results(path: Path) -> None:
-    """Remove what a training has written into a folder, by its exact names, and nothing else.
+    """Remove only the files that a training has written into a folder, by their exact names.
 
     Raises:
         ConfigError: see `check_replaceable`.
@@ -247,10 +246,9 @@ def remove_results(path: Path) -> None:
 
 
 def clear_run(path: str | Path) -> None:
-    """Remove what a training has written into a folder, with what was put there to
-    guide it, and the folder if nothing else is in it.
+    """Remove a training's results and guides from a folder, and the folder if it is then empty.
 
-    Only for a folder in which no training is running. What cannot be removed stays.
+    Only for a folder without a running training. Files that cannot be removed stay.
     """
     path = Path(path)
     with contextlib.suppress(OSError, ConfigError):
@@ -267,7 +265,7 @@ def clear_run(path: str | Path) -> None:
 
 
 def clear_unfinished(path: Path) -> None:
-    """Remove what a killed training was just writing; only while no other one is running there."""
+    """Remove unfinished files of a killed training; only while no other is running there."""
     for file in (*_listed(path), *_below(path)):
         if _is_unfinished(file.relative_to(path).as_posix()):
             with contextlib.suppress(OSError):
@@ -275,7 +273,7 @@ def clear_unfinished(path: Path) -> None:
 
 
 def is_run(path: Path) -> bool:
-    """Whether the config.json in a folder is one that a training of gscore has written."""
+    """True if the config.json in a folder was written by a training of gscore."""
     try:
         content = parse_json(read_bytes(path / "config.json"))
     except (DatasetError, ValueError):
@@ -289,7 +287,7 @@ def _files_of_run(path: Path) -> list[Path]:
 
 
 def _is_unfinished(name: str) -> bool:
-    """Whether it is the temporary name of a file that trainings write."""
+    """True for the temporary name of a file that trainings write."""
     folder, _, last = name.rpartition("/")
     match = _TEMPORARY.fullmatch(last)
     return bool(match and _NAMES.fullmatch(f"{folder}/{match[1]}".lstrip("/")))
@@ -298,12 +296,12 @@ def _is_unfinished(name: str) -> bool:
 def _below(path: Path) -> list[Path]:
     """All files in the folders of a run."""
     folders = [folder for folder in _listed(path) if folder.name in RUN_FOLDERS]
-    found = [file for folder in folders for file in folder.rglob("*")]
-    return [file for file in found if file.is_symlink() or not file.is_dir()]
+    entries = [file for folder in folders for file in folder.rglob("*")]
+    return [file for file in entries if file.is_symlink() or not file.is_dir()]
 
 
 def _listed(path: Path) -> list[Path]:
-    """What lies in a folder; nothing where it is none."""
+    """Sorted entries of a folder; empty if it is none."""
     try:
         return sorted(path.iterdir())
     except (OSError, ValueError):
@@ -311,7 +309,7 @@ def _listed(path: Path) -> list[Path]:
 
 
 def _length(train: TrainConfig | None, steps: int, metrics: dict[str, Any]) -> int:
-    """Steps of a run; budgets and goals leave them open until it has ended."""
+    """Steps of a run; unknown (0) until its end if it has a time budget."""
     if train is None:
         return 0
     early = (TARGET, CONVERGED, FINISHED) if train.time_budget else (TARGET, CONVERGED)

@@ -16,7 +16,7 @@ from .metrics_file import is_number
 FRAME_FOLDER = re.compile(r"frame_\d{6,}")
 """Names of the frames' folders."""
 SEQUENCE_FILE = "sequence.json"
-"""File of a sequence's folder that lists its frames."""
+"""List of frames in the folder of a sequence."""
 
 
 _NUMBERS = ("steps", "train_seconds", "psnr", "psnr_masked", "ssim", "lpips")
@@ -28,21 +28,21 @@ class SequenceIndex:
     """Content of a sequence.json."""
 
     options: dict[str, Any]
-    """What the sequence was asked for besides the options of its frames."""
+    """Options of the sequence in addition to those of its frames."""
     frames: list[dict[str, Any]]
     """Complete frames in order: at least `frame` (number) and `folder` (below the sequence's), and
-    where known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`, and
-    `psnr_masked` where masks hide pixels, see `gscore.headline_psnr`."""
+    if known `start`, `splats`, `steps`, `train_seconds`, `psnr`, `ssim`, `lpips`, `split`, and with
+    masks `psnr_masked`, see `gscore.headline_psnr`."""
     mean: dict[str, Any]
-    """Of the complete frames: `psnr`, `psnr_masked`, `ssim`, `lpips`; `train_seconds` of all,
-    `frames` and `frames_total`."""
+    """Means over the complete frames: `psnr`, `psnr_masked`, `ssim`, `lpips`; and `train_seconds`
+    of all, `frames` and `frames_total`."""
 
 
 def read_sequence(folder: Path) -> SequenceIndex | None:
-    """The list in the folder of a sequence, or None if it holds none.
+    """Read the list of frames in the folder of a sequence; None without one.
 
     Raises:
-        FormatError: it is damaged or something else.
+        FormatError: it is damaged or another file.
     """
     path = folder / SEQUENCE_FILE
     if not path.is_file():
@@ -56,8 +56,8 @@ def read_sequence(folder: Path) -> SequenceIndex | None:
         )
         if all(_is_sound(entry) for entry in index.frames) and _is_known(index.mean):
             return index
-        reason = "a frame without number, count of splats or folder below the sequence's, or what "
-        reason += "should be a number is none"
+        reason = "a frame without number, splat count or folder below the sequence's, or a metric "
+        reason += "that is not a number"
     except (DatasetError, ValueError, KeyError, TypeError) as error:
         reason = f"{type(error).__name__}: {brief(error)}"
     raise FormatError(
@@ -73,7 +73,7 @@ def _is_sound(entry: dict[str, Any]) -> bool:
 
 
 def _is_known(entry: dict[str, Any]) -> bool:
-    """Whether what is told of a frame, or of all, has the types that gscore writes."""
+    """True if the entries of a frame, or of the mean, have the types that gscore writes."""
     numbers = [entry.get(key) for key in _NUMBERS]
     texts = [entry.get(key) for key in ("start", "split")]
     return all(n is None or is_number(n) for n in numbers) and all(
@@ -82,10 +82,10 @@ def _is_known(entry: dict[str, Any]) -> bool:
 
 
 def write_sequence(folder: Path, index: SequenceIndex, *, version: str) -> None:
-    """Write the list completely or not at all.
+    """Write the list of frames, completely or not at all.
 
     Raises:
-        GsError: it cannot be written.
+        GsError: the file cannot be written.
     """
     content = {"gscore": version, **vars(index)}
     atomic_write(folder / SEQUENCE_FILE, (json.dumps(content, indent=2) + "\n").encode())

@@ -12,52 +12,52 @@ _log = logging.getLogger(__name__)
 
 _ALPHAS = np.clip(np.arange(256) / 255, 0.25 / 255, 1 - 0.25 / 255)
 LOGIT_OF_BYTE = np.log(_ALPHAS / (1 - _ALPHAS)).astype(np.float32)
-"""[256] opacity of a byte; 0 and 255 stand for the quarter of a step beside them, because a logit
-has to stay finite."""
+"""[256] float32, opacity logit of a byte; 0 and 255 are moved inwards by a quarter of a step, so
+that the logit is finite."""
 _FLAT = 1e-12
-"""World units, for a size of zero, of which there is no finite logarithm."""
+"""Size in world units that replaces zero, whose logarithm is infinite."""
 
 _MOST_LOGIT = 20.0
-"""Of opacities of 0 and 1, which have none that is finite."""
+"""Largest absolute logit, of opacities 0 and 1."""
 
 
 def opacities_of(raw: np.ndarray) -> np.ndarray:
-    """Opacities from 0 to 1 of logits, float32."""
+    """Opacities from 0 to 1 from logits, float32."""
     with np.errstate(over="ignore"):
         return (1 / (1 + np.exp(-raw.astype(np.float32)))).astype(np.float32)
 
 
 def opacity_bytes(raw: np.ndarray) -> np.ndarray:
-    """Opacities of logits [N] as bytes, 0 to 255."""
+    """Opacities as bytes, 0 to 255, from logits [N]."""
     return np.rint(255 * opacities_of(raw)).astype(np.uint8)
 
 
 def logits(opacities: np.ndarray) -> np.ndarray:
-    """Logits of opacities, float32; NaN outside of 0 to 1."""
+    """Logits of opacities, float32; NaN outside 0 to 1."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.log(opacities) - np.log1p(-opacities)
-    return np.clip(found, -_MOST_LOGIT, _MOST_LOGIT).astype(np.float32)
+        values = np.log(opacities) - np.log1p(-opacities)
+    return np.clip(values, -_MOST_LOGIT, _MOST_LOGIT).astype(np.float32)
 
 
 def log_scales(linear: np.ndarray) -> np.ndarray:
-    """Logarithms of sizes, float32; of zero that of 1e-12, of what is below zero NaN."""
+    """Log scales of sizes, float32; zero becomes 1e-12, negative sizes NaN."""
     with np.errstate(invalid="ignore"):
         return np.log(np.where(linear == 0, np.float32(_FLAT), linear)).astype(np.float32)
 
 
 def linear_scales(logs: np.ndarray) -> np.ndarray:
-    """Sizes of logarithms, float32; the largest are those that float32 still holds."""
+    """Sizes from log scales, float32, limited to its range."""
     return np.exp(np.minimum(logs, 88.0)).astype(np.float32)
 
 
 def whole_bands(path: Path, rest: np.ndarray) -> np.ndarray:
-    """The coefficients [N, K'-1, 3] that make whole bands of degree 4 at most; others are cut, and
-    a warning says so."""
+    """SH coefficients [N, K'-1, 3] cut to whole bands up to degree 4, with a warning if any are
+    lost."""
     each = rest.shape[1]
     keep = max(kept for kept in SH_REST_BY_DEGREE.values() if kept <= each)
     if keep < each:
         _log.warning(
-            "%s has %d SH coefficients a channel beyond the constant one; only the first %d "
+            "%s has %d SH coefficients per channel beyond degree 0; only the first %d "
             "(whole bands, degree 4 at most) are used.",
             path,
             each,
@@ -76,11 +76,11 @@ def drawable(
     sh0: np.ndarray,
     shN: np.ndarray,
 ) -> Splats:
-    """The splats that can be drawn: those with a number that is not finite, or a zero quaternion,
-    are left out, and a warning says how many.
+    """Valid splats of a file: those with non-finite numbers or a zero quaternion are dropped, with
+    a warning.
 
     Args:
-        path: Named in the warning.
+        path: File, for the warning.
         means: [N, 3] float32.
         quats: [N, 4] float32, wxyz.
         scales: [N, 3] float32, log.
@@ -97,9 +97,9 @@ def drawable(
 
 
 def drawable_rows(splats: Splats) -> Splats:
-    """As `drawable`, without a warning; itself where all of them can be drawn as they are."""
-    # Programs that store opacity as a byte write +inf for 255; that splat is opaque, not broken.
-    # The logarithm of a size of zero is -inf; that splat is flat.
+    """As `drawable`, without a warning; returns `splats` itself if all are valid."""
+    # Programs that store opacity as a byte write a logit of +inf for 255: the splat is opaque.
+    # A size of zero has a log scale of -inf: the splat is flat.
     opaque, flat = np.isposinf(splats.opacities), np.isneginf(splats.scales)
     if opaque.any() or flat.any():
         splats = replace(
@@ -115,7 +115,7 @@ def drawable_rows(splats: Splats) -> Splats:
 
 
 def warn_dropped_rows(path: Path, left_out: int, count: int) -> None:
-    """Log how many of a file's splats cannot be drawn, if any."""
+    """Log the number of dropped splats of a file, if any."""
     if left_out:
         _log.warning(
             "%s: %d of %d splats have numbers that are not finite or a zero quaternion; left out.",

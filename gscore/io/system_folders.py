@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import PurePath, PureWindowsPath
 
 _DEVICES = ("/dev", "/proc", "/sys")
-"""Folders whose files are no files; but shared memory is as good as a disk."""
+"""Folders of devices and kernel data, except shared memory, which works as a disk."""
 _SHARED_MEMORY = "/dev/shm"
 _TREES = (
     *("/bin", "/boot", "/cores", "/etc", "/lib", "/lib32", "/lib64", "/libx32", "/sbin"),
     *("/usr/bin", "/usr/include", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/libexec"),
     *("/usr/libx32", "/usr/sbin", "/usr/share", "/usr/standalone", "/Library", "/System"),
 )
-"""What the system consists of: nothing below them is anybody's own."""
+"""Folders of the system, with no user's files below them."""
 _SHARED = (
     *(_SHARED_MEMORY, "/home", "/media", "/mnt", "/opt", "/private", "/root", "/run", "/srv"),
     *("/tmp", "/usr", "/usr/home", "/usr/local", "/usr/local/bin", "/usr/local/etc"),
@@ -22,24 +22,23 @@ _SHARED = (
     *("/var/folders", "/var/home", "/var/lib", "/var/log", "/var/spool", "/var/tmp"),
     *("/Applications", "/Users", "/Users/Shared", "/Volumes"),
 )
-"""Where folders of many users and programs lie side by side: a folder in them is fine."""
+"""Folders shared by many users and programs: a new folder in them is fine."""
 _WINDOWS_TREES = ("SystemRoot", "ProgramFiles", "ProgramFiles(x86)", "ProgramW6432")
 _WINDOWS_SHARED = ("ProgramData", "PUBLIC", "TEMP", "TMP", "APPDATA", "LOCALAPPDATA")
-"""Variables of Windows that say where such folders lie, on whichever drive."""
+"""Variables of Windows with the paths of such folders."""
 _WINDOWS_DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *([.:].*)?")
-"""Names that are devices in every folder, with any ending."""
+"""Names of devices in every folder, with any ending."""
 
 
 def system_tree(
     place: PurePath, platform: str = sys.platform, variables: Mapping[str, str] = os.environ
 ) -> str:
-    """What is wrong with a place, as the end of a sentence, if nothing there is a user's own; else
-    nothing.
+    """Reason, as the end of a message, why a path belongs to the system; empty if it does not.
 
     Args:
-        place: Absolute, links followed.
+        place: Absolute path, links resolved.
         platform: As `sys.platform`.
-        variables: The environment, which on Windows says where the system lies.
+        variables: The environment, which on Windows has the paths of the system.
     """
     if platform == "win32":
         if place.anchor.startswith("\\\\.\\") or any(map(_names_device, place.parts[1:])):
@@ -49,15 +48,15 @@ def system_tree(
     if _is_below(place, (_SHARED_MEMORY,), platform):
         return ""
     if _is_below(place, _DEVICES, platform):
-        return "lies among devices"
+        return "is a device folder"
     return "belongs to the system" if _is_below(place, _TREES, platform) else ""
 
 
 def is_shared(
     place: PurePath, platform: str = sys.platform, variables: Mapping[str, str] = os.environ
 ) -> bool:
-    """Whether many users' and programs' folders lie in a place, so that results want one of their
-    own; the arguments are those of `system_tree`.
+    """True if a folder is shared by many users or programs, so that results need a folder of their
+    own in it; arguments as `system_tree`.
     """
     if platform == "win32":
         homes = [str(PureWindowsPath(text).parent) for text in _named(variables, ["USERPROFILE"])]
@@ -68,16 +67,16 @@ def is_shared(
 
 
 def _is_below(place: PurePath, folders: Iterable[str], platform: str) -> bool:
-    """Whether a place is one of the folders or lies in it."""
+    """True if a path is one of the folders or below it."""
     parts = _parts(place, platform)
     above = [_parts(folder, platform) for folder in folders]
     return any(parts[: len(folder)] == folder for folder in above)
 
 
 def _parts(path: PurePath | str, platform: str) -> list[str]:
-    """The parts of a path, equal where the system takes paths for equal.
+    """Parts of a path, normalised so that paths equal to the system are equal.
 
-    macOS and Windows do not tell capitals apart; macOS has /etc, /tmp and /var below /private.
+    macOS and Windows ignore case; macOS has /etc, /tmp and /var below /private.
     """
     text = str(path)
     if platform == "win32":
@@ -90,7 +89,7 @@ def _parts(path: PurePath | str, platform: str) -> list[str]:
 
 
 def _named(variables: Mapping[str, str], names: Iterable[str]) -> list[str]:
-    """The folders that variables of the environment name."""
+    """Folders named by variables of the environment."""
     return [variables[name] for name in names if variables.get(name)]
 
 

@@ -1,6 +1,6 @@
 """Unsupported formats: detection of files by content, with a remedy for each.
 
-One table for every place where a capture or a PLY was expected and something else was given.
+Used wherever a capture or a PLY was expected and another file was given.
 """
 
 import shlex
@@ -18,28 +18,28 @@ from .lod_index import KIND
 from .runs import CAPTURE
 
 _MOST_NAMES = 10_000
-"""Of a folder that are looked at."""
+"""Most names of a folder that are checked."""
 _PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".dng", ".cr2")
 _SPLATS = (
-    "It is a trained model: look at it with gscore info or gscore render, or give the photos and "
+    "It is a trained model: view it with gscore info or gscore render, or give the photos and "
     "cameras of a capture."
 )
 _MODEL = ", not a capture"
 _SCENE = (
-    "If it holds splats, look at them with gscore info or gscore render; for a training give the "
-    "photos and cameras of a capture."
+    "If it has splats, view them with gscore info or gscore render; for a training give the photos "
+    "and cameras of a capture."
 )
 _CLOUD = (
     "It has points without cameras. Export the cameras in COLMAP's format from the program that "
-    "made it, and give the folder that holds them and the photos."
+    "made it, and give the folder with them and the photos."
 )
 _COLMAP = (
     "Export the cameras from that program in COLMAP's format, with undistorted photos, or run "
-    "COLMAP on the photos, and give the folder that holds both."
+    "COLMAP on the photos, and give the folder with both."
 )
-_WITH_PHOTOS = "Give the folder that holds it and the photos."
-_UNPACK = "Unpack it and give what it holds."
-_MESH = "It holds meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
+_WITH_PHOTOS = "Give the folder with it and the photos."
+_UNPACK = "Unpack it and give its content."
+_MESH = "It has meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
 _MOVIE = "Find them first with gscore sfm, or give it to gscore train, which does both."
 
 
@@ -47,7 +47,7 @@ _MOVIE = "Find them first with gscore sfm, or give it to gscore train, which doe
 class _Format:
     name: str
     advice: str
-    holds: Callable[[FileSample], bool]
+    matches: Callable[[FileSample], bool]
     but: str = ", which gscore does not read"
 
 
@@ -56,7 +56,7 @@ def _starts(*magics: bytes) -> Callable[[FileSample], bool]:
 
 
 def _text(*words: bytes) -> Callable[[FileSample], bool]:
-    """XML or another text in whose beginning one of the words stands."""
+    """True for XML or other text whose first bytes contain one of the words."""
     return lambda s: b"\0" not in s.head and any(word in s.head for word in words)
 
 
@@ -81,8 +81,8 @@ def _is_movie(s: FileSample) -> bool:
 
 
 _FORMATS = (
-    _Format("a file of levels of detail", "gscore render, info and convert take it, and Blender's "
-            "import; for all else write splats of it: gscore convert IN.lod out.ply --level 0.",
+    _Format("a file of levels of detail", "Use it with gscore render, info and convert, or import "
+            "it in Blender; for all else convert it: gscore convert IN.lod out.ply --level 0.",
             _starts(f"{KIND}\n".encode()), ", not of splats"),
     _Format("a compressed splat file of Niantic (SPZ)", _SPLATS,
             lambda s: b"NGSP" in (s.head[:4], s.inflated[:4]), _MODEL),
@@ -123,36 +123,36 @@ _FORMATS = (
     _Format("a splat file of mkkellogg's viewer (.ksplat)", _SPLATS, _ends(".ksplat"),
             _MODEL),
 )  # fmt: skip
-"""What is told apart, the first that fits; those without a signature by their ending, last."""
+"""Detected formats, the first match applies; those without a signature are last, by ending."""
 
 
 def describe_unsupported(path: Path) -> str:
-    """A sentence on what a file or folder is that gscore does not read, and what to do with it.
+    """Message with the format of an unsupported file or folder and the remedy.
 
     Args:
         path: A file, or a folder in which no capture and no model was found.
 
     Returns:
-        Empty where that is not known.
+        The message; empty if the format is unknown.
     """
     try:
         return _folder(path) if path.is_dir() else _file(path)
     except (OSError, ValueError, GsError):
-        return ""  # whoever wanted to read it says why it cannot be
+        return ""  # reading it reports the error
 
 
 def _file(path: Path) -> str:
     if text := foreign_index(path):
         return text
     sample = sample_file(path)
-    found = next((kind for kind in _FORMATS if kind.holds(sample)), None)
-    return f"{path} is {found.name}{found.but}. {found.advice}" if found else foreign_cameras(path)
+    match = next((kind for kind in _FORMATS if kind.matches(sample)), None)
+    return f"{path} is {match.name}{match.but}. {match.advice}" if match else foreign_cameras(path)
 
 
 def _folder(path: Path) -> str:
     names = list(islice(path.iterdir(), _MOST_NAMES))
-    if told := _ours(path, sorted(n for n in names if n.is_dir())):
-        return told
+    if text := _gscore_folder(path, sorted(n for n in names if n.is_dir())):
+        return text
     if text := foreign_index(path):
         return text
     if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
@@ -162,19 +162,19 @@ def _folder(path: Path) -> str:
         count = _photos(place) + (below if place == path else 0)
         if count:
             return (
-                f"{place} holds {count_words(count, 'photo')}, but no cameras for them. Find them "
+                f"{place} has {count_words(count, 'photo')}, but no cameras for them. Find them "
                 f"first: gscore sfm {_argument(path)} -o {_argument(_capture(path, place))}"
             )
     others = sorted(n for n in names if n.is_file() and n.suffix.lower() != ".json")
-    return next((told for told in map(_file, others[:20]) if told), "")
+    return next((text for text in map(_file, others[:20]) if text), "")
 
 
-def _ours(path: Path, folders: list[Path]) -> str:
-    """What a folder is that gscore wrote."""
+def _gscore_folder(path: Path, folders: list[Path]) -> str:
+    """Message about a folder that gscore wrote; empty for others."""
     if any((folder / BLOCK_RECORD).is_file() for folder in folders):
         blocks = [folder for folder in folders if (folder / BLOCK_RECORD).is_file()]
         return (
-            f"{path} holds {count_words(len(blocks), 'block')} of a capture. gscore train "
+            f"{path} has {count_words(len(blocks), 'block')} of a capture. gscore train "
             f"{_argument(path)} -o RUNS trains all; each is a capture too, {blocks[0]} the first."
         )
     if _is_run(path):
@@ -184,8 +184,8 @@ def _ours(path: Path, folders: list[Path]) -> str:
     runs = [folder for folder in folders if _is_run(folder)]
     if runs:
         return (
-            f"{path} holds {count_words(len(runs), 'training')}, {runs[0]} the first: give one. "
-            f"Those of blocks are put together by gscore merge {_argument(path)} -o splats.ply."
+            f"{path} has {count_words(len(runs), 'training')}, {runs[0]} the first: give one. "
+            f"Those of blocks are merged by gscore merge {_argument(path)} -o splats.ply."
         )
     return ""
 
@@ -195,7 +195,7 @@ def _is_run(folder: Path) -> bool:
 
 
 def _capture(path: Path, place: Path) -> Path:
-    """Where `gscore sfm` is to put the capture: in place where the photos are in `images`."""
+    """Output folder for `gscore sfm`: in place if the photos are in `images`."""
     if place.name == "images" and place != path:
         return path
     whole = path.absolute()
@@ -205,7 +205,7 @@ def _capture(path: Path, place: Path) -> Path:
 
 
 def _argument(path: Path) -> str:
-    """The path as a shell takes it."""
+    """The path quoted for a shell."""
     return shlex.quote(str(path))
 
 

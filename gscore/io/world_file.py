@@ -1,4 +1,4 @@
-"""World file: world.json with facts of a COLMAP model's world that its files cannot store."""
+"""World file: world.json with the up direction and local origin of a COLMAP model."""
 
 import json
 from pathlib import Path
@@ -13,19 +13,19 @@ from .files import atomic_write, read_bytes
 
 WORLD_FILE = "world.json"
 _LARGEST = (1e-6, 1e6)
-"""Of a direction's numbers, where the file is not damaged."""
+"""Valid range of the largest component of a direction."""
 
 
 def write_up(folder: Path, up: np.ndarray | None, origin: np.ndarray | None = None) -> None:
-    """State what is up in the world of the model in `folder`, and which local origin it is about.
+    """Write the up direction and the local origin of the model in `folder`.
 
     Args:
-        folder: Of the model's three files.
-        up: [3], of any length; None: it is not known.
-        origin: [3], as `Cameras.origin`. Where neither is known, an older file goes.
+        folder: Folder of the model.
+        up: [3], of any length; None: unknown.
+        origin: [3], as `Cameras.origin`; None: none. Without both an existing file is removed.
 
     Raises:
-        GsError: it cannot be written.
+        GsError: the file cannot be written.
     """
     facts = {} if up is None else {"up": checked_up(up).tolist()}
     facts |= {} if origin is None else {"origin": checked_origin(origin).tolist()}
@@ -36,7 +36,7 @@ def write_up(folder: Path, up: np.ndarray | None, origin: np.ndarray | None = No
 
 
 def read_up(folder: Path) -> np.ndarray | None:
-    """[3] float64, unit: up in the world of the model in `folder`; None where nobody has stated it.
+    """[3] float64, unit: up direction in the world of the model in `folder`; None: unknown.
 
     Raises:
         FormatError: the file is damaged.
@@ -45,7 +45,7 @@ def read_up(folder: Path) -> np.ndarray | None:
 
 
 def read_origin(folder: Path) -> np.ndarray | None:
-    """[3] float64: the local origin that the model in `folder` is about; None: it has none.
+    """[3] float64: local origin of the model in `folder`; None: none.
 
     Raises:
         FormatError: the file is damaged.
@@ -60,26 +60,26 @@ def _stated(folder: Path) -> tuple[np.ndarray | None, np.ndarray | None]:
     try:
         facts = parse_json(read_bytes(path))
         origin = checked_origin(facts["origin"]) if "origin" in facts else None
-        # A file with neither is damaged, so that up is asked for.
+        # A file with neither is damaged: reading `up` raises.
         up = checked_up(facts["up"]) if "up" in facts or origin is None else None
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(
-            f"{path} does not state what is up: expected up with three numbers, found {error}. "
-            "Remove it, and up is taken from the cameras."
+            f"{path} states no up direction: expected up with three numbers, found {error}. "
+            "Remove it to take the up direction from the cameras."
         ) from error
     return up, origin
 
 
 def checked_up(values: object) -> np.ndarray:
-    """[3] float64 of length 1.
+    """Up direction as [3] float64 of length 1.
 
     Raises:
-        ValueError: these are no three finite numbers, or have no length.
+        ValueError: `values` are no three finite numbers, or have no length.
     """
     up = np.asarray(values)
     if up.shape != (3,) or up.dtype.kind not in "if":
         raise ValueError(f"up, {quoted(values)}")
     up = up.astype(np.float64)
-    if not _LARGEST[0] < np.abs(up).max() < _LARGEST[1]:  # not for NaN either
+    if not _LARGEST[0] < np.abs(up).max() < _LARGEST[1]:  # also refuses NaN
         raise ValueError(f"up, {quoted(values)}")
     return up / np.linalg.norm(up)

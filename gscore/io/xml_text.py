@@ -9,14 +9,14 @@ from ..quoting import brief
 from .files import read_bytes
 
 Element = ET.Element
-"""For annotations elsewhere: this file alone imports the parser."""
+"""For annotations elsewhere: only this file imports the parser."""
 
 
 def read_xml(path: Path) -> Element:
-    """The root element of a file in UTF-8, or in UTF-16 with a byte order mark.
+    """Root element of a file in UTF-8, or in UTF-16 with a byte order mark.
 
-    Document types are refused: they can define entities that grow to gigabytes, and camera files
-    have none.
+    Document types are refused, because they can define entities that grow to gigabytes; camera
+    files have none.
 
     Raises:
         DatasetError: the file is missing.

@@ -279,5 +279,5 @@ def test_up_that_is_no_direction_is_refused(made: Path, tmp_path: Path) -> None:
     for text in ("", "[]", "{}", '{"up": [0, 0, 0]}', '{"up": [1, 2]}', '{"up": "z"}',
                  '{"up": [1e300, 0, 0]}'):  # fmt: skip
         (tmp_path / WORLD_FILE).write_text(text)
-        with pytest.raises(FormatError, match=r"world\.json does not state what is up"):
+        with pytest.raises(FormatError, match=r"world\.json states no up direction"):
             read_up(tmp_path)

@@ -94,7 +94,7 @@ def test_a_taken_folder_is_refused_before_the_search(
     out.mkdir()
     (out / "point_cloud.ply").write_bytes(b"mine")
     assert _train(mine, "-o", out) == 2
-    assert "may be somebody else's" in capsys.readouterr().err
+    assert "may be from another program" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == ["point_cloud.ply"]
 
 

@@ -63,7 +63,7 @@ def test_up_is_kept_where_it_is_known(cameras: Cameras, tmp_path: Path) -> None:
     write_cameras(path, replace(cameras, up=up))
     np.testing.assert_allclose(read_cameras_json(path).up, up)
     path.write_text(path.read_text().replace("[0.0, 0.6, 0.8]", "[0.0, 0.0, 0.0]"))
-    with pytest.raises(FormatError, match="camera 0 lacks or misstates up"):
+    with pytest.raises(FormatError, match="camera 0 has no valid up"):
         read_cameras_json(path)
 
 
@@ -108,12 +108,12 @@ def test_unusable_entries(key: str, value: object, cameras: Cameras, tmp_path: P
     entries = json.loads((tmp_path / "cameras.json").read_text())
     entries[1][key] = value
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
-    with pytest.raises(FormatError, match=rf"cameras\.json: camera 1 lacks or misstates .*{key}"):
+    with pytest.raises(FormatError, match=rf"cameras\.json: camera 1 has no valid .*{key}"):
         read_cameras_json(tmp_path / "cameras.json")
     if key not in ("cx", "cy"):
         del entries[1][key]
         (tmp_path / "cameras.json").write_text(json.dumps(entries))
-        with pytest.raises(FormatError, match=rf"camera 1 lacks or misstates '{key}'"):
+        with pytest.raises(FormatError, match=rf"camera 1 has no valid '{key}'"):
             read_cameras_json(tmp_path / "cameras.json")
 
 

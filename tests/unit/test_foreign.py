@@ -48,12 +48,12 @@ FILES = {
     "zip": (_zip("images/a.jpg", "b.txt"), "a ZIP archive", "Unpack"),
     "e57": (b"ASTM-E57" + bytes(40), "E57", "COLMAP's format"),
     "las": (b"LASF" + bytes(40), "LAS", "COLMAP's format"),
-    "xml": (_METASHAPE, "camera file of Metashape", "holds it and the photos"),
+    "xml": (_METASHAPE, "camera file of Metashape", "with it and the photos"),
     "psx": (b'<document version="1.2.0" path="{projectname}.files/project.zip"/>',
             "Metashape", "COLMAP's format"),
     "rcproj": (b"<RealityCaptureProject/>", "RealityCapture", "COLMAP's format"),
     "xmp": (b'<x:xmpmeta><rdf:Description xmlns:xcr="" xcr:Version="3"/>',
-            "RealityCapture", "holds it and the photos"),
+            "RealityCapture", "with it and the photos"),
     "db": (b"SQLite format 3\0" + bytes(80), "database of COLMAP", "sparse/0"),
     "ckpt": (_zip("archive/data.pkl"), "PyTorch", "Export a 3DGS PLY"),
     "jpg": (b"\xff\xd8\xff\xe0" + bytes(40), "a single photo", "folder"),
@@ -123,7 +123,7 @@ def test_photos_without_cameras(
         write_png(folder / place / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
     assert main([word.replace("{}", str(folder)) for word in verb.split()]) == 2
     err = capsys.readouterr().err
-    assert "holds 3 photos, but no cameras" in err
+    assert "has 3 photos, but no cameras" in err
     made = folder if place == "images" else tmp_path / "my photos-capture"
     assert f"gscore sfm '{folder}' -o '{made}'" in err
 

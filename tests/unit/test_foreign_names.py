@@ -116,7 +116,7 @@ def test_absolute_names_that_are_there_twice(make_capture: Callable) -> None:
     assert data.names == tuple(names)
     _same_photos(data, capture.photos)
     _rename(capture.root, ["/data/a/x.png", "C:\\data\\a\\x.png", "left/1.png", "right/1.png"])
-    with pytest.raises(FormatError, match="is there twice"):
+    with pytest.raises(FormatError, match="are not unique"):
         _load(capture.root)
 
 
@@ -155,4 +155,4 @@ def test_advice_where_there_are_no_points(make_capture: Callable) -> None:
     """Oracle: the sentence names the file that would help."""
     capture = make_capture(views=4)
     (capture.root / "sparse/0/points3D.bin").unlink()
-    assert any("or a PLY of points called points3D.ply" in s for s in _load(capture.root).warnings)
+    assert any("or a PLY of points named points3D.ply" in s for s in _load(capture.root).warnings)

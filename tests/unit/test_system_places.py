@@ -69,7 +69,7 @@ def test_the_folder_of_temporary_files_is_told_by_the_environment() -> None:
 def test_single_files_may_lie_where_everything_lies() -> None:
     """Oracle: a film in the folder of temporary files is fine, one among devices is not."""
     check_separate(Path("/tmp"))
-    with pytest.raises(ConfigError, match="/dev lies among devices"):
+    with pytest.raises(ConfigError, match="/dev is a device folder"):
         check_separate(Path("/dev"))
 
 

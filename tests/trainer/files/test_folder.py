@@ -129,7 +129,7 @@ def test_what_another_program_wrote_is_never_overwritten(
     before = names(tmp_path)
     for overwrite in (False, True):
         with (
-            pytest.raises(ConfigError, match=r"no config\.json by gscore, so they may be some"),
+            pytest.raises(ConfigError, match=r"no config\.json by gscore, so they may be from"),
             open_folder(tmp_path, resume=False, overwrite=overwrite),
         ):
             pass
@@ -189,12 +189,12 @@ def test_a_linked_folder_is_refused(tmp_path: Path) -> None:
         ("capture/maps", "is the folder of the depth maps"),
         ("link", "is the capture itself"),
         ("file", "is a file"),
-        ("/dev/null", "/dev/null lies among devices"),
-        ("/dev/new", "/dev/new lies among devices"),
+        ("/dev/null", "/dev/null is a device folder"),
+        ("/dev/new", "/dev/new is a device folder"),
         ("/etc", "/etc belongs to the system"),
         ("/usr/lib/new", "/usr/lib/new belongs to the system"),
-        ("/tmp", "where the folders of many programs lie"),
-        ("to_tmp", "where the folders of many programs lie"),
+        ("/tmp", "is shared by many programs"),
+        ("to_tmp", "is shared by many programs"),
     ],
 )
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -359,7 +359,9 @@ def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
 def test_names_that_cannot_be_are_refused(tmp_path: Path, name: str, resume: bool) -> None:
     """Oracle: one sentence that can be printed; nothing made."""
     with (
-        pytest.raises(GsError, match=r"Cannot use .*the name (is too long|holds letters)") as error,
+        pytest.raises(
+            GsError, match=r"Cannot use .*the name (is too long|has characters)"
+        ) as error,
         open_folder(tmp_path / name, resume=resume, overwrite=False),
     ):
         pass
