@@ -82,7 +82,7 @@ class Folder:
         return _without_common(self.find_mask, names)
 
 
-def masks_beside(photos: Sequence[Path | None]) -> list[Path | None]:
+def masks_by_photos(photos: Sequence[Path | None]) -> list[Path | None]:
     """The masks in the folders of photos whose names are those of the photos and a mark, as
     `IMG_0.JPG.mask.png` and `IMG_0_mask.png`; None: there is none, or no photo."""
     known = set(photos)

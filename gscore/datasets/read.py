@@ -9,7 +9,7 @@ from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import find_model
 from .capture import Capture
 from .colmap_source import read_colmap
-from .folder import masks_beside
+from .folder import masks_by_photos
 from .masks import masks_inside
 from .origin import about_origin
 from .pku.case import find_video, read_video
@@ -51,7 +51,7 @@ def _with_masks(capture: Capture) -> Capture:
     masks."""
     if any(view.mask for view in capture.views) or masks_inside(capture.root) is not None:
         return capture
-    found = masks_beside([view.image for view in capture.views])
+    found = masks_by_photos([view.image for view in capture.views])
     if not any(found):
         return capture
     views = [replace(view, mask=mask) for view, mask in zip(capture.views, found, strict=True)]

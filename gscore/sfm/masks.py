@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ..datasets.folder import Folder, masks_beside
+from ..datasets.folder import Folder, masks_by_photos
 from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
 from ..io.images.read_image import is_scaled, read_mask, resize_mask, write_png
@@ -33,7 +33,7 @@ def find_masks(folder: Path | None, root: Path, names: Sequence[str]) -> dict[st
     """Mask files by the names of their photos below `root`: those in their folder, else those next
     to the photos."""
     if folder is None:
-        found = masks_beside([root / name for name in names])
+        found = masks_by_photos([root / name for name in names])
     else:
         there = Folder(folder)
         found = [there.find_mask(name) for name in names]

@@ -10,7 +10,7 @@ from PIL import Image
 
 from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
-from gscore.datasets.folder import Folder, masks_beside
+from gscore.datasets.folder import Folder, masks_by_photos
 from gscore.errors import DatasetError
 from gscore.io.images.read_image import resize_mask, write_png
 from gscore.sfm.masks import find_masks, mask_folder
@@ -53,7 +53,7 @@ def _as_transforms(capture: object, root: Path, photos: str) -> None:
 @pytest.mark.parametrize("photos", ["images", "data/images_2", "./images"])
 @pytest.mark.parametrize(("folder", "asked"), [("masks", ""), ("masks", "masks"), ("mask", "")])
 @pytest.mark.parametrize("naming", ["{}.png", "{}"])
-def test_masks_beside_photos(
+def test_masks_by_photos_photos(
     photos: str, folder: str, asked: str, naming: str, make_capture: Callable, tmp_path: Path
 ) -> None:
     """Oracle: found with and without the folder of the photos in their names."""
@@ -113,7 +113,7 @@ def test_a_photo_called_mask_is_a_photo(tmp_path: Path) -> None:
     _write(tmp_path, ["a_mask.png", "b.png", "b_mask.png", "c.png"])
     assert list_photos(tmp_path, ())[0] == ["a_mask.png", "b.png", "c.png"]
     photos = [tmp_path / name for name in ("b.png", "b_mask.png")]
-    assert masks_beside(photos) == [None, None]
+    assert masks_by_photos(photos) == [None, None]
 
 
 @pytest.mark.parametrize("shape", [(96, 128), (143, 191), (60, 80), (24, 32), (49, 65)])

@@ -14,7 +14,7 @@ from ...io.ply.points import read_point_cloud
 from ...scene import PointCloud, camera_centers
 from ...text_format import count_words
 from ..capture import Capture, View, listing, repeated
-from ..folder import is_marked_mask, masks_beside, same_name
+from ..folder import is_marked_mask, masks_by_photos, same_name
 from .find import ProgramFile
 from .llff import read_llff
 from .metashape import read_metashape
@@ -59,7 +59,7 @@ def read_program(
     told += _told_of_missing(found, photos, missing, len(files), photos_required)
     views = [
         view
-        for shot, file, mask in zip(listed.photos, files, masks_beside(files), strict=True)
+        for shot, file, mask in zip(listed.photos, files, masks_by_photos(files), strict=True)
         if (view := _view(photos, shot, file, mask, photos_required)) is not None
     ]
     if twice := repeated([view.name for view in views]):
