@@ -70,7 +70,7 @@ def find_cameras(
     search = _Search(request, on_event, control or Control())
     try:
         return search.run()
-    except DatasetError:  # of these photos nothing can be made; other errors leave what was found
+    except DatasetError:  # these photos give no model; other errors keep the intermediate files
         search.discard()
         raise
     finally:
@@ -99,7 +99,7 @@ class _Search:
             raise DatasetError(sentence)
         if unread:
             self._progress.warn(
-                f"{count_words(len(unread), 'photo')} of kinds that are not read left out: "
+                f"{count_words(len(unread), 'photo')} of unsupported formats left out: "
                 f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
             )
         self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
@@ -143,7 +143,7 @@ class _Search:
             self._space.discard()
 
     def _attempts(self, work: Work) -> tuple[list[Any], int, Attempt]:
-        """The models of the best attempt, the number of attempts, and the last attempt."""
+        """Run attempts; return the models of the best, the number of attempts and the last one."""
         best: list[Any] = []
         plan = attempts(self._request)
         for tried, attempt in enumerate(plan, 1):
@@ -362,8 +362,8 @@ class _Search:
         self, which: Callable[[list[PhotoQuality]], list[int]], read: list[photos.Photo]
     ) -> tuple[str, ...]:
         """Names of the photos that `which` selects."""
-        seen = [(photo.name, photo.look) for photo in read if photo.look is not None]
-        return tuple(seen[i][0] for i in which([look for _, look in seen]))
+        measured = [(photo.name, photo.look) for photo in read if photo.look is not None]
+        return tuple(measured[i][0] for i in which([look for _, look in measured]))
 
     def _adjust(self, model: Any, stated: dict[int, tuple[float, bool]]) -> None:
         may_free = self._request.camera_model == USUAL_LENS
@@ -375,11 +375,11 @@ class _Search:
         found = self._watch(work, ADJUSTING, 0, lambda: 0, lambda: 1)
         if found.before is not None:
             self._lens = lens_text(found.before, found.after)
-        if found.held:
+        if found.fixed:
             self._progress.warn(focal_text([stated[number] for number in model.cameras]))
 
     def _by_gps(self, model: Any, file: Path, names: dict[str, str]) -> Gps:
-        """Scale the model to metres by GPS in EXIF, if possible."""
+        """Scale the model to metres by the GPS positions in EXIF, if possible."""
         gps = read_gps(model, database.gps_places(file))
         to_metres(model, gps)
         for sentence in gps_text(gps, names):

@@ -1,7 +1,7 @@
 """COLMAP database: its contents, read while nothing writes to it.
 
-Through pycolmap alone: a second SQLite in the process, as Python's own is, would let go of the
-locks of the first when it closes the file, and the database would be torn.
+Access is through pycolmap only: a second SQLite in the process, such as Python's own, would release
+the locks of the first when it closes the file, and the database would be corrupted.
 """
 
 from dataclasses import dataclass
@@ -14,24 +14,24 @@ from .pycolmap_thread import colmap
 
 @dataclass(frozen=True)
 class Overlap:
-    """How the photos of a database hang together."""
+    """Match statistics of the photos in a database."""
 
     features: np.ndarray
-    """[n] int64, features of each photo."""
+    """[n] int64, number of features of each photo."""
     pairs: int
-    """Pairs of photos with enough matches that fit one geometry."""
+    """Number of pairs of photos with enough verified matches."""
     flat: int
-    """Of them, pairs that a rotation or a plane explains."""
+    """Number of these pairs that a rotation or a plane explains."""
     alone: tuple[str, ...]
-    """Photos in none of these pairs."""
+    """Aliases of the photos in none of these pairs."""
 
 
 def overlap(database: Path, *, least: int) -> Overlap:
-    """Read how the photos hang together.
+    """Read the match statistics.
 
     Args:
         database: Filled by feature extraction and matching.
-        least: Matches of a pair that counts.
+        least: Minimum number of verified matches of a pair.
     """
     p = colmap()
     kinds = p.TwoViewGeometryConfiguration
@@ -55,42 +55,42 @@ def overlap(database: Path, *, least: int) -> Overlap:
 
 
 def without_features(database: Path) -> list[str]:
-    """Photos that extraction has left out: COLMAP could not read them."""
+    """Aliases of the photos that COLMAP could not read, sorted."""
     with colmap().Database.open(database) as link:
         images = link.read_all_images()
         return sorted(image.name for image in images if not link.exists_keypoints(image.image_id))
 
 
 def features(database: Path) -> list[int]:
-    """Features of each photo."""
+    """Number of features of each photo."""
     with colmap().Database.open(database) as link:
         return [link.num_keypoints_for_image(image.image_id) for image in link.read_all_images()]
 
 
 def descriptors(database: Path) -> dict[str, np.ndarray]:
-    """Of the features of each photo, [m, 128] uint8, by its alias."""
+    """Descriptors of the features of each photo, [m, 128] uint8, by alias."""
     with colmap().Database.open(database) as link:
         images = sorted(link.read_all_images(), key=lambda image: image.name)
         return {image.name: link.read_descriptors(image.image_id).data for image in images}
 
 
 def matches(database: Path) -> int:
-    """Matches that fit one geometry, of all pairs of photos."""
+    """Number of verified matches over all pairs."""
     with colmap().Database.open(database) as link:
         return link.num_inlier_matches()
 
 
 def focal_lengths(database: Path) -> dict[int, tuple[float, bool]]:
-    """What was expected of each camera before it was looked for: its focal length in px, and
-    whether EXIF or the user has stated it."""
+    """Initial focal length of each camera in px, and whether it is from EXIF or the user, by camera
+    id."""
     with colmap().Database.open(database) as link:
         cameras = link.read_all_cameras()
     return {c.camera_id: (c.mean_focal_length(), c.has_prior_focal_length) for c in cameras}
 
 
 def gps_places(database: Path) -> dict[int, np.ndarray]:
-    """Where EXIF says that photos were taken: latitude and longitude in degrees, height in metres,
-    [3] float64 by number of the image. COLMAP takes no place without a height."""
+    """GPS positions from EXIF: latitude and longitude in degrees, height in metres, [3] float64 by
+    image id. COLMAP stores no position without a height."""
     p = colmap()
     geodetic = p.PosePriorCoordinateSystem.WGS84
     with p.Database.open(database) as link:
@@ -103,6 +103,6 @@ def gps_places(database: Path) -> dict[int, np.ndarray]:
 
 
 def aliases(database: Path) -> dict[int, str]:
-    """Names of the photos by number of the image."""
+    """Aliases of the photos by image id."""
     with colmap().Database.open(database) as link:
         return {image.image_id: image.name for image in link.read_all_images()}

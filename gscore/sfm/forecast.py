@@ -7,31 +7,31 @@ from collections.abc import Callable
 
 FEATURES, MATCHING = "finding features", "comparing photos"
 PLACING, ADJUSTING = "placing cameras", "adjusting cameras"
-"""Phases that take time, in their order."""
+"""Phases of the forecast, in order."""
 
 _LOOK, _DESCRIBE = 0.5, 9e-5
-"""CPU seconds to look for features in a megapixel, and for each that is found. All of these on
-cores of an EPYC of 2024, with five captures of 29 to 60 photos; docs/sfm.md has the figures that
-they come from."""
+"""CPU seconds of feature extraction per megapixel, and per feature found. All of these constants
+are from cores of a 2024 EPYC, with five captures of 29 to 60 photos; docs/sfm.md has the
+measurements."""
 _PER_MEGAPIXEL = 8000
-"""Features in a megapixel where none were looked for; from 3,400 (walls) to 20,000 (grass)."""
+"""Features per megapixel before extraction; measured 3,400 (walls) to 20,000 (grass)."""
 _DOUBLED = 1.5
-"""Features against those that are kept: some point two ways."""
+"""Features per kept one: some have two orientations."""
 _COMPARE, _FIT, _FIT_EACH = 1.75e-9, 4e-3, 1e-6
-"""CPU seconds for each feature of a photo with each of another, to fit a geometry to a pair of
-photos, and more for each feature of a photo."""
+"""CPU seconds per pair of features of two photos, and to fit a geometry to a pair of photos: per
+pair, and per feature of a photo."""
 _MATCHED = 0.5
-"""Matches for each feature where none were looked for; from 0.1 (lund) to 1.0 (studio, masked)."""
+"""Matches per feature before matching; measured 0.1 (lund) to 1.0 (studio, masked)."""
 _PLACE, _ADJUST = 8.5e-5, 5.5e-5
-"""CPU seconds for each match of all pairs."""
-_AT_ONCE = {PLACING: 1.3, ADJUSTING: 1.6}
-"""Cores that a phase keeps busy at most, where that is not all of them."""
+"""CPU seconds per match, over all pairs."""
+_BUSY_CORES = {PLACING: 1.3, ADJUSTING: 1.6}
+"""Maximum number of cores that a phase uses; all for the others."""
 _SURE = 0.25
-"""Share of a phase after which its own pace counts alone; before, mixed with that before it."""
+"""Share of a phase after which its own pace counts alone; before, it is mixed with the last one."""
 _THERE = 0.05
-"""Seconds against those forecast below which work was not done but found."""
+"""Ratio of elapsed to forecast seconds below which the work was already done by an earlier run."""
 _MOST_GUESSED = 0.95
-"""Of a piece of work that is only timed: it may take longer than forecast."""
+"""Maximum estimated share of a piece that is only timed: it may take longer than forecast."""
 
 
 def working_cores(threads: int) -> int:
@@ -60,11 +60,11 @@ class Forecast:
         """Forecast from the sizes of the photos.
 
         Args:
-            megapixels: Of each photo, as features are looked for.
-            most: Features that are kept of a photo.
-            pairs: Of photos that are compared.
-            threads: 0: one a core.
-            pace: Seconds that one of the forecast takes, as an earlier one has learned.
+            megapixels: Size of each photo at the resolution of feature extraction.
+            most: Maximum number of features per photo.
+            pairs: Number of pairs to match.
+            threads: 0: one per core.
+            pace: Measured seconds per forecast second, from an earlier forecast.
             clock: Seconds.
         """
         self._cores = working_cores(threads)
@@ -75,7 +75,7 @@ class Forecast:
         self._expect(sum(features_of(size, most) for size in megapixels))
         self._phase = ""
         self._began = self._since = 0.0  # when the phase began, and when its share last grew
-        self._first = self._told = 0.0  # its share then
+        self._first = self._reported = 0.0  # its share then
         self.pace = self._pace_before = pace
         self.share = 0.0
         """Share of the work done at the last call of `left`, 0 to 1; never decreases."""
@@ -117,12 +117,12 @@ class Forecast:
         now, forecast = self._clock(), self._seconds[phase]
         if phase != self._phase:
             self._phase, self._began, self._first = phase, now, share
-            self._pace_before, self._told, self._since = self.pace, share, now
-        if share > self._told:
-            if now - self._since < _THERE * self.pace * forecast * (share - self._told):
-                # Of a search that goes on, much is there already: that says nothing of the pace.
-                self._first, self._began = self._first + share - self._told, now
-            self._told, self._since = share, now
+            self._pace_before, self._reported, self._since = self.pace, share, now
+        if share > self._reported:
+            if now - self._since < _THERE * self.pace * forecast * (share - self._reported):
+                # A resumed search finds finished work, which must not count for the pace.
+                self._first, self._began = self._first + share - self._reported, now
+            self._reported, self._since = share, now
             if phase in (FEATURES, MATCHING) and forecast > 0:
                 self._learn(share - self._first, forecast)
         if forecast > 0:
@@ -163,4 +163,6 @@ class Forecast:
     def _take(self, phase: str, cpu_seconds: float) -> None:
         """Set the seconds of a phase on an idle machine."""
         if phase not in self._there:
-            self._seconds[phase] = cpu_seconds / min(self._cores, _AT_ONCE.get(phase, self._cores))
+            self._seconds[phase] = cpu_seconds / min(
+                self._cores, _BUSY_CORES.get(phase, self._cores)
+            )

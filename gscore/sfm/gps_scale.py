@@ -13,26 +13,25 @@ from .pycolmap_thread import colmap
 LEAST_PLACES = 5
 """Minimum number of photos with a GPS position."""
 _LEAST_EXTENT = 15.0
-"""Metres across all photos from which on GPS, good to some metres, tells a size."""
+"""Minimum extent of all photos, metres, because GPS is off by some metres."""
 _MOST_SCALE_ERROR = 0.15
-"""Relative standard deviation of the size up to which it is taken from GPS."""
+"""Maximum relative standard deviation of the scale."""
 _MOST_TILT = 4.0
-"""Degrees by which up may be off, a standard deviation, to be taken from GPS: a hand that holds a
-camera level is off by as much."""
+"""Maximum standard deviation of the up direction, degrees: that of a hand-held camera."""
 _INDEPENDENT = 10
-"""Places whose errors count as independent, at most: those of GPS stay alike for minutes."""
+"""Maximum number of positions with independent errors: GPS errors are correlated for minutes."""
 _LESS = 2.5
-"""Typical errors from which on a place counts less."""
+"""Residual, in medians, from which the weight of a position decreases."""
 _STRAY, _STRAY_METRES = 6.0, 10.0
-"""Typical errors, and metres, beyond both of which a place is stray and does not count."""
+"""Residual, in medians and in metres, above both of which a position is an outlier (weight 0)."""
 _TRIPLES = 500
-"""Fits to three photos to begin with: with every second place stray, 60 of them have none."""
+"""Initial fits to three photos: with every second position an outlier, 60 of them have none."""
 _EXACT = 1e-6
-"""Metres by which a place is off at least."""
+"""Minimum residual of a position, metres."""
 _ANY_TURN = math.pi**2 / 3
 """Variance of a uniformly distributed angle."""
 _ROUNDS = 20
-"""Fits with weights by the errors of the one before."""
+"""Number of reweighted fits."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,8 @@ class Gps:
     strays: tuple[tuple[str, float], ...] = ()
     """Outliers: names in the model and errors in metres, largest first; weight 0 in the fit."""
     contradicts: float | None = None
-    """Metres by which places are off, typically, where they agree too little with the model for a
-    size; None: they agree, or are too few or too close together to tell one."""
+    """Median residual in metres if the positions contradict the model; None: they agree, or are too
+    few or too close together for a scale."""
 
 
 def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
@@ -57,7 +56,7 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
 
     Args:
         model: pycolmap's Reconstruction.
-        places: Latitude and longitude in degrees and height in metres, [3], by number of the image.
+        places: Latitude and longitude in degrees and height in metres, [3] float64, by image id.
     """
     numbers = sorted(set(places) & set(model.reg_image_ids()))
     if len(numbers) < LEAST_PLACES:
@@ -84,8 +83,8 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
 
 
 def places_in_metres(file: Path) -> dict[str, np.ndarray]:
-    """Where the photos of a database were taken, [3] float64 to the east, to the north and up of
-    the place in their middle in metres, by alias; only those of which EXIF tells it."""
+    """GPS positions of the photos of a database by alias, [3] float64: metres east, north and up of
+    a central photo; photos without GPS are missing."""
     places = database.gps_places(file)
     if not places:
         return {}
@@ -101,10 +100,10 @@ def to_metres(model: Any, gps: Gps) -> None:
 
 
 def _in_metres(geodetic: np.ndarray) -> np.ndarray:
-    """Places [n, 3] in metres to the east, to the north and up of the one in their middle.
+    """Positions [n, 3] in metres east, north and up of a central one.
 
-    That is one that most others are near, since up is what is up there: a stray one may lie on the
-    other side of the Earth.
+    The origin is the position nearest to the median, because it defines up: an outlier may be on
+    the other side of the Earth.
     """
     transform = colmap().GPSTransform()
     earth = transform.ellipsoid_to_ecef(geodetic)
@@ -113,15 +112,14 @@ def _in_metres(geodetic: np.ndarray) -> np.ndarray:
 
 
 def _agreement(centers: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """How much each place counts, [n] from 0, stray, to 1.
+    """Weight of each position, [n] float64 from 0, an outlier, to 1.
 
-    Begun with the fit to three photos whose errors are least in the better half of all (least
-    median of squares, Rousseeuw 1984), which no stray place can lead away, then fitted again with
-    weights by the errors of the fit before.
+    Starts from the fit to three photos with the least median residual (least median of squares,
+    Rousseeuw 1984), which is robust to outliers, and continues with reweighted fits.
 
     Args:
         centers: [n, 3], world.
-        there: [n, 3], the same places in metres to the east, to the north and up.
+        there: [n, 3], the same positions in metres east, north and up.
     """
     count, rng = len(centers), np.random.default_rng(0)
     half, least, best = (count + 4) // 2 - 1, math.inf, np.zeros(count)
@@ -138,22 +136,22 @@ def _agreement(centers: np.ndarray, there: np.ndarray) -> np.ndarray:
 
 
 def _weights(sizes: np.ndarray) -> np.ndarray:
-    """How much places count whose errors are `sizes` [n] in metres."""
+    """Weights of positions with residuals `sizes` [n] in metres."""
     usual = max(float(np.median(sizes)), _EXACT)
     weights = np.minimum(1.0, _LESS * usual / np.maximum(sizes, _EXACT))
     return np.where(sizes > max(_STRAY * usual, _STRAY_METRES), 0.0, weights)
 
 
 def _sizes(centers: np.ndarray, there: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[n] metres by which GPS is off from where a fit leads to."""
+    """Residuals [n] of a fit, metres."""
     return np.linalg.norm(_fit(centers, there, weights)[-1], axis=1)
 
 
 def _fit(
     centers: np.ndarray, there: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """The similarity from the world to metres (Umeyama 1991): its rotation [3, 3], its factor, the
-    places it leads to about their middle [n, 3], and how far GPS is off from these [n, 3]."""
+    """Fit the similarity from the world to metres (Umeyama 1991): rotation [3, 3], factor, mapped
+    centres relative to their mean [n, 3], and residuals of GPS [n, 3]."""
     total = weights.sum()
     a = centers - weights @ centers / total
     b = there - weights @ there / total
@@ -166,9 +164,9 @@ def _fit(
 
 
 def _variance(errors: np.ndarray, weights: np.ndarray) -> float:
-    """Of one coordinate of a place, m^2, for as many places as count.
+    """Variance of one coordinate of a position, m^2, scaled for correlated errors.
 
-    Heights of GPS are worse than the rest, so theirs count where they are larger.
+    GPS heights are less accurate than the rest, so their variance is used where it is larger.
     """
     count = int((weights > 0).sum())
     overall = weights @ (errors**2).sum(axis=1) / max(3 * count - 7, 1)
@@ -177,21 +175,22 @@ def _variance(errors: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _scale_error(placed: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> float:
-    """Relative standard deviation of a fitted size."""
+    """Relative standard deviation of the fitted scale."""
     inertia = float(weights @ (placed**2).sum(axis=1))
     return math.sqrt(_variance(errors, weights) / max(inertia, _EXACT**2))
 
 
 def _tilt(placed: np.ndarray, errors: np.ndarray, weights: np.ndarray) -> float:
-    """Degrees, a standard deviation, by which a fitted rotation may lean.
+    """Standard deviation of the tilt of a fitted rotation, degrees.
 
-    The variance of a small turn about one of the places' main axes is the errors' variance over
-    their inertia about it. About a line on which all lie nothing is known, and the turn may be any.
+    The variance of a small rotation about a principal axis of the positions is the variance of the
+    residuals over their moment of inertia about it. If all positions are on one line, the rotation
+    about it is unknown, and may have any angle.
     """
     variance = _variance(errors, weights)
     outer = np.einsum("n,ni,nj->ij", weights, placed, placed)
     inertia, axes = np.linalg.eigh(np.trace(outer) * np.eye(3) - outer)
     turns = np.minimum(variance / np.maximum(inertia, _EXACT**2), _ANY_TURN)
     covariance = axes * turns @ axes.T
-    leaning = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])  # about the axes that are level
+    leaning = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])  # about the horizontal axes
     return math.degrees(math.sqrt(leaning))

@@ -11,23 +11,23 @@ from ..extras import how_to_install, need
 from ..io.images.pillow_images import BROKEN, check_pixels
 
 HEIC_ENDINGS = (".heic", ".heif")
-"""Of such photos, lower case."""
+"""File name endings of HEIC photos, lower case."""
 QUALITY = 97
-"""Of the JPEG, with full colour resolution, as frames of a video have it."""
+"""JPEG quality, with full colour resolution, as for frames of a video."""
 
 
 def is_heic(name: str) -> bool:
-    """Whether a file's name is that of such a photo."""
+    """Whether a file name ends like that of a HEIC photo."""
     return name.lower().endswith(HEIC_ENDINGS)
 
 
 def can_read() -> bool:
-    """Whether pillow-heif is there."""
+    """Whether pillow-heif is installed."""
     return find_spec("pillow_heif") is not None
 
 
 def readable(unread: list[str]) -> tuple[list[str], list[str]]:
-    """Of photos of kinds that are not read as they are, those that become JPEG, and the rest."""
+    """Split photos of unsupported formats into those that are converted to JPEG, and the rest."""
     mine = [name for name in unread if is_heic(name)] if can_read() else []
     return mine, [name for name in unread if name not in mine]
 
@@ -42,19 +42,19 @@ def size_of(path: Path) -> tuple[int, int]:
 
 
 def jpeg_name(name: str) -> str:
-    """Name of the JPEG of a photo; the old ending stays in it, so that no other photo has it."""
+    """Name of the JPEG of a photo; it keeps the old ending, so it is unique."""
     return f"{name}.jpg"
 
 
 def what_to_do(unread: list[str]) -> str:
-    """What makes photos readable that are not, as the end of a sentence."""
+    """Instruction to make photos readable, as the end of a sentence."""
     if any(is_heic(name) for name in unread) and not can_read():
         return f"convert to JPEG, or for HEIC: {how_to_install('pillow_heif')}"
     return "convert to JPEG"
 
 
 def write_jpeg(source: Path, target: Path) -> None:
-    """Write a HEIC photo as JPEG, upright, with its EXIF and its colours as they are stored.
+    """Write a HEIC photo as JPEG, upright, with its EXIF and its stored colours.
 
     Raises:
         FormatError: it is damaged or too large.
@@ -62,7 +62,7 @@ def write_jpeg(source: Path, target: Path) -> None:
         OSError: the JPEG cannot be written.
     """
     file = _opened(source)
-    with _told(source):
+    with _as_format_error(source):
         picture = file.to_pillow().convert("RGB")
     kept = {name: picture.info[name] for name in ("exif", "icc_profile") if picture.info.get(name)}
     picture.save(target, "JPEG", quality=QUALITY, subsampling=0, **kept)
@@ -70,14 +70,14 @@ def write_jpeg(source: Path, target: Path) -> None:
 
 def _opened(path: Path) -> Any:
     reader = need("pillow_heif", "Reading HEIC photos")
-    with _told(path):
+    with _as_format_error(path):
         file = reader.open_heif(path)
     check_pixels(path, *file.size)
     return file
 
 
 @contextlib.contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _as_format_error(path: Path) -> Iterator[None]:
     try:
         yield
     except BROKEN as error:

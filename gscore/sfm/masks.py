@@ -11,18 +11,18 @@ from ..text_format import count_words
 from .photos import Photo
 
 
-def mask_folder(root: Path, asked: Path | None) -> Path | None:
-    """The folder of the masks: the one asked for, else `masks` or `mask` in `root` or beside it
-    where `root` is a capture's `images`; None: there is none.
+def mask_folder(root: Path, requested: Path | None) -> Path | None:
+    """The folder of the masks: the requested one, else `masks` or `mask` in `root`, or next to it
+    if `root` is a capture's `images`; None: there is none.
 
     Raises:
-        DatasetError: the one asked for is not there.
+        DatasetError: the requested one does not exist.
     """
-    if asked is not None:
-        for place in (asked, root / asked, root.parent / asked):
+    if requested is not None:
+        for place in (requested, root / requested, root.parent / requested):
             if place.is_dir():
                 return place
-        raise DatasetError(f"There is no mask folder {asked}. Give its path with --masks.")
+        raise DatasetError(f"There is no mask folder {requested}. Give its path with --masks.")
     found = masks_inside(root)
     if found is None and root.name in ("images", "input"):
         return masks_inside(root.parent)
@@ -49,7 +49,7 @@ def write_masks(
     inverted: bool,
     cancelled: Callable[[], bool],
 ) -> list[str]:
-    """Write `target`/ALIAS.png for each mask, white where features are looked for.
+    """Write `target`/ALIAS.png for each mask, white where features are extracted.
 
     Returns:
         Sentences on photos without a mask.
@@ -57,7 +57,7 @@ def write_masks(
     Raises:
         DatasetError: a mask has another size than its photo.
         FormatError: a mask cannot be read.
-        Cancelled: `cancelled` said so.
+        Cancelled: `cancelled` returned True.
     """
     for photo in photos:
         if photo.name not in masks:
@@ -77,4 +77,4 @@ def write_masks(
     without = len(photos) - len(masks)
     if not without:
         return []
-    return [f"{count_words(without, 'photo has', 'photos have')} no mask and count as a whole."]
+    return [f"{count_words(without, 'photo has', 'photos have')} no mask: all pixels count."]

@@ -1,8 +1,8 @@
 """Feature matches between photos, computed and written to COLMAP's database.
 
-COLMAP's own search on a processor is left out: the BLAS in its packages is called by several
-threads at once and is not made for that, so that in 1 % of the searches with eight threads a photo
-lost a tenth of its matches, without an error. Ours is exact, and no slower.
+COLMAP's own CPU matcher is not used: it calls the BLAS in its packages, which is not thread-safe,
+from several threads, so in 1 % of the searches with eight threads a photo lost a tenth of its
+matches, without an error. This one is exact, and no slower.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from .pairs import Pair
 from .pycolmap_thread import colmap
 
 FARTHEST_MATCH, LARGEST_RATIO = 0.7 * 512, 0.8
-"""Of features that match; COLMAP's own, whose descriptors have a length of 512."""
+"""Maximum distance and ratio of a match; COLMAP's own, whose descriptors have a norm of 512."""
 
 
 def match_pairs(
@@ -30,11 +30,11 @@ def match_pairs(
     """Match the features of pairs of photos that have not been matched yet.
 
     Args:
-        database: With features; nothing else has it open.
+        database: With features; not open elsewhere.
         pairs: Aliases of photos.
-        least: Matches below which a pair has none.
-        threads: Pairs at a time; 0: one a core.
-        cancelled: Asked after each pair; what was matched until then is kept.
+        least: Minimum number of matches; a pair with fewer gets none.
+        threads: Pairs at a time; 0: one per core.
+        cancelled: Called after each pair; finished pairs are kept.
 
     Raises:
         BackendError: the native library is missing.

@@ -21,22 +21,22 @@ class CaptureOutput:
     capture: Path
     """Its folder."""
     is_there: bool
-    """Whether it was made before, of the same photos or video."""
+    """Whether it was made earlier from the same photos or video."""
 
 
 def has_no_cameras(source: Path) -> bool:
-    """Whether a path is a video, or a folder of photos alone: cameras can be found from it."""
+    """Whether a path is a video or a folder of plain photos, the input of a camera search."""
     return is_video(source) or is_photo_folder(source)
 
 
 def default_capture_output(source: Path) -> CaptureOutput:
-    """The capture for a source of which `has_no_cameras` is true; looks, and makes nothing.
+    """The capture for a source without cameras (`has_no_cameras`); creates nothing.
 
-    Photos in `images` of a folder get their cameras there. Else it is `NAME-capture` beside the
-    source, or with a number where that is taken by something else.
+    Photos in `images` of a folder get their cameras there. Else it is `NAME-capture` next to the
+    source, with a number if that name is taken.
     """
     whole = source.absolute()
-    stays = whole.is_dir() and not has_heic(whole)  # those become JPEG, in another folder
+    stays = whole.is_dir() and not has_heic(whole)  # HEIC becomes JPEG, in another folder
     if stays and whole.parts and photo_folder(whole) == whole / IMAGES:
         return CaptureOutput(whole, False)
     if stays and whole.name == IMAGES:
@@ -49,7 +49,7 @@ def default_capture_output(source: Path) -> CaptureOutput:
             return CaptureOutput(place, True)
         if _is_free(request):
             return CaptureOutput(place, False)
-    raise AssertionError("there are numbers without end")
+    raise AssertionError("itertools.count does not end")
 
 
 def _is_made_of(request: SearchRequest) -> bool:
@@ -64,7 +64,7 @@ def _is_made_of(request: SearchRequest) -> bool:
 
 
 def _is_free(request: SearchRequest) -> bool:
-    """Whether a search can begin there, or go on: from frames that were taken before it ended."""
+    """Whether a search can start at the output, or resume from frames extracted earlier."""
     place = request.output
     if (place / "sparse").exists():
         return False

@@ -12,26 +12,26 @@ from .retrieval import most_similar
 Pair = tuple[str, str]
 """Aliases of two photos, the earlier one first."""
 EXHAUSTIVE = 120
-"""Photos up to which all are compared with all, where nothing else is asked for."""
+"""Number of photos up to which matching is exhaustive by default."""
 _BLOCK = 10
-"""Photos of a block whose features are in memory at the same time as those of another block."""
+"""Photos per block; the features of two blocks are in memory at a time."""
 _PAIRS = 100
-"""Pairs of a sequence that are compared at a time."""
+"""Pairs of a sequence that are matched at a time."""
 _OVERLAP = 10
-"""Photos after it that each is compared with, and as many at distances 16, 32, 64 ..."""
+"""Following photos that each photo is matched with, besides those at distances 16, 32, 64 ..."""
 _LONGEST_JUMP = 512
-_ALIKE, _ADDED = 20, 8
-"""Photos that look most alike of which those are compared that are not anyway, and how many."""
+_SIMILAR, _ADDED = 20, 8
+"""Most similar photos considered for each photo, and the maximum number of pairs they add."""
 FURTHER_PAIRS = 5
-"""For each photo, that a forecast expects of these; its neighbours are alike too."""
+"""Expected number of added pairs per photo: its neighbours are similar too."""
 _NEAR = 10
-"""Photos nearest by GPS that are compared."""
+"""Number of nearest photos by GPS to match."""
 _KEY_PHOTOS = 40
-"""Photos, spread over the sequence, that are all compared with each other: this closes loops."""
+"""Photos, spread over the sequence, that are all matched with each other: this closes loops."""
 
 
 def in_parts(photos: list[Photo], *, sequential: bool) -> list[list[Pair]]:
-    """All pairs to compare, in parts of some seconds each, after which work can stop and go on."""
+    """All pairs to match, in parts of some seconds each, after which work can stop and resume."""
     if sequential:
         return _cut(sequential_pairs(photos))
     names = [photo.alias for photo in photos]
@@ -44,11 +44,11 @@ def in_parts(photos: list[Photo], *, sequential: bool) -> list[list[Pair]]:
 
 
 def sequential_pairs(photos: list[Photo]) -> list[Pair]:
-    """Pairs of aliases of photos whose names tell the order in which they were taken.
+    """Pairs of aliases of photos named in the order in which they were taken.
 
-    Neighbours are compared, photos at growing distances, and some photos of the whole sequence with
-    each other, so that a path that comes back to where it was is joined there. Each folder is a
-    sequence; the photos spread over all join them.
+    Pairs are neighbours, photos at growing distances, and key photos of the whole sequence with
+    each other, which closes loops of the camera path. Each folder is a sequence; the key photos of
+    all folders join them.
     """
     pairs: set[Pair] = set()
     for run in _runs(photos):
@@ -62,19 +62,19 @@ def sequential_pairs(photos: list[Photo]) -> list[Pair]:
 def further_parts(
     known: Iterable[Pair], descriptors: dict[str, np.ndarray], places: dict[str, np.ndarray]
 ) -> list[list[Pair]]:
-    """Pairs that a sequence does not tell: of photos that look alike, which closes loops and joins
-    photos in no order, and of photos near each other.
+    """Pairs beyond the sequence: similar photos, which closes loops and joins unordered photos, and
+    photos near each other.
 
     Args:
-        known: Pairs that are compared anyway.
-        descriptors: Of the features of each photo, [m, d], by its alias.
-        places: Where photos were taken, [3] metres, by alias; those without are left out.
+        known: Pairs that are matched anyway.
+        descriptors: Descriptors of each photo, [m, d], by alias.
+        places: Positions of photos, [3] metres, by alias; photos without one are missing.
     """
     found, names = set(known), list(descriptors)
-    alike = most_similar(list(descriptors.values()), min(_ALIKE, len(names) - 1))
-    added = _new_pairs(found, names, alike, _ADDED)
+    similar = most_similar(list(descriptors.values()), min(_SIMILAR, len(names) - 1))
+    added = _new_pairs(found, names, similar, _ADDED)
     if len(places) > _NEAR:
-        from scipy.spatial import KDTree  # Blender, which imports this room, has no scipy
+        from scipy.spatial import KDTree  # Blender, which imports this package, has no scipy
 
         points = np.array(list(places.values()))
         near = np.array(KDTree(points).query(points, k=_NEAR + 1)[1])
@@ -97,7 +97,7 @@ def _cut(pairs: list[Pair]) -> list[list[Pair]]:
 
 
 def is_sequential(matching: str, count: int) -> bool:
-    """Whether to compare by order: as asked for, else where there are many photos."""
+    """Whether to match in sequence: as requested, or in auto mode for many photos."""
     return matching == "sequential" or (matching == "auto" and count > EXHAUSTIVE)
 
 

@@ -15,16 +15,16 @@ from .search_request import USUAL_LENS, SearchRequest
 STATED, SEEN = "stated", "seen"
 """How a photo is known to be a panorama."""
 _XMP = re.compile(rb"GPano:ProjectionType")
-"""Of the XMP that 360-degree cameras write (Google, Photo Sphere XMP metadata)."""
+"""XMP tag that 360-degree cameras write (Google, Photo Sphere XMP metadata)."""
 _GRID = 256, 128
-"""Width and height at which it is compared how a picture goes on, px."""
+"""Width and height of the reduced picture in which edges are compared, px."""
 _SEAM = 3.0
-"""Times the step between neighbouring columns up to which the first and last one are neighbours."""
+"""Maximum difference of the first and last column, in mean differences of neighbouring columns."""
 _POLE = 0.3
-"""Contrast within the first and last row, against that of the picture, where each is one point."""
+"""Maximum contrast within the first and last row, each one point, relative to the picture's."""
 _UPRIGHT = 0.3
-"""Contrast within the first column, against that of the picture, from which the seam says
-something: photos of things before white go on at their edges too."""
+"""Minimum contrast within the first and last column, relative to the picture's: the edges of photos
+of objects on white match too."""
 _HOW = (
     "Cut each into views of 90 degrees, as with `ffmpeg -i PANORAMA.jpg -vf "
     "v360=equirect:flat:h_fov=90:v_fov=90:yaw=0:w=1200:h=1200 VIEW_0.jpg`, with yaw -180, -135 "
@@ -34,7 +34,7 @@ _HOW = (
 
 
 def states_panorama(image: Any) -> bool:
-    """Whether the XMP of Pillow's image says that it is a panorama."""
+    """Whether the XMP of Pillow's image marks it as a panorama."""
     packets = [image.info.get("xmp"), image.info.get("XML:com.adobe.xmp")]
     packets += [body for _, body in getattr(image, "applist", [])]
     texts = (text.encode() if isinstance(text, str) else text for text in packets)
@@ -42,8 +42,8 @@ def states_panorama(image: Any) -> bool:
 
 
 def looks_panoramic(image: Any) -> bool:
-    """Whether Pillow's decoded image is twice as wide as high, goes on from its right edge to its
-    left one, and has one colour along its upper and lower edge, where all is one point."""
+    """Whether Pillow's decoded image is twice as wide as high, its left and right edges match, and
+    its upper and lower edges, each one point of the sphere, have one colour."""
     if abs(image.width - 2 * image.height) > 0.005 * image.width:
         return False
     pixels = np.asarray(image.convert("RGB").resize(_GRID), np.float32).mean(axis=2)
@@ -58,21 +58,21 @@ def looks_panoramic(image: Any) -> bool:
 
 
 def check_lens(model: str) -> None:
-    """Raise ConfigError for a lens model that sees all directions."""
+    """Raise ConfigError for a 360-degree lens model."""
     if model in NO_PINHOLE:
         raise ConfigError(
-            f"camera_model {model} is that of 360-degree photos, which cannot be searched for "
-            f"cameras as they are. {_HOW}."
+            f"camera_model {model} is for 360-degree photos, which a camera search cannot use. "
+            f"{_HOW}."
         )
 
 
 def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
-    """The sentence on photos that are panoramas; empty where none is, or the lens was given.
+    """Message on photos that are panoramas; empty if none is, or if the lens was given.
 
     Args:
-        photos: Of each name `STATED`, `SEEN` or nothing. What is seen counts where it is seen in
-            most photos: few may look so by chance.
-        request: A lens model or focal length in it states that the photos are ordinary.
+        photos: `STATED`, `SEEN` or an empty text by name. `SEEN` counts only if most photos are
+            panoramas, since few may look like one by chance.
+        request: Its lens model or focal length, if given, marks the photos as ordinary.
     """
     if request.camera_model != USUAL_LENS or request.focal_length:
         return ""

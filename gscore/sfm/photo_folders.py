@@ -20,14 +20,14 @@ from .photos import list_photos, photo_folder
 from .search_request import SearchRequest
 
 _FEW_CAMERAS = 3
-"""As many may be in one bag; and a camera that is turned counts as two."""
+"""One photographer may carry several cameras; a camera that is turned counts as two."""
 _MODELS = ("sparse", "colmap", "cameras.bin", "cameras.txt")
 _IN_CAPTURES = ("images", "input", "photos", "rgb")
 """Names of the folder of photos in a capture."""
 
 
 def is_photo_folder(path: Path) -> bool:
-    """Whether a folder holds photos and nothing that states their cameras, not even badly."""
+    """Whether a folder contains photos and no camera files, not even unreadable ones."""
     if not path.is_dir() or find_video(path) or find_transforms(path):
         return False
     if any((path / name).exists() for name in _MODELS) or find_program(path):
@@ -37,10 +37,10 @@ def is_photo_folder(path: Path) -> bool:
 
 
 def check_no_cameras_above(path: Path) -> None:
-    """Raise where a folder of plain photos is a part of a capture, which has their cameras.
+    """Check that a folder of plain photos is not part of a capture with their cameras.
 
     Raises:
-        DatasetError: says which folder to give.
+        DatasetError: it is; names the folder to give.
     """
     whole = path.absolute()
     if whole.name not in _IN_CAPTURES or not _has_cameras(whole.parent):
@@ -48,18 +48,17 @@ def check_no_cameras_above(path: Path) -> None:
     above = path.parent if path.name else whole.parent
     images = "" if whole.name == "images" else f" --images {whole.name}"
     raise DatasetError(
-        f"{path} holds the photos alone; {above} holds their cameras too: give {above}{images}. To "
-        "find cameras anew, copy the photos to a folder of their own."
+        f"{path} contains only the photos; {above} contains their cameras too: give "
+        f"{above}{images}. To find new cameras, copy the photos to a folder of their own."
     )
 
 
 def captures_inside(root: Path, names: Sequence[str]) -> str:
-    """A sentence where photos below a folder belong to captures there, which have cameras already;
-    empty where none do.
+    """Message on photos below a folder that belong to captures with cameras; empty if none do.
 
     Args:
         root: The folder.
-        names: Paths below it, as `list_photos` gives them.
+        names: Paths below it, as returned by `list_photos`.
     """
     places = {place for name in names for place in PurePosixPath(name).parents if place.parts}
     captures = sorted(str(place) for place in places if _has_cameras(root / place))
@@ -67,34 +66,35 @@ def captures_inside(root: Path, names: Sequence[str]) -> str:
         return ""
     other = f" and {len(captures) - 1} more" if len(captures) > 1 else ""
     return (
-        f"{root} is no folder of photos: it holds a capture, {root / captures[0]}{other}. Give "
-        "that folder, or move it away."
+        f"{root} is not a folder of photos: it contains a capture, {root / captures[0]}{other}. "
+        "Give that folder, or move it away."
     )
 
 
 def other_cameras(path: Path) -> str:
-    """A sentence where another program's cameras lie among the photos, which a search does not
-    use; empty where none do.
+    """Message on another program's cameras among the photos, which a search does not use; empty if
+    there are none.
 
     Args:
-        path: The folder that the search was given.
+        path: The folder given to the search.
     """
     found = find_program(path) if path.is_dir() else None
     if found is None:
         return unread_cameras(path)
     return (
-        f"{found.path} holds cameras of these photos ({found.program}), which gscore train and the "
-        "add-on read. This search does not use them and finds others, of another size and place."
+        f"{found.path} contains cameras of these photos ({found.program}), which gscore train and "
+        "the add-on read. This search ignores them and finds new ones, with another scale and "
+        "origin."
     )
 
 
 def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
-    """Why pictures are hardly photos of one scene, as a sentence; empty where nothing says so.
+    """Message on why pictures are hardly photos of one scene; empty if there is no sign of it.
 
     Args:
         root: Their folder.
-        names: Paths below it, as `list_photos` gives them.
-        cameras: How many cameras took them, by sizes and EXIF.
+        names: Paths below it, as returned by `list_photos`.
+        cameras: Number of cameras by sizes and EXIF.
     """
     if sentence := captures_inside(root, names):
         return sentence
@@ -106,8 +106,8 @@ def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
     if cameras > max(_FEW_CAMERAS, len(names) / 2):
         return (
             f"The {count_words(len(names), 'picture')} in {root} are of {number(cameras)} cameras "
-            "or sizes, as screenshots are and photos of one scene hardly. Give the folder of the "
-            "photos."
+            "or sizes, which is typical of screenshots, not of photos of one scene. Give the "
+            "folder of the photos."
         )
     return ""
 
@@ -119,10 +119,10 @@ def _has_cameras(folder: Path) -> bool:
 
 
 def photos_of(request: SearchRequest) -> list[list[Any]]:
-    """Names, sizes and times of the photos that a search is to look at, as JSON values.
+    """Stamps (`stamp`) of the photos of a search, as JSON values.
 
     Raises:
-        DatasetError: there is no such folder.
+        DatasetError: the folder does not exist.
     """
     root = photo_folder(request.photos)
     return [
@@ -131,13 +131,13 @@ def photos_of(request: SearchRequest) -> list[list[Any]]:
 
 
 def excluded_folders(request: SearchRequest, root: Path) -> tuple[Path, ...]:
-    """Folders below that of the photos in which none are looked for."""
+    """Folders below the photo folder that are not searched for photos."""
     places = (mask_folder(root, request.masks), request.output, request.apart)
     return tuple(place for place in places if place is not None)
 
 
 def stamp(name: str, path: Path) -> list[Any]:
-    """What changes where a file does.
+    """Name, size in bytes and modification time in ns of a file, as JSON values.
 
     Raises:
         DatasetError: it is gone.
@@ -146,14 +146,14 @@ def stamp(name: str, path: Path) -> list[Any]:
         stat = path.stat()
     except OSError as error:
         raise DatasetError(
-            f"{brief(path)} is gone or cannot be read any more. Put it back, or begin anew without "
-            "it, and leave the photos alone while their cameras are found."
+            f"{brief(path)} is gone or cannot be read any more. Put it back, or start again "
+            "without it, and do not change the photos while their cameras are found."
         ) from error
     return [name, stat.st_size, stat.st_mtime_ns]
 
 
 def same_photos(capture: Path, photos: list[list[Any]]) -> bool:
-    """Whether a capture was made of these, as `photos_of` gives them."""
+    """Whether a capture was made of photos with these stamps (`photos_of`)."""
     try:
         return parse_json(read_bytes(capture / SEARCH_RECORD))["photos_read"] == photos
     except (DatasetError, ValueError, KeyError, TypeError):

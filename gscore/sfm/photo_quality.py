@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 _SIDE = 1600
-"""Longer side, px, of the measured photos, similar to that of training and features."""
+"""Longer side of the measured photos, px, similar to that of training and features."""
 _BLURRED = 0.4
 """Detail relative to the median photo below which a photo is blurred."""
 _JUMP = 1.0
-"""Difference of an exposure jump from both neighbours and from the median, stops."""
+"""Minimum difference from both neighbours and from the median in an exposure jump, stops."""
 _DARK = 1e-4
 
 
@@ -19,14 +19,14 @@ class PhotoQuality:
     """Sharpness and brightness of one photo."""
 
     detail: float
-    """Energy of second differences against that of first ones, along the axis where it is less:
-    blur takes the former away and leaves the latter, contrast changes both."""
+    """Energy of second differences relative to first ones, minimum of both axes: blur reduces the
+    former more than the latter, contrast scales both."""
     light: float
     """Mean linear brightness, stops."""
 
 
 def measure_quality(image: Any) -> PhotoQuality:
-    """Measure a decoded photo of Pillow."""
+    """Measure Pillow's decoded image."""
     grey = image.convert("L")
     grey.thumbnail((_SIDE, _SIDE))
     pixels = np.asarray(grey, np.float32) / 255
@@ -45,8 +45,8 @@ def blurred(looks: list[PhotoQuality]) -> list[int]:
     """Indices of photos with much less detail than the others."""
     if not looks:
         return []
-    usual = float(np.median([look.detail for look in looks]))
-    return [i for i, look in enumerate(looks) if look.detail < _BLURRED * usual]
+    median = float(np.median([look.detail for look in looks]))
+    return [i for i, look in enumerate(looks) if look.detail < _BLURRED * median]
 
 
 def exposure_jumps(looks: list[PhotoQuality]) -> list[int]:

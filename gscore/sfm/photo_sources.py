@@ -25,17 +25,17 @@ def photos_from(
     on_event: Callable[[Event], None] = lambda event: None,
     control: Control | None = None,
 ) -> Iterator[SearchRequest]:
-    """A block in which the photos of all sources are there; the request that means them.
+    """Context manager that stages the photos of all sources; yields the request to search them.
 
-    Where the block finds that of these photos nothing can be made (DatasetError), what was put into
-    the capture for it is removed. A stopped or killed search keeps it, to go on from.
+    If the block raises DatasetError, because the photos give no model, the staged files are
+    removed. A stopped or killed search keeps them to resume from.
 
     Args:
         request: Its output is the capture.
         sources: Folders of photos, and videos.
-        frames: Of each video, how many at most; 0: as many as the motion asks for.
-        on_event: Told how far it is.
-        control: Asked whether to stop.
+        frames: Maximum number per video; 0: chosen by the motion.
+        on_event: Receiver of progress events.
+        control: Source of stop requests.
 
     Raises:
         As `stage_photos` and `with_frames`.

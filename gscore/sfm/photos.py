@@ -21,9 +21,9 @@ from .panorama import SEEN, STATED, looks_panoramic, states_panorama
 from .photo_quality import PhotoQuality, measure_quality
 
 LEAST = 3
-"""Photos that a model needs; with two, nothing tells a wrong match from a right one."""
+"""Minimum number of photos; with two, wrong matches cannot be detected."""
 UNREAD = (".heic", ".heif", ".avif", *RAW_ENDINGS)
-"""Endings of photos that are not read."""
+"""File name endings of unsupported photo formats."""
 _EXIF_BLOCK = 0x8769
 _MAKE, _MODEL = 0x010F, 0x0110
 _FOCAL, _FOCAL_35, _LENS = 0x920A, 0xA405, 0xA434
@@ -31,30 +31,31 @@ _FOCAL, _FOCAL_35, _LENS = 0x920A, 0xA405, 0xA434
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo that was read whole."""
+    """A photo of the search."""
 
     name: str
     """Path below the folder, with '/'."""
     alias: str
-    """Name for COLMAP, whose lists of pairs have no place for spaces; sorts as people count."""
+    """Name for COLMAP, without spaces, which its pair lists do not support; in natural order."""
     width: int
-    """Pixels as stored; COLMAP does not turn photos as EXIF asks, and neither does gscore."""
+    """px as stored; COLMAP ignores the EXIF orientation, and so does gscore."""
     height: int
     camera: tuple[str, ...]
-    """Make, model, lens and focal lengths of EXIF; equal with equal sizes: one camera."""
+    """Make, model, lens and focal lengths from EXIF; photos of one camera have these and the size
+    in common."""
     look: PhotoQuality | None = None
-    """How sharp and bright it is; None where its header alone was read."""
+    """Sharpness and brightness; None if only the header was read."""
     shot: Shot | None = None
-    """By which photos of one exposure are known; None as before."""
+    """Key to detect copies of one exposure; None if only the header was read."""
     panorama: str = ""
-    """Whether it shows all directions: `STATED` by its XMP or `SEEN`; empty: neither."""
+    """`STATED` if its XMP marks it as a panorama, `SEEN` if its pixels do; empty: neither."""
 
 
 def photo_folder(path: Path) -> Path:
-    """Where the photos of a folder lie: in its `images` or `input` where none lies in it directly.
+    """The folder of the photos: `path`, or its `images` or `input` if it has no photos itself.
 
     Raises:
-        DatasetError: there is no such folder.
+        DatasetError: the folder does not exist.
     """
     if not path.is_dir():
         raise DatasetError(
@@ -70,44 +71,43 @@ def photo_folder(path: Path) -> Path:
 
 
 def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], list[str]]:
-    """Names of the photos below a folder in the order in which people count, and of files that are
-    photos of a kind that is not read; hidden files, and folders to `leave_out`, have none, and
-    masks next to their photos are none."""
+    """Names of the photos below a folder, and of photos in unsupported formats, in natural order;
+    hidden files, the folders `leave_out` and masks next to their photos are skipped."""
     skipped = {folder.resolve() for folder in leave_out}
     names, unread = [], []
     for folder, below, files in os.walk(root):
         here = Path(folder)
         below[:] = [n for n in below if n[0] != "." and (here / n).resolve() not in skipped]
         for name in files:
-            shown = (here / name).relative_to(root).as_posix()
+            relative = (here / name).relative_to(root).as_posix()
             if _is_photo(here / name):
-                names.append(shown)
+                names.append(relative)
             elif name[0] != "." and name.lower().endswith(UNREAD):
-                unread.append(shown)
+                unread.append(relative)
     names = without_masks(names, unread)
     return sorted(names, key=natural), sorted(unread, key=natural)
 
 
 def natural(name: str) -> tuple[list[tuple[int, str]], str]:
-    """Sorts view_9 before view_10."""
+    """Sort key of the natural order: view_9 before view_10."""
     parts = re.split(r"(\d+)", name.lower())
     return [(int(p), "") if p.isdecimal() else (0, p) for p in parts if p], name
 
 
 def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
-    """Raise DatasetError where there are too few photos to find cameras."""
+    """Raise DatasetError if there are too few photos to find cameras."""
     if len(names) >= LEAST:
         return
     other = ""
     if unread:
         other = (
-            f" {count_words(len(unread), 'photo is', 'photos are')} of a kind that is not read "
+            f" {count_words(len(unread), 'photo is', 'photos are')} in an unsupported format "
             f"({listing(unread, 2)}): {what_to_do(unread)}."
         )
     raise DatasetError(
-        f"{root} holds {count_words(len(names), 'photo') if names else 'no photo'}, but at least "
-        f"{LEAST} that overlap are needed to find cameras.{other} Take 30 or more from different "
-        "places."
+        f"{root} contains {count_words(len(names), 'photo') if names else 'no photos'}, but at "
+        f"least {LEAST} that overlap are needed to find cameras.{other} Take 30 or more from "
+        "different places."
     )
 
 
@@ -119,12 +119,12 @@ def read_photos(
     cancelled: Callable[[], bool],
     whole: bool = True,
 ) -> list[Photo]:
-    """Decode all photos once, so that a damaged one is told before the long work; or, if not
-    `whole`, read their headers alone.
+    """Decode all photos once, to report damaged ones before the long work; if not `whole`, only
+    read their headers.
 
     Raises:
-        DatasetError: photos are all copies of one, or cannot be read.
-        Cancelled: `cancelled` said so.
+        DatasetError: photos cannot be read.
+        Cancelled: `cancelled` returned True.
     """
 
     def look(i: int) -> Photo | str:
@@ -136,8 +136,8 @@ def read_photos(
                 panorama = STATED if states_panorama(image) else ""
                 if image.format == "TIFF" and image.tell():
                     raise FormatError(
-                        f"{root / names[i]} begins with a reduced picture, which COLMAP would "
-                        "take. Save it as a TIFF, PNG or JPEG of one picture."
+                        f"{root / names[i]} starts with a reduced picture, which COLMAP would "
+                        "read. Save it as a TIFF, PNG or JPEG of one picture."
                     )
                 if whole:
                     check_whole(root / names[i], image)
@@ -160,8 +160,8 @@ def read_photos(
 
 
 def one_of_each(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[str]]:
-    """The photos without those that show the same picture as a larger or an earlier one, such as
-    HEIC and JPEG of one shot, and a sentence on these.
+    """Photos without copies of a larger or earlier one, such as HEIC and JPEG of one shot; and
+    messages on the copies.
 
     Raises:
         DatasetError: fewer than `LEAST` are left.
@@ -186,7 +186,7 @@ def one_of_each(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[str]
 
 
 def by_camera(photos: list[Photo]) -> list[list[Photo]]:
-    """The photos that share a camera and its lens, in the order of their first ones."""
+    """Photos grouped by camera and lens, in the order of their first ones."""
     groups: dict[tuple, list[Photo]] = {}
     for photo in photos:
         groups.setdefault((photo.width, photo.height, photo.camera), []).append(photo)

@@ -17,53 +17,54 @@ from .search_attempts import Attempt
 from .search_request import SearchRequest
 
 SEED = 0
-"""Of all random choices."""
+"""Random seed of all stages."""
 LEAST_MATCHES = 15
-"""Matches that fit one geometry without which a pair of photos says nothing; COLMAP's own."""
+"""Minimum number of verified matches of a pair of photos; COLMAP's own."""
 LARGEST_SIDE = 3200
-"""Longer side, px, to which photos are scaled for features."""
+"""Longer side to which photos are scaled for features, px."""
 _FEW_PHOTOS = 40
-"""Photos up to which there is time for more features in each."""
+"""Number of photos up to which each gets more features."""
 _FEATURES, _FEATURES_OF_FEW, _RICH_FEATURES = 3072, 4096, 12288
 _TRIALS = 1000
-"""Samples of a pair's matches at most. COLMAP's own 10,000 take three times as long, for pairs
-without overlap; pairs that 15 or 16 matches join get lost, 0.3 % of all matches."""
+"""Maximum number of RANSAC samples per pair. COLMAP's 10,000 take three times as long, because of
+pairs without overlap; fewer lose pairs of 15 or 16 matches, 0.3 % of all matches."""
 USUAL_FOCAL = 0.9
-"""Focal length against the longer side where EXIF states none: phones have 0.7 to 0.95, kit lenses
-0.75 to 2."""
+"""Focal length relative to the longer side without EXIF: phones have 0.7 to 0.95, kit lenses 0.75
+to 2."""
 _RICH_PEAK = 0.5
-"""Strength of the weakest feature in the rich attempt, against COLMAP's usual one."""
+"""Peak threshold of features in the rich attempt, relative to COLMAP's default."""
 _PART = 8
-"""Photos whose features are found at a time, at least two a thread: then the database has them."""
+"""Minimum number of photos per extraction call (two per core), after which the database has
+them."""
 _SAMPLE = 4
-"""Photos, at least one a core, by which it is told how long a search takes."""
+"""Minimum number of photos (one per core) that calibrate the forecast."""
 _TRACKS = 200
-"""Tracks a photo that the global mapper begins with, where there are as many; the others join when
-cameras stand. It solves for all in one thread: studio takes 7 CPU s instead of 26, and gets the
-same points and focal length."""
+"""Tracks per photo with which the global mapper starts; the others join once it has camera poses.
+It solves for all in one thread: studio takes 7 CPU s instead of 26, with the same points and focal
+length."""
 _BYTES_OF_FEATURE, _DOUBLED, _COPIES = 152, 1.25, 2
-"""What a feature takes in the database, how many more there are than are kept because some point
-two ways, and in how many files they stand until SQLite's log is folded in."""
+"""Bytes of a feature in the database, features per kept one because some have two orientations, and
+copies of each until SQLite merges its log."""
 _MOST_EXHAUSTIVE = 400
-"""Photos up to which the rich attempt compares all with all."""
+"""Number of photos up to which the rich attempt matches all pairs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """What the steps work on."""
+    """Input of the stages."""
 
     request: SearchRequest
     root: Path
     """Folder of the photos under their aliases."""
     photos: list[Photo]
     masks: Path | None
-    """Folder of masks as COLMAP takes them."""
+    """Folder of masks in COLMAP's format; None: no masks."""
     folder: Path
-    """For databases and models."""
+    """Folder of databases and models."""
 
     @property
     def threads(self) -> int:
-        """The number of threads as pycolmap counts: -1 is one a core."""
+        """The number of threads in pycolmap's convention: -1 is one per core."""
         return checked_threads(self.request.threads) or -1
 
     def database(self, attempt: Attempt) -> Path:
@@ -71,26 +72,26 @@ class Work:
         return self.folder / attempt.database
 
     def is_sequential(self, attempt: Attempt) -> bool:
-        """Whether photos are compared in their order alone."""
+        """Whether photos are matched in their order only."""
         few = attempt.rich and len(self.photos) <= _MOST_EXHAUSTIVE
         by_order = is_sequential(self.request.matching, len(self.photos))
         return by_order and not (few and self.request.matching == "auto")
 
     def parts(self, attempt: Attempt) -> list[list[Pair]]:
-        """Pairs of photos to compare, in parts after which work can stop."""
+        """Pairs of photos to match, in parts after which work can stop."""
         return in_parts(self.photos, sequential=self.is_sequential(attempt))
 
     def looks_further(self, attempt: Attempt) -> bool:
-        """Whether photos that look alike or lie near each other are compared besides."""
+        """Whether similar photos and photos near each other are matched too."""
         return self.request.matching == "auto" and self.is_sequential(attempt)
 
     def pairs_expected(self, attempt: Attempt) -> int:
-        """How many pairs are compared, those that features will tell among them."""
+        """Expected number of pairs to match, with those added by similarity."""
         further = FURTHER_PAIRS * len(self.photos) if self.looks_further(attempt) else 0
         return sum(map(len, self.parts(attempt))) + further
 
     def forecast(self, attempt: Attempt, *, pace: float = 1.0) -> Forecast:
-        """How long an attempt takes; `pace` as an earlier forecast has learned it."""
+        """Forecast of an attempt; `pace` from an earlier forecast."""
         scales = [min(1.0, LARGEST_SIDE / max(p.width, p.height)) for p in self.photos]
         return Forecast(
             megapixels=[
@@ -105,8 +106,8 @@ class Work:
 
 
 def enter_photos(work: Work, database: Path) -> None:
-    """Make the database with a row for each photo, one camera for those that share one; where it is
-    there it stays, since it appears under its name only when it is complete."""
+    """Create the database with a row for each photo and one camera per group; an existing one is
+    kept, because it gets its final name only once it is complete."""
     if database.is_file():
         return
     p = colmap()
@@ -135,8 +136,8 @@ def _state_focal(database: Path, focal: float) -> None:
 
 
 def feature_parts(work: Work) -> list[list[str]]:
-    """Aliases of the photos whose features are found at a time; first of some that are spread over
-    all, which tell what the others will be like."""
+    """Aliases of the photos of each extraction call; the first is a sample spread over all photos,
+    which calibrates the forecast."""
     cores = working_cores(checked_threads(work.request.threads))
     names = [photo.alias for photo in work.photos]
     sample = names[:: -(-len(names) // max(_SAMPLE, cores))]
@@ -146,21 +147,22 @@ def feature_parts(work: Work) -> list[list[str]]:
 
 
 def most_features(photos: int, *, rich: bool) -> int:
-    """Features that are kept of a photo, before those that point two ways are doubled."""
+    """Maximum number of features per photo, not counting second orientations."""
     if rich:
         return _RICH_FEATURES
     return _FEATURES_OF_FEW if photos <= _FEW_PHOTOS else _FEATURES
 
 
 def space_needed(work: Work, attempt: Attempt) -> int:
-    """Bytes that a part of an attempt may write at most: features, in the database and its log."""
+    """Maximum number of bytes that a part of an attempt writes: features in the database and its
+    log."""
     most = _DOUBLED * most_features(len(work.photos), rich=attempt.rich)
     photos = max(map(len, feature_parts(work)))
     return int(_COPIES * photos * most * _BYTES_OF_FEATURE)
 
 
 def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:
-    """Find features in those of the photos that have none in the database yet."""
+    """Extract features of those photos that have none in the database yet."""
     p = colmap()
     p.set_random_seed(SEED)
     reading = p.ImageReaderOptions(camera_model=work.request.camera_model)
@@ -185,14 +187,14 @@ def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:
 
 
 def further(work: Work, attempt: Attempt) -> list[list[Pair]]:
-    """Pairs besides those that names tell, once features are there; in parts as theirs."""
+    """Pairs in addition to those from names, after feature extraction, in parts."""
     file = work.database(attempt)
     known = [pair for part in work.parts(attempt) for pair in part]
     return further_parts(known, database.descriptors(file), gps_scale.places_in_metres(file))
 
 
 def match(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
-    """Compare those of the pairs that have not been compared in the database yet."""
+    """Match those pairs that have no matches in the database yet."""
     match_pairs(
         work.database(attempt),
         pairs,
@@ -204,7 +206,7 @@ def match(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
 
 
 def _fit_geometries(work: Work, attempt: Attempt, pairs: list[Pair], token: Any) -> None:
-    """Find what geometry the matches of pairs fit, where that is not known yet."""
+    """Verify the matches of those pairs that have no two-view geometry yet."""
     p = colmap()
     p.set_random_seed(SEED)
     options, checks = p.FeatureMatchingOptions(), p.TwoViewGeometryOptions()
@@ -218,9 +220,9 @@ def _fit_geometries(work: Work, attempt: Attempt, pairs: list[Pair], token: Any)
 
 
 def reconstruct(work: Work, attempt: Attempt, token: Any, on_photo: Any) -> list[Any]:
-    """Models made of the matches, as pycolmap's Reconstruction, the largest first.
+    """Models from the matches, as pycolmap Reconstructions, the largest first.
 
-    `on_photo` is called for each photo that finds its place; the global mapper places all at once.
+    `on_photo` is called for each registered photo, by the incremental mapper only.
     """
     p = colmap()
     p.set_random_seed(SEED)
@@ -253,7 +255,7 @@ def _incremental_options(work: Work, *, lenient: bool) -> Any:
         options.mapper.init_min_tri_angle = 4.0
         options.mapper.init_min_num_inliers = 50
         options.mapper.abs_pose_min_num_inliers = 20
-        # A lens that is bent by few points bends the whole model: few photos cannot tell it.
+        # Few photos do not constrain the distortion, and a wrong one distorts the whole model.
         options.ba_refine_extra_params = False
         options.mapper.abs_pose_refine_extra_params = False
     return options

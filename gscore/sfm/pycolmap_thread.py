@@ -15,22 +15,22 @@ from ..quoting import brief
 
 Result = TypeVar("Result")
 _PERIOD = 0.2
-"""Seconds between two looks."""
+"""Seconds between two polls."""
 _LEAST_FREE = 1 << 20
-"""Bytes below which a disk counts as full: SQLite and COLMAP write larger pieces."""
+"""Free bytes below which a disk counts as full: SQLite and COLMAP write larger pieces."""
 
 
 def colmap() -> Any:
-    """pycolmap with its log switched off, which is for its developers.
+    """Module pycolmap, with its log for developers switched off.
 
     Raises:
-        BackendError: it is not installed, or too old to be stopped.
+        BackendError: it is not installed, or too old to be cancelled.
     """
     module = need("pycolmap", "Finding cameras")
     if not hasattr(module, "CancellationToken"):
         raise BackendError(
-            f"Finding cameras needs pycolmap 4.2 or later, this is {module.__version__}; update it "
-            'with: pip install --upgrade "pycolmap>=4.2"'
+            "Finding cameras needs pycolmap 4.2 or later, but the installed one is "
+            f'{module.__version__}; update it with: pip install --upgrade "pycolmap>=4.2"'
         )
     module.logging.minloglevel = module.logging.FATAL.value
     return module
@@ -38,11 +38,11 @@ def colmap() -> Any:
 
 @contextlib.contextmanager
 def log_messages(folder: Path) -> Iterator[None]:
-    """A block of calls into pycolmap that write into a folder; what they raise becomes a sentence.
+    """Context manager for pycolmap calls that write into a folder; their errors become messages.
 
     Raises:
-        GsError: pycolmap raised an error, the disk is full, of which it says other things, or the
-            folder was removed.
+        GsError: pycolmap raised an error, the disk is full, which pycolmap reports differently, or
+            the folder was removed.
     """
     try:
         yield
@@ -51,34 +51,34 @@ def log_messages(folder: Path) -> Iterator[None]:
     except (OSError, RuntimeError, ValueError, sqlite3.Error) as error:
         if not folder.is_dir():
             raise GsError(
-                f"{brief(folder)} was removed while cameras were searched in it. Give the same "
-                "command again; it begins anew."
+                f"{brief(folder)} was removed during the camera search. Give the same command "
+                "again; it starts from the beginning."
             ) from error
         if isinstance(error, OSError):
             raise
         check_space(folder, _LEAST_FREE)
-        said = str(error).strip().splitlines()
+        lines = str(error).strip().splitlines()
         raise GsError(
-            f"COLMAP has failed: {said[-1].rstrip('.') if said else type(error).__name__}. What "
-            "it had found is kept; give the same command again, or remove "
-            f"{brief(folder)} to begin anew."
+            f"COLMAP failed: {lines[-1].rstrip('.') if lines else type(error).__name__}. Its "
+            "intermediate results are kept; give the same command again, or remove "
+            f"{brief(folder)} to start from the beginning."
         ) from error
 
 
 def check_space(folder: Path, least: int) -> None:
-    """Raise GsError where fewer bytes than `least` are free on the disk of a folder.
+    """Raise GsError if fewer bytes than `least` are free on the disk of a folder.
 
-    Asked before work begins: COLMAP ends the whole process where SQLite can no longer write.
+    Called before each step, because COLMAP ends the whole process when SQLite can no longer write.
     """
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
-        return  # what is wrong with the folder is said by who writes into it
+        return  # the code that writes into the folder reports the error
     if free < least:
         raise GsError(
-            f"Cannot go on in {brief(folder)}: the disk is full, or nearly, with "
+            f"Cannot continue in {brief(folder)}: the disk is full, or nearly, with "
             f"{free / 1e6:.0f} MB free of {least / 1e6:.0f} MB that the next step may need. Free "
-            "some space and give the same command again; it goes on from what was found."
+            "some space and give the same command again; it resumes from there."
         )
 
 
@@ -89,16 +89,16 @@ def run_in_thread(
     tick: Callable[[], None],
     cancelled: Callable[[], bool],
 ) -> Result:
-    """Do `work` in a thread: Python's signal handlers run in the main one only between calls.
+    """Run `work` in a thread, because Python handles signals in the main thread only between calls.
 
     Args:
-        work: Gets a CancellationToken of pycolmap.
-        folder: Where it writes.
-        tick: Called now and then while it works.
+        work: Receives a CancellationToken of pycolmap.
+        folder: Output folder of `work`.
+        tick: Called periodically while `work` runs.
         cancelled: True cancels the token.
 
     Raises:
-        Cancelled: `cancelled` said so.
+        Cancelled: `cancelled` returned True.
         GsError: pycolmap raised an error, or the disk is full.
     """
     token = colmap().CancellationToken()

@@ -1,30 +1,30 @@
 """Image retrieval: similar photos by visual words of their own features, without a network.
 
-A bag of visual words (Sivic and Zisserman 2003): features are put into as many groups as there are
-words, and photos that share words which few others have are alike.
+A bag of visual words (Sivic and Zisserman 2003): each feature is assigned to a cluster, its word;
+photos that share rare words are similar.
 """
 
 import numpy as np
 
 _SEED = 0
 _SAMPLED = 400
-"""Features of a photo that are looked at, at most."""
+"""Maximum number of features used per photo."""
 _WORDS = 1024
-_LEARNT = 20_000
-"""Features that words are made of, at most."""
+_CLUSTERED = 20_000
+"""Maximum number of features for the vocabulary."""
 _ROUNDS = 5
-"""Of k-means."""
+"""Iterations of k-means."""
 _BLOCK = 8192
-"""Features that are compared with all words at a time."""
+"""Number of features compared with all words at a time."""
 
 
 def most_similar(descriptors: list[np.ndarray], count: int) -> np.ndarray:
-    """[n, count] int64: for each photo the others, the most alike first; -1 where none is left that
-    shares a word.
+    """Indices [n, count] int64 of the photos most similar to each photo, best first; -1 where no
+    other photo shares a word.
 
     Args:
-        descriptors: Of each photo, [m, d], any number type; m may be 0.
-        count: How many, less than there are photos.
+        descriptors: Descriptors of each photo, [m, d], any number type; m may be 0.
+        count: Number per photo, less than the number of photos.
     """
     rng = np.random.default_rng(_SEED)
     sampled = [_some(each, _SAMPLED, rng).astype(np.float32) for each in descriptors]
@@ -32,15 +32,15 @@ def most_similar(descriptors: list[np.ndarray], count: int) -> np.ndarray:
     owners = np.repeat(np.arange(len(sampled)), [len(each) for each in sampled])
     if not len(joined):
         return np.full((len(sampled), count), -1)
-    words = _nearest(joined, _vocabulary(_some(joined, _LEARNT, rng), rng))
-    likeness = _likeness(owners, words, len(sampled))
-    np.fill_diagonal(likeness, 0.0)
-    order = np.argsort(-likeness, axis=1, kind="stable")[:, :count]
-    return np.where(np.take_along_axis(likeness, order, axis=1) > 0, order, -1)
+    words = _nearest(joined, _vocabulary(_some(joined, _CLUSTERED, rng), rng))
+    similarity = _similarity(owners, words, len(sampled))
+    np.fill_diagonal(similarity, 0.0)
+    order = np.argsort(-similarity, axis=1, kind="stable")[:, :count]
+    return np.where(np.take_along_axis(similarity, order, axis=1) > 0, order, -1)
 
 
-def _likeness(owners: np.ndarray, words: np.ndarray, photos: int) -> np.ndarray:
-    """[n, n] cosines between the photos' counts of words, where rare words weigh more."""
+def _similarity(owners: np.ndarray, words: np.ndarray, photos: int) -> np.ndarray:
+    """Cosine similarities [n, n] of the photos' word counts, with inverse document frequency."""
     counts = np.zeros((photos, _WORDS))
     np.add.at(counts, (owners, words), 1.0)
     having = (counts > 0).sum(axis=0)
@@ -49,27 +49,27 @@ def _likeness(owners: np.ndarray, words: np.ndarray, photos: int) -> np.ndarray:
     return weighed @ weighed.T
 
 
-def _vocabulary(learnt: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """[w, d] float32, middles of groups of features (k-means); at most `_WORDS`."""
-    middles = _some(learnt, _WORDS, rng)
+def _vocabulary(features: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Cluster centres [w, d] float32 of features (k-means); w is at most `_WORDS`."""
+    centers = _some(features, _WORDS, rng)
     for _ in range(_ROUNDS):
-        groups = _nearest(learnt, middles)
-        sizes = np.bincount(groups, minlength=len(middles))
-        sums = np.zeros_like(middles)
-        np.add.at(sums, groups, learnt)
-        middles = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], middles)
-    return middles
+        clusters = _nearest(features, centers)
+        sizes = np.bincount(clusters, minlength=len(centers))
+        sums = np.zeros_like(centers)
+        np.add.at(sums, clusters, features)
+        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centers)
+    return centers
 
 
-def _nearest(features: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """[m] int64: the middle nearest to each feature."""
-    half = 0.5 * (middles**2).sum(axis=1)
+def _nearest(features: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """Index [m] int64 of the centre nearest to each feature."""
+    half = 0.5 * (centers**2).sum(axis=1)
     parts = [features[i : i + _BLOCK] for i in range(0, len(features), _BLOCK)]
-    return np.concatenate([np.argmin(half - part @ middles.T, axis=1) for part in parts])
+    return np.concatenate([np.argmin(half - part @ centers.T, axis=1) for part in parts])
 
 
 def _some(rows: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:
-    """At most so many of the rows, in their order."""
+    """A random sample of at most `most` rows, in their order."""
     if len(rows) <= most:
         return rows
     return rows[np.sort(rng.choice(len(rows), most, replace=False))]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from .search_request import SearchRequest
 
 ENOUGH = 0.9
-"""Share of the photos in the largest model with which no further attempt is made."""
+"""Share of the photos in the largest model from which no further attempt is made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class Attempt:
 
     @property
     def database(self) -> str:
-        """File of the features and matches, which attempts may share."""
+        """File name of the features and matches, which attempts may share."""
         return "rich.db" if self.rich else "usual.db"
 
 

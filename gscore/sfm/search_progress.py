@@ -18,7 +18,7 @@ class SearchProgress:
     def __init__(self, show: Show) -> None:
         self.show = show
         self.forecast: Forecast | None = None
-        """Of the current attempt; None before the first."""
+        """Forecast of the current attempt; None before the first."""
         self.warnings: list[str] = []
         """Messages of all `Warn` events so far."""
 

@@ -36,11 +36,11 @@ class SearchRequest:
     apart: Path | None = None
     """Folder of results, excluded from the photos."""
     masks: Path | None = None
-    """Folder of masks; None: `masks` among the photos or beside their folder `images`."""
+    """Folder of masks; None: `masks` among the photos or next to their folder `images`."""
     use_masks: bool = True
     """False: masks are ignored."""
     invert_masks: bool = False
-    """Masks are white where pixels do not count."""
+    """Masks are white at ignored pixels."""
     matching: str = "auto"
     """Choice of the image pairs: one of `MATCHERS`."""
     mapper: str = "auto"
@@ -48,9 +48,9 @@ class SearchRequest:
     camera_model: str = USUAL_LENS
     """COLMAP lens model; the default may become OPENCV if it fits badly."""
     focal_length: float = 0.0
-    """Focal length of all photos, px; 0: from EXIF, else that of a usual lens."""
+    """Focal length of all photos, px; 0: from EXIF, else that of a typical lens."""
     threads: int = 0
-    """CPU threads; 0: one a core."""
+    """CPU threads; 0: one per core."""
 
     def __post_init__(self) -> None:
         checked_threads(self.threads)

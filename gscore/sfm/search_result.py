@@ -13,7 +13,7 @@ from .gps_scale import Gps
 _BLURRED = 1.5
 """Mean reprojection error, px, above which photos or lens model are suspect."""
 _SHORT_TRACKS = 2.7
-"""Photos that show a point, in the mean, below which photos are too few or too far apart."""
+"""Mean track length below which photos are too few or too far apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class SearchResult:
     registered: int
     """Photos with a camera pose."""
     models: tuple[tuple[str, ...], ...]
-    """Names of the photos of every model, the largest first; it alone is kept."""
+    """Names of the photos of every model, the largest first; only that one is kept."""
     alone: tuple[str, ...]
     """Photos in no model."""
     blurred: tuple[str, ...] = ()
@@ -37,9 +37,9 @@ class SearchResult:
     reprojection_px: float
     """Mean over the points."""
     track_length: float
-    """Photos that show a point, in the mean."""
+    """Mean number of photos that show a point."""
     cameras: tuple[dict[str, Any], ...]
-    """Model, size and focal length in px of each camera."""
+    """Lens model, size and focal length of each camera, px."""
     lens: str = ""
     """Message if the lens model differs from the requested one; else empty."""
     in_metres: bool = False
@@ -54,7 +54,7 @@ class SearchResult:
     warnings: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
-        """Facts for JSON; `models` is their number, `others` the photos of all but the largest."""
+        """Result for JSON; `models` is their number, `others` the photos of all but the largest."""
         return vars(self) | {
             "output": str(self.output),
             "models": len(self.models),
@@ -81,32 +81,32 @@ class SearchResult:
         ]
 
     def _findings(self) -> list[str]:
-        told = left_out_text(self.models[1:], self.alone)
+        messages = left_out_text(self.models[1:], self.alone)
         if self.blurred:
-            told.append(
-                f"{count_words(len(self.blurred), 'photo is', 'photos are')} blurred against the "
-                f"others: {listing(list(self.blurred))}. Without them splats come out sharper."
+            messages.append(
+                f"{count_words(len(self.blurred), 'photo is', 'photos are')} more blurred than the "
+                f"others: {listing(list(self.blurred))}. Without them splats become sharper."
             )
         if self.jumps:
-            told.append(
+            messages.append(
                 f"The exposure jumps in {count_words(len(self.jumps), 'photo')}: "
-                f"{listing(list(self.jumps))}. Fix it in the camera, or even the photos out."
+                f"{listing(list(self.jumps))}. Lock it in the camera, or equalise the photos."
             )
         if self.reprojection_px > _BLURRED:
-            told.append(
+            messages.append(
                 "The error is high: photos may be blurred or scaled by different factors, or the "
-                "lens bends more than --camera-model tells; try --camera-model OPENCV."
+                "lens has more distortion than --camera-model describes; try --camera-model OPENCV."
             )
         if self.track_length < _SHORT_TRACKS:
-            told.append(
+            messages.append(
                 "Few photos show the same points: more photos, closer together, would make "
-                "cameras surer."
+                "cameras more accurate."
             )
-        return told or ["All is well: every photo has its place."]
+        return messages or ["No problems found: every photo has a camera."]
 
 
 def model_names(model: Any, names: dict[str, str]) -> tuple[str, ...]:
-    """Names of the photos of pycolmap's Reconstruction, sorted; `names` by alias."""
+    """Names of the registered photos of a pycolmap Reconstruction, sorted; `names` by alias."""
     aliases = [model.images[i].name for i in model.reg_image_ids()]
     return tuple(names[alias] for alias in sorted(aliases))
 
@@ -128,21 +128,21 @@ def camera_facts(model: Any) -> tuple[dict[str, Any], ...]:
 def attempt_text(best: int, photos: int, name: str) -> str:
     """Message before a further attempt."""
     had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
-    return f"So far {had} found a place. Trying again {name}."
+    return f"So far {had} got a camera. Trying again {name}."
 
 
 def focal_text(cameras: list[tuple[float, bool]]) -> str:
     """Message on focal lengths that the photos do not constrain.
 
     Args:
-        cameras: The focal length of each in px, and whether it was stated.
+        cameras: Focal length of each in px, and whether it was stated.
     """
     lengths = sorted({round(length) for length, _ in cameras})
     shown = f"{lengths[0]} px" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} px"
-    whence = "stated" if all(stated for _, stated in cameras) else "that of a usual lens"
+    source = "stated" if all(stated for _, stated in cameras) else "that of a typical lens"
     return (
         "The photos do not constrain the focal length: others fit as well, for example if the "
-        f"camera only moves ahead. It is set to {shown}, {whence}; if you know it "
+        f"camera only moves ahead. It is set to {shown}, {source}; if you know it "
         "better, give it with --focal-length."
     )
 
@@ -159,23 +159,23 @@ def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
     """Messages on GPS outliers and on an unknown scale or up direction; `names` by alias."""
     if gps.contradicts is not None:
         return [
-            "GPS in EXIF gives the capture no size and no up: it contradicts the positions of the "
-            f"cameras, by {_length(gps.contradicts)} for a typical photo."
+            "GPS in EXIF is not used for scale and up direction: it contradicts the camera "
+            f"positions, by {_length(gps.contradicts)} for a typical photo."
         ]
     sentences = []
     if gps.strays:
-        told = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.strays[:5]]
-        more = ", ..." if len(gps.strays) > len(told) else ""
+        outliers = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.strays[:5]]
+        more = ", ..." if len(gps.strays) > len(outliers) else ""
         sentences.append(
-            f"GPS in EXIF of {count_words(len(gps.strays), 'photo')} is far from where the others "
-            f"place it, and was not used for size and up: {', '.join(told)}{more}."
+            f"GPS in EXIF of {count_words(len(gps.strays), 'photo')} is an outlier, and was not "
+            f"used for scale and up direction: {', '.join(outliers)}{more}."
         )
     if gps.metres is not None and gps.up is None:
         off = "by any angle" if gps.tilt > 45 else f"by {gps.tilt:.0f} degrees"
         sentences.append(
-            "GPS in EXIF gives the size of the capture but not its up direction: it may be off "
-            f"{off}, because the photos lie near one line or GPS is too coarse for a capture so "
-            "small. Up is taken from the cameras, as people hold them."
+            "GPS in EXIF gives the scale of the capture but not its up direction: it may be off "
+            f"{off}, because the photos are near one line or GPS is too coarse for so small a "
+            "capture. The up direction is estimated from the cameras."
         )
     return sentences
 

@@ -24,22 +24,23 @@ from .search_request import SearchRequest
 from .video_frames import IMAGES, check_room
 
 RECORD = "sources.json"
-"""File among the photos that says which sources they are from."""
+"""File among the photos that records their sources."""
 _PHASE = "gathering photos"
 
 
 def is_staged(request: SearchRequest, sources: Sequence[Path]) -> bool:
-    """Whether the photos of sources must be put together, or made JPEG, before the search."""
+    """Whether the photos must be collected in one folder, or converted to JPEG, before the
+    search."""
     if len(sources) > 1:
         return True
     (source,) = sources
     if not source.is_dir() or photo_folder(source).resolve() == (request.output / IMAGES).resolve():
-        return False  # what lies in the capture already stays as it is
+        return False  # photos already in the capture stay unchanged
     return has_heic(source)
 
 
 def has_heic(folder: Path) -> bool:
-    """Whether HEIC photos lie there that can be read here."""
+    """Whether a folder contains HEIC photos and pillow-heif is installed."""
     return bool(heic.readable(list_photos(photo_folder(folder), ())[1])[0])
 
 
@@ -51,25 +52,26 @@ def stage_photos(
     on_event: Callable[[Event], None] = lambda event: None,
     control: Control | None = None,
 ) -> SearchRequest:
-    """Put all photos and frames into `images` of the capture, and say where to look for cameras.
+    """Put all photos and frames into `images` of the capture; return the request to search them.
 
-    Each of several sources gets a folder there, of its own name or with a number behind. Photos are
-    linked where the file system can, HEIC becomes JPEG, masks go into `masks` of the capture. What
-    the same sources gave before stays. The folder appears with one rename.
+    Each of several sources gets a folder there, with its own name or with a number appended. Photos
+    are linked if the file system supports it, HEIC is converted to JPEG, masks go into `masks` of
+    the capture. Photos staged earlier from the same sources are reused. The folder appears with one
+    rename.
 
     Args:
-        request: Its output is the capture; what it says of photos is not read.
+        request: Its output is the capture; its `photos` is ignored.
         sources: Folders of photos, and videos.
-        frames: Of each video, how many at most; 0: as many as the motion asks for.
-        on_event: Told how far it is.
-        control: Asked whether to stop.
+        frames: Maximum number per video; 0: chosen by the motion.
+        on_event: Receiver of progress events.
+        control: Source of stop requests.
 
     Raises:
-        Cancelled: `control` said so; nothing is left behind.
-        ConfigError: sources lie in each other, or the capture's folder holds something else.
-        DatasetError: a source is not there, or holds no photo.
-        FormatError: a photo of a kind that is changed cannot be read.
-        GsError: a video cannot be read, or the photos not be written.
+        Cancelled: `control` requested a stop; no files are left.
+        ConfigError: a source is inside another, or the capture's folder contains other files.
+        DatasetError: a source does not exist, or has no photos.
+        FormatError: a HEIC photo cannot be read.
+        GsError: a video cannot be read, or the photos cannot be written.
     """
     named = _named(sources)
     place = request.output / IMAGES
@@ -77,19 +79,19 @@ def stage_photos(
         if (found := staged_photos(request, sources, frames=frames)) is not None:
             return found
         raise ConfigError(
-            f"{brief(place)} holds photos of other sources. Choose a new folder with -o, or remove "
-            "that one."
+            f"{brief(place)} contains photos of other sources. Choose a new folder with -o, or "
+            "remove that one."
         )
     state = _state(request, sources, frames)
     check_room(request.output)
     work = request.output.absolute() / f".{IMAGES}.gather"
     made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
     try:
-        shutil.rmtree(work, ignore_errors=True)  # of a killed call: it is soon made again
+        shutil.rmtree(work, ignore_errors=True)  # of a killed call; quick to redo
         (work / IMAGES).mkdir(parents=True)
         for source, name in named:
-            gathering = _Gathering(request, source, name, work, on_event, control or Control())
-            gathering.run(frames)
+            staging = _SourceStaging(request, source, name, work, on_event, control or Control())
+            staging.run(frames)
         atomic_write(work / IMAGES / RECORD, json.dumps(state).encode())
         if (work / MASK_FOLDER).exists():
             (work / MASK_FOLDER).rename(request.output / MASK_FOLDER)
@@ -100,31 +102,31 @@ def stage_photos(
         shutil.rmtree(work, ignore_errors=True)
         if not place.exists():
             remove_empty(made)
-    return _of_gathered(request, sources)
+    return _staged_request(request, sources)
 
 
 def staged_photos(
     request: SearchRequest, sources: Sequence[Path], *, frames: int = 0
 ) -> SearchRequest | None:
-    """The request for cameras of what the same sources gave before; None where they gave nothing.
+    """The request for photos staged earlier from the same sources; None: there are none.
 
     Raises:
-        DatasetError: a source is not there.
+        DatasetError: a source does not exist.
     """
     state = _state(request, sources, frames)
     try:
         there = parse_json(read_bytes(request.output / IMAGES / RECORD))
     except (GsError, ValueError):
         return None
-    return _of_gathered(request, sources) if there == state else None
+    return _staged_request(request, sources) if there == state else None
 
 
-def _of_gathered(request: SearchRequest, sources: Sequence[Path]) -> SearchRequest:
+def _staged_request(request: SearchRequest, sources: Sequence[Path]) -> SearchRequest:
     return replace(request, photos=request.output, video=sources[0])
 
 
 def remove_empty(folders: Sequence[Path]) -> None:
-    """Remove those of the folders, innermost first, in which nothing lies."""
+    """Remove empty folders, innermost first, up to the first that is not empty."""
     for folder in folders:
         try:
             folder.rmdir()
@@ -132,8 +134,8 @@ def remove_empty(folders: Sequence[Path]) -> None:
             return
 
 
-class _Gathering:
-    """One source, put into the folder that becomes `images`."""
+class _SourceStaging:
+    """Staging of one source in the folder that becomes `images`."""
 
     def __init__(
         self,
@@ -149,19 +151,19 @@ class _Gathering:
 
     def run(self, frames: int) -> None:
         if is_video(self._source):
-            asked = ExtractRequest(video=self._source, output=self._target, frames=frames)
-            extract_frames(asked, on_event=self._show, control=self._control)
+            extraction = ExtractRequest(video=self._source, output=self._target, frames=frames)
+            extract_frames(extraction, on_event=self._show, control=self._control)
             return
         root = photo_folder(self._source)
         photos = _photos(self._request, root)
         if not photos:
             raise DatasetError(
-                f"{root} holds no photo. Leave it out, or give the folder of the photos."
+                f"{root} contains no photos. Leave it out, or give the folder of the photos."
             )
-        asked = self._request.masks if not self._name else None  # one for all is asked for later
+        own = self._request.masks if not self._name else None  # one for all is read later
         found = {}
         if self._request.use_masks:
-            found = masks.find_masks(masks.mask_folder(root, asked), root, photos)
+            found = masks.find_masks(masks.mask_folder(root, own), root, photos)
         for done, name in enumerate(photos, 1):
             if self._control.stopping:
                 raise Cancelled("Gathering the photos was stopped.")
@@ -186,7 +188,7 @@ class _Gathering:
 
 
 def _named(sources: Sequence[Path]) -> list[tuple[Path, str]]:
-    """The sources, each with the name of its folder; a single one needs none."""
+    """The sources, each with the name of its folder; empty for a single source."""
     whole = [source.resolve() for source in sources]
     for i, path in enumerate(whole):
         for j, other in enumerate(whole):
@@ -194,8 +196,8 @@ def _named(sources: Sequence[Path]) -> list[tuple[Path, str]]:
                 raise ConfigError(
                     f"{brief(sources[i])} was given twice."
                     if path == other
-                    else f"{brief(sources[i])} lies in {brief(sources[j])}: its photos would count "
-                    "twice. Leave it out."
+                    else f"{brief(sources[i])} is inside {brief(sources[j])}: its photos would "
+                    "count twice. Leave it out."
                 )
     if len(sources) == 1:
         return [(sources[0], "")]
@@ -204,7 +206,7 @@ def _named(sources: Sequence[Path]) -> list[tuple[Path, str]]:
 
 
 def _free(path: Path, taken: set[str]) -> str:
-    """A name that no other source has, also where file systems do not tell cases apart."""
+    """A unique folder name for a source, also on case-insensitive file systems."""
     own = path.stem if is_video(path) else path.name
     if own.lower() in (IMAGES, "input") and path.parent.name:
         own = path.parent.name
@@ -217,13 +219,13 @@ def _free(path: Path, taken: set[str]) -> str:
 
 
 def _photos(request: SearchRequest, root: Path) -> list[str]:
-    """Names of the photos of a folder, those that become JPEG too."""
+    """Names of the photos of a folder, including those to convert to JPEG."""
     names, unread = list_photos(root, excluded_folders(request, root))
     return names + heic.readable(unread)[0]
 
 
 def _state(request: SearchRequest, sources: Sequence[Path], frames: int) -> dict[str, Any]:
-    """What calls have in common that give the same photos, as JSON values."""
+    """Key of reusable staged photos, as JSON values."""
     return {"sources": [_stamps(request, path) for path in sources], "frames": frames}
 
 

@@ -24,30 +24,30 @@ def with_frames(
     on_event: Callable[[Event], None] = lambda event: None,
     control: Control | None = None,
 ) -> SearchRequest:
-    """The search for the photos that a request means: as given, or the frames of its video.
+    """Extract the frames of a video; return the request to search them.
 
-    Frames go into `images` of the capture, in which the cameras are then found in place; frames
-    that are there already are not taken again.
+    Frames go into `images` of the capture, where the cameras are then found in place; existing
+    frames are reused. A request for photos is returned unchanged.
 
     Args:
         request: Its `photos` may be a video.
-        frames: How many at most; 0: as many as the motion asks for.
-        on_event: Told how far it is.
-        control: Asked whether to stop.
+        frames: Maximum number; 0: chosen by the motion.
+        on_event: Receiver of progress events.
+        control: Source of stop requests.
 
     Raises:
-        Cancelled: `control` said so; nothing is left behind.
-        ConfigError: the capture's folder holds something else, or cameras already.
-        GsError: the video cannot be read, or the frames not be written; see `extract_frames`.
+        Cancelled: `control` requested a stop; no files are left.
+        ConfigError: the capture's folder contains other files, or already has cameras.
+        GsError: the video cannot be read, or the frames cannot be written; see `extract_frames`.
     """
     if not is_video(request.photos):
         return request
     check_without_cameras(request.output)
-    asked = frames_request(request, frames)
+    extraction = frames_request(request, frames)
     check_room(request.output)
     made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
     try:
-        extract_frames(asked, on_event=on_event, control=control)
+        extract_frames(extraction, on_event=on_event, control=control)
     except BaseException:
         for folder in made:
             with contextlib.suppress(OSError):
@@ -57,18 +57,18 @@ def with_frames(
 
 
 def frames_request(request: SearchRequest, frames: int = 0) -> ExtractRequest:
-    """Which frames of the request's video are taken, and where to."""
+    """The extraction of the request's video into its capture."""
     return ExtractRequest(video=request.photos, output=request.output / IMAGES, frames=frames)
 
 
 def of_frames(request: SearchRequest) -> SearchRequest:
-    """The request for cameras of the frames, once they are there."""
+    """The request to search the extracted frames."""
     return replace(request, photos=request.output, video=request.photos)
 
 
 def check_room(capture: Path) -> None:
-    """Raise ConfigError where photos put into `images` of a capture would mix with other files."""
+    """Raise ConfigError if photos put into `images` of a capture would mix with other files."""
     if (capture / IMAGES).exists() or not capture.exists():
-        return  # of that folder the rules of what is put into it hold
+        return  # the caller checks an existing folder of photos
     if not capture.is_dir() or any(not file.name.startswith(".") for file in capture.iterdir()):
         raise ConfigError(f"{brief(capture)} is not empty. Choose a new folder with -o.")

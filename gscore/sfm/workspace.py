@@ -28,17 +28,17 @@ _MODEL = "sparse"
 
 
 class Workspace:
-    """A hidden folder beside the capture: what a stopped search goes on from."""
+    """A hidden folder next to the capture, from which a stopped search resumes."""
 
     def __init__(self, capture: Path, root: Path) -> None:
         """Name the workspace of the photos in `root`.
 
         Raises:
-            ConfigError: the capture's folder holds something, or cameras already.
+            ConfigError: the capture's folder is not empty, or already has cameras.
         """
         self.capture, self.root = capture, root
-        self._place = whole = capture.resolve()  # a link stays; what it leads to is made
-        # Nothing can be renamed into another file system, nor what one is mounted on.
+        self._place = whole = capture.resolve()  # a link stays; its target is made
+        # A rename works within one file system only, and not on a mount point.
         self._inside = os.path.ismount(whole)
         self.folder = whole / ".sfm" if self._inside else whole.parent / f".{whole.name}.sfm"
         self._in_place = (capture / "images").resolve() == root.resolve()
@@ -48,29 +48,29 @@ class Workspace:
         self._check_room()
 
     def open(self, state: dict[str, Any]) -> bool:
-        """Make the folder; whether it goes on from a search for the same photos and options.
+        """Create the folder; True if it resumes a search for the same photos and options.
 
         Raises:
-            ConfigError: a folder of this name holds something else.
-            GsError: it cannot be written, or another search works in it.
+            ConfigError: a folder of this name contains other files.
+            GsError: it cannot be written, or another search uses it.
         """
         self._lock.take()
         try:
-            self._check_room()  # another search may have ended since it was first looked at
-            with _told(self.folder):
-                return self._goes_on(state)
+            self._check_room()  # another search may have ended since the first check
+            with _as_gs_error(self.folder):
+                return self._resumes(state)
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
-        """Let the next search in; the folder stays unless it is empty."""
+        """Release the lock; the folder stays unless it is empty."""
         self._lock.release()
         with contextlib.suppress(OSError):
             self.folder.rmdir()
 
     def discard(self) -> None:
-        """Leave nothing behind, not even the folders that were made above it."""
+        """Remove all files, and the empty folders that were made above the capture."""
         with contextlib.suppress(OSError):
             self._clear()
         self.close()
@@ -86,21 +86,21 @@ class Workspace:
                 "`images` the photos are."
             )
 
-    def _goes_on(self, state: dict[str, Any]) -> bool:
+    def _resumes(self, state: dict[str, Any]) -> bool:
         if any(path.name != _LOCK for path in self.folder.iterdir()):
             if self._state() == state:
                 return True
             if self._state() is None:
                 raise ConfigError(
-                    f"{self.folder} is where cameras are to be found, but holds something "
-                    "else. Move it away, or choose another output with -o."
+                    f"{self.folder} is needed for the camera search, but contains other files. "
+                    "Move it away, or choose another output with -o."
                 )
             self._clear()
         atomic_write(self.folder / _STATE, json.dumps(state).encode())
         return False
 
     def _clear(self) -> None:
-        """Remove all but the lock, and what tells whose folder it is last of all."""
+        """Remove all files but the lock, the state, which identifies the folder, last."""
         paths = [path for path in self.folder.iterdir() if path.name != _LOCK]
         for path in sorted(paths, key=lambda path: path.name == _STATE):
             if path.is_dir() and not path.is_symlink():
@@ -115,29 +115,29 @@ class Workspace:
 
     @property
     def masks(self) -> Path:
-        """Folder of their masks, white where features are looked for."""
+        """Folder of their masks, white where features are extracted."""
         return self.folder / "masks"
 
     def link_photos(self, photos: list[Photo], stamps: list[list[Any]]) -> None:
-        """Make `links`; those of an earlier search stay.
+        """Fill `links`; links of an earlier search stay.
 
         Args:
             photos: The photos.
-            stamps: Of all in the folder, from before they were read.
+            stamps: Stamps of all photos in the folder, from before they were read.
 
         Raises:
             DatasetError: a photo changed since its stamp was taken.
-            GsError: it cannot be written.
+            GsError: a link cannot be written.
         """
         known = {stamp[0]: stamp for stamp in stamps}
-        with _told(self.links):
+        with _as_gs_error(self.links):
             self.links.mkdir(exist_ok=True)
             for photo in photos:
                 link = self.links / photo.alias
                 if _stamp(photo, link) != known[photo.name]:
                     link.unlink(missing_ok=True)
                     link_or_copy(self.root / photo.name, link)
-        # A copy's own stamp: some file systems keep coarser times.
+        # A copy has its own stamp, because some file systems store coarser times.
         self._searched = {
             photo: (known[photo.name], _stamp(photo, self.links / photo.alias)) for photo in photos
         }
@@ -145,12 +145,12 @@ class Workspace:
             raise DatasetError(f"{_changed(changed)} Start again once the photos are complete.")
 
     def check_photos(self) -> list[str]:
-        """A sentence on photos that were replaced while those in `links` were searched.
+        """Messages on photos that were replaced while those in `links` were searched.
 
         Raises:
-            DatasetError: a photo that was searched was written to, so what was found is worthless.
-            GsError: photos of a capture, which get their cameras in place, were replaced; what was
-                found fits once the first ones are back.
+            DatasetError: a searched photo was written to, so the result is invalid.
+            GsError: photos of a capture that gets its cameras in place were replaced; the result is
+                valid once the original photos are back.
         """
         written = [
             photo.name
@@ -162,17 +162,17 @@ class Workspace:
         replaced = self._replaced()
         if replaced and self._in_place:
             raise GsError(
-                f"{_changed(replaced)} Put the first ones back and start again, which goes on from "
-                "what was found; or start again with the photos as they are."
+                f"{_changed(replaced)} Put the original ones back and start again to resume, or "
+                "start again with the new photos."
             )
         return [
-            f"{_changed(names)} {self.capture} holds them as they were when the search began."
+            f"{_changed(names)} {self.capture} contains them as they were when the search began."
             for names in [replaced]
             if names
         ]
 
     def _replaced(self) -> list[str]:
-        """Names of photos that are not what they were when the search began."""
+        """Names of photos that changed since the search began."""
         return [
             photo.name
             for photo, (known, _) in self._searched.items()
@@ -182,23 +182,22 @@ class Workspace:
     def publish(
         self, model: Any, photos: list[Photo], record: str, *, up: np.ndarray | None = None
     ) -> None:
-        """Put the capture in its place with one rename, and remove the rest.
+        """Move the capture to its output with one rename, and remove the intermediate files.
 
-        The photos of `links` are linked, which takes no space and holds them even where the first
-        name is removed or given to another file, and copied where the file system has no such
-        links.
+        The photos of `links` are hard-linked, which takes no space and keeps them even if the
+        original is removed or replaced, or copied if the file system does not support it.
 
         Args:
             model: pycolmap's Reconstruction; its images get the names of their photos.
-            photos: With these names.
-            record: What was found, and of which photos, as JSON.
-            up: [3], up in the model's world; None: not known.
+            photos: All photos of the search.
+            record: Result and photos of the search, as JSON.
+            up: Up direction [3] in the model's world; None: unknown.
 
         Raises:
             GsError: it cannot be written.
         """
         made = self.folder / _CAPTURE
-        with _told(self.capture):
+        with _as_gs_error(self.capture):
             shutil.rmtree(made, ignore_errors=True)
             sparse = made / _MODEL / "0"
             sparse.mkdir(parents=True)
@@ -217,14 +216,14 @@ class Workspace:
             self._clear()
 
     def _is_taken(self) -> bool:
-        """Whether something else than an empty folder is where the capture goes."""
+        """Whether the output exists and is not an empty folder."""
         if not self._place.is_dir():
             return self._place.exists()
         return any(path != self.folder for path in self._place.iterdir())
 
     def _put_in_place(self, made: Path) -> None:
         if self._inside:
-            for part in sorted(made.iterdir()):  # sparse last, which makes it a capture
+            for part in sorted(made.iterdir()):  # `sparse`, which makes it a capture, is last
                 part.rename(self._place / part.name)
             return
         with contextlib.suppress(FileNotFoundError):
@@ -261,16 +260,16 @@ def _changed(names: list[str]) -> str:
 
 
 def check_without_cameras(capture: Path) -> None:
-    """Raise ConfigError where a capture has cameras already."""
+    """Raise ConfigError if a capture already has cameras."""
     if (capture / _MODEL).exists():
         raise ConfigError(
-            f"{capture} holds cameras already, in {capture / _MODEL}. Remove that folder to find "
-            "them anew, or choose another output with -o."
+            f"{capture} already contains cameras, in {capture / _MODEL}. Remove that folder to "
+            "find new ones, or choose another output with -o."
         )
 
 
 @contextlib.contextmanager
-def _told(place: Path) -> Any:
+def _as_gs_error(place: Path) -> Any:
     try:
         yield
     except OSError as error:

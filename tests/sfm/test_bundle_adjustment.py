@@ -31,7 +31,7 @@ def test_squeezed_photos_get_two_focal_lengths(squeezed: Any) -> None:
     found = adjust(squeezed, may_free=True, expected={})
     (camera,) = squeezed.cameras.values()
     assert found.before is not None and found.before > adjusting.HIGH_ERROR
-    assert not found.held
+    assert not found.fixed
     assert camera.model_name == "OPENCV" and squeezed.num_points3D() == 150
     assert squeezed.compute_mean_reprojection_error() < 0.01
     assert camera.params[1] / camera.params[0] == pytest.approx(1200 / 900, rel=1e-3)
@@ -103,7 +103,7 @@ def test_a_walk_straight_ahead_keeps_the_expected_focal_length() -> None:
     ahead = [(np.array([0.0, 0.0, 0.5 * i]), 0.0) for i in range(10)]
     model = _observed(ahead, 600.0)
     found = adjust(model, may_free=True, expected={1: 700.0})
-    assert found.held and found.before is None
+    assert found.fixed and found.before is None
     assert model.cameras[1].params[0] == pytest.approx(700.0, rel=1e-9)
     assert abs(model.cameras[1].params[3]) < 0.05
     assert found.after < 0.8
@@ -114,7 +114,7 @@ def test_a_walk_straight_ahead_tells_how_the_lens_bends() -> None:
     ahead = [(np.array([0.0, 0.0, 0.5 * i]), 0.0) for i in range(10)]
     model = _observed(ahead, 600.0, bend=-0.1)
     found = adjust(model, may_free=True, expected={1: 600.0})
-    assert found.held
+    assert found.fixed
     assert model.cameras[1].params[3] == pytest.approx(-0.1, abs=0.02)
     assert found.after < 0.6
 
@@ -126,5 +126,5 @@ def test_a_walk_around_tells_the_focal_length() -> None:
               for t in turns]  # fmt: skip
     model = _observed(around, 600.0)
     found = adjust(model, may_free=True, expected={1: 700.0})
-    assert not found.held
+    assert not found.fixed
     assert model.cameras[1].params[0] == pytest.approx(600.0, rel=0.01)

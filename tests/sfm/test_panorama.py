@@ -138,5 +138,5 @@ def test_the_lens_model_of_panoramas_is_refused(photos: Path, tmp_path: Path, ca
     asked = ["sfm", str(photos), "-o", str(tmp_path / "found"), "--quiet"]
     assert main([*asked, "--camera-model", "EQUIRECTANGULAR"]) != 0
     told = " ".join(capsys.readouterr().err.split())
-    assert "camera_model EQUIRECTANGULAR is that of 360-degree photos" in told
+    assert "camera_model EQUIRECTANGULAR is for 360-degree photos" in told
     assert "v360=equirect:flat" in told and "Traceback" not in told

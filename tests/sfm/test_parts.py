@@ -126,14 +126,14 @@ def test_reasons_name_the_first_that_holds() -> None:
     many = np.array([900, 900, 900, 900])
     cases = {
         "too little texture": Overlap(np.array([3, 5, 900, 8]), 0, 0, ()),
-        "shows the same thing": Overlap(many, 0, 0, ()),
+        "no two of the": Overlap(many, 0, 0, ()),
         "no parallax": Overlap(many, 6, 6, ()),
         "2.jpg": Overlap(many, 2, 0, ("000002.jpg",)),
     }
     for words, overlap in cases.items():
         assert words in failure_reason(overlap, names)
     none = Overlap(np.zeros(4, np.int64), 0, 0, ())
-    assert "Half of the 4 photos have no feature at all, 100" in failure_reason(none, names)
+    assert "Half of the 4 photos have no features, at least 100" in failure_reason(none, names)
 
 
 def test_the_verdict_names_what_to_do() -> None:

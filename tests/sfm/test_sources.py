@@ -62,7 +62,7 @@ def test_two_folders_and_a_video_are_one_capture(views: Path, tmp_path: Path, ca
     assert (capture / "images/photos/0.png").stat().st_ino == (first / "0.png").stat().st_ino
 
     assert main(call) == 2
-    assert "holds cameras already" in capsys.readouterr().err
+    assert "already contains cameras" in capsys.readouterr().err
 
 
 def test_what_was_gathered_is_used_again(views: Path, tmp_path: Path, capsys: Out) -> None:
@@ -106,7 +106,7 @@ def test_sources_that_cannot_work_leave_nothing(views: Path, tmp_path: Path, cap
     for words, why in (
         ([first, first], "was given twice"),
         ([first, first / "inner"], "would count twice"),
-        ([first, tmp_path / "bare"], "holds no photo"),
+        ([first, tmp_path / "bare"], "contains no photos"),
         ([first, tmp_path / "none"], "There is no folder"),
         ([first, broken], "cannot be opened as a video"),
         ([first, noise, "--frames", 9], "is none"),

@@ -211,8 +211,8 @@ def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, caps
     (clone / ".git").mkdir()
     shutil.copytree(mine, above / "first" / "images")
     (above / "first" / "sparse").mkdir()
-    cases = {_screens(tmp_path / "docs"): "as screenshots are", clone: "is a git repository"}
-    for folder, words in (cases | {above: f"holds a capture, {above / 'first'}."}).items():
+    cases = {_screens(tmp_path / "docs"): "typical of screenshots", clone: "is a git repository"}
+    for folder, words in (cases | {above: f"contains a capture, {above / 'first'}."}).items():
         assert main(["info", str(folder), "--json"]) == 0
         facts = json.loads(capsys.readouterr().out)
         assert facts["next"] is None and words in facts["warnings"][0]
@@ -221,10 +221,12 @@ def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, caps
         assert "Next:" not in said and words in said
         assert any(words in problem.text for problem in bare_facts(folder).problems)
     assert _train(above, "-o", tmp_path / "refused") == 2
-    assert f"holds a capture, {above / 'first'}. Give" in " ".join(capsys.readouterr().err.split())
+    assert f"contains a capture, {above / 'first'}. Give" in " ".join(
+        capsys.readouterr().err.split()
+    )
     assert not (tmp_path / "refused").exists()
     assert _train(tmp_path / "docs", "-o", tmp_path / "out") == 2
-    assert "as screenshots are" in capsys.readouterr().err
+    assert "typical of screenshots" in capsys.readouterr().err
 
 
 def test_a_capture_with_broken_cameras_is_none_of_plain_photos(

@@ -42,7 +42,7 @@ def test_sfm_of_a_video_is_one_call(walk: Path, tmp_path: Path, capsys: Out) -> 
     assert {image.name for image in read_model(capture).images} == {frame.name for frame in frames}
 
     assert main(["sfm", str(walk), "-o", str(capture)]) == 2
-    assert "holds cameras already" in capsys.readouterr().err
+    assert "already contains cameras" in capsys.readouterr().err
 
 
 def test_a_training_takes_frames_once(walk: Path, tmp_path: Path, capsys: Out) -> None:
