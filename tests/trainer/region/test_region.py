@@ -278,7 +278,7 @@ def test_a_region_is_judged_by_its_own_pixels(
     ("text", "wrong"),
     [
         ("", "no region"),
-        ("[]", "names no box"),
+        ("[]", "has no box"),
         ('{"low": [0, 0, 0]}', "high"),
         ('{"low": [0, 0, 0], "high": [1, 0, 1]}', "low corner"),
         ('{"box": [[1, 2], [3, 4]]}', "4 x 4"),
