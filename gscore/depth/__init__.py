@@ -1,4 +1,4 @@
-"""Depth maps of a capture: prediction, reading, and alignment with the points of SfM."""
+"""Depth maps of a capture: prediction, reading, and alignment with the SfM points."""
 
 from .fit import Fit
 from .priors import DepthPrior, Priors, load_priors

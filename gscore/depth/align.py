@@ -8,25 +8,25 @@ from .maps import sample
 from .observations import Observations
 
 REVERSED = "the map is larger where the points are farther: it may hold depth"
-"""Why a map that falls where it should rise is refused."""
+"""Refusal of a map that decreases with inverse depth."""
 OFFICIAL_POINTS = 10
-"""The official rule wants more points than this."""
+"""The official rule requires more points than this."""
 OFFICIAL_RANGE = 1e-3
-"""The official rule wants a larger range of inverse depths than this, 1/world unit."""
+"""The official rule requires a larger range of inverse depths than this, 1/world unit."""
 LEAST_POINTS = 20
-"""Inliers that the robust rule wants."""
+"""Minimum number of inliers of the robust rule."""
 LEAST_SHARE = 0.3
-"""Share of inliers that the robust rule wants."""
+"""Minimum share of inliers of the robust rule."""
 _LEAST_SPREAD = 0.02
-"""Range of the points' inverse depths, relative to their median, below which no scale shows."""
+"""Minimum range of the points' inverse depths, relative to their median."""
 _LEAST_GAIN = 0.15
-"""Part of the points that agree by more than chance, of those that could."""
+"""Minimum share of inliers beyond chance, relative to the points that do not agree by chance."""
 _DEVIATIONS = 4.5
-"""Standard deviations by which they must be more; a search for the best line finds up to 4."""
+"""Minimum excess of the inliers over chance, standard deviations; the best line reaches up to 4."""
 _MOST_SLOPE_ERROR = 0.12
-"""Relative standard error of the scale above which it is as good as unknown."""
+"""Maximum relative standard error of the scale."""
 _LEAST_SLOPE = 1e-3
-"""Slope of map on points, both in units of their spread, that is as good as none."""
+"""Minimum slope of map on points, both in units of their spread."""
 _DRAWS = 500
 _ROUNDS = 20
 _HUBER = 1.345
@@ -36,16 +36,16 @@ _HUBER = 1.345
 def align_official(values: np.ndarray, seen: Observations) -> Fit:
     """The rule of the official 3DGS tools, exactly: medians and mean absolute deviations.
 
-    The map is read at the observed positions without the half pixel between COLMAP's and OpenCV's
-    pixel centres, both axes scaled by the ratio of heights, as those tools do. Its reliability is
-    decided among all views, by `scale_reason`.
+    As in those tools, the map is sampled at the observed positions without the half-pixel shift
+    between COLMAP's and OpenCV's pixel centres, with both axes scaled by the ratio of heights.
+    `scale_reason` then checks the scale against all views.
 
     Args:
         values: [H, W] float32, inverse depth up to an affine map, finite; PNG values / 65536.
         seen: The points of the view.
 
     Returns:
-        Scale and offset; both 0, and refused, with 10 points or fewer or a range of inverse depths
+        Scale and offset; both 0, and refused, for 10 points or fewer or a range of inverse depths
         of 1e-3 or less.
     """
     ratio = values.shape[0] / seen.height
@@ -75,18 +75,18 @@ def align_robust(
 ) -> Fit:
     """RANSAC over pairs of points, then least squares reweighted by Huber's function.
 
-    Maps err by per cents, points by tenths of one. So the map's values are regressed on the points'
-    inverse depths and not the reverse, which would flatten every noisy map.
+    Maps have errors of some per cent, points of some tenths of a per cent. So the map's values are
+    regressed on the points' inverse depths; the reverse would flatten every noisy map.
 
     Args:
         mono: [M] values of the map at the points, affine in inverse depth; NaN: unknown.
         inverse_depth: [M] of the points, 1/world unit.
-        weights: [M] positive trust in the points.
-        seed: Of the pairs drawn; same seed, same fit.
+        weights: [M] positive weights of the points.
+        seed: Random seed of the pairs; same seed, same fit.
 
     Returns:
-        The fit, refused with a reason if the points are few, lie at one depth, or do not follow
-        the map. Reliability among all views is for the caller to decide.
+        The fit, refused with a reason if the points are few, at one depth, or do not follow the
+        map. The caller checks the scale against all views.
     """
     use = np.isfinite(mono) & np.isfinite(inverse_depth) & (inverse_depth > 0) & (weights > 0)
     m, s, w = mono[use].astype(np.float64), inverse_depth[use].astype(np.float64), weights[use]
@@ -99,7 +99,7 @@ def align_robust(
     middle = float(np.median(s))
     low, high = np.quantile(s, (0.05, 0.95))
     if high - low < _LEAST_SPREAD * middle:
-        return none.refused("its points all lie at the same depth, which shows no scale")
+        return none.refused("its points are all at the same depth, which gives no scale")
     center = float(np.median(m))
     spread = float(np.subtract(*np.quantile(m, (0.95, 0.05))))
     if not spread > 1e-6 * max(abs(center), np.finfo(np.float32).tiny):
@@ -121,14 +121,14 @@ def align_robust(
         return fit.refused(REVERSED)
     if fit.slope_error > _MOST_SLOPE_ERROR:
         return fit.refused(
-            f"its points lie too close in depth for a map of this noise: the scale is only known "
+            f"its points are too close in depth for a map of this noise: the scale is only known "
             f"to {fit.slope_error:.0%}"
         )
     return fit
 
 
 def reliable(fits: list[Fit | None], median: float) -> list[Fit | None]:
-    """The fits, those refused whose scale differs too much from the median of all views."""
+    """Refuse fits whose scale differs too much from the median of all views."""
     out: list[Fit | None] = []
     for fit in fits:
         reason = scale_reason(fit.scale, median) if fit is not None and fit.accepted else ""
@@ -139,10 +139,10 @@ def reliable(fits: list[Fit | None], median: float) -> list[Fit | None]:
 def _ransac(
     m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float, seed: int
 ) -> tuple[float, float]:
-    """Slope and height of the line through two points with the least truncated misfit."""
+    """Slope and intercept of the line through two points with the least truncated misfit."""
     rng = np.random.default_rng(seed)
     first, second = rng.integers(0, len(m), (2, _DRAWS))
-    apart = np.abs(m[first] - m[second]) > 0.05  # nearer pairs say little about the slope
+    apart = np.abs(m[first] - m[second]) > 0.05  # close pairs do not constrain the slope
     if not apart.any():
         apart = m[first] != m[second]
     first, second = first[apart], second[apart]
@@ -158,10 +158,10 @@ def _ransac(
 def _refined(
     m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float, slope: float, height: float
 ) -> tuple[float, float]:
-    """Iteratively reweighted least squares of m on s from a line that is nearly right.
+    """Iteratively reweighted least squares of m on s from a good initial line.
 
-    Points farther off than three deviations do not count at all: Huber's function alone would let
-    many gross errors on one side pull the line.
+    Points beyond three deviations have weight 0: with Huber's function alone, many gross errors on
+    one side would bias the line.
     """
     for _ in range(_ROUNDS):
         off = np.abs(slope * m + height - s)
@@ -173,12 +173,12 @@ def _refined(
         weight = w * np.minimum(1.0, _HUBER * deviation / np.maximum(off, 1e-300)) * inside
         total = weight.sum()
         mean_m, mean_s = (weight * m).sum() / total, (weight * s).sum() / total
-        together = (weight * (m - mean_m) * (s - mean_s)).sum()
+        covariance = (weight * (m - mean_m) * (s - mean_s)).sum()
         variance = (weight * (s - mean_s) ** 2).sum()
-        if abs(together) <= 1e-12 * total or abs(together) < _LEAST_SLOPE * variance:
+        if abs(covariance) <= 1e-12 * total or abs(covariance) < _LEAST_SLOPE * variance:
             break
         before = slope, height
-        slope = float(variance / together)
+        slope = float(variance / covariance)
         height = float(mean_s - slope * mean_m)
         if abs(slope - before[0]) + abs(height - before[1]) < 1e-9:
             break
@@ -188,20 +188,20 @@ def _refined(
 def _misfit(
     slope: float, height: float, m: np.ndarray, s: np.ndarray, w: np.ndarray, near: float
 ) -> float:
-    """Weighted sum of squared differences, each counted up to that of the tolerance."""
+    """Weighted sum of squared differences, each truncated at the tolerance."""
     return float((w * np.minimum((slope * m + height - s) ** 2, near**2)).sum())
 
 
 def beyond_chance(line: np.ndarray, s: np.ndarray, w: np.ndarray, near: float) -> bool:
-    """Whether more points agree than would if each had the map's value of any other point.
+    """Whether more points agree than if each had the map's value of a random other point.
 
-    Where most points lie at one depth a flat line agrees with them whatever the map says.
+    Where most points are at one depth, a flat line agrees with them for any map.
 
     Args:
-        line: [M] what the map says at the points.
-        s: [M] what the points say.
+        line: [M] fitted values of the map at the points.
+        s: [M] values of the points.
         w: [M] positive weights.
-        near: Difference up to which they agree.
+        near: Maximum difference of agreeing values.
     """
     weight = w / w.sum()
     share = float(weight[np.abs(line - s) <= near].sum())

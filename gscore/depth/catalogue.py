@@ -1,11 +1,11 @@
 """Catalogue of depth networks: URLs of their ONNX files, licences, input formats.
 
-Sizes and SHA-256 are those that the hub's pages and at least one other project that pins the file
-state; where only one source could be found, the entry says so. No file could be downloaded when
-this table was written: what a network expects and gives is taken from its authors' code.
+Sizes and SHA-256 are from the hub's pages and at least one other project that pins the file; an
+entry with one source has a comment. Input and output formats are from the authors' code; no file
+was downloaded to verify them.
 
-Left out: MiDaS and DPT exports of unknown making; Depth Anything V2 Large (1.3 GB); metric versions
-of Depth Anything, for which no export with a stable address was found.
+Left out: MiDaS and DPT exports of unknown origin; Depth Anything V2 Large (1.3 GB); metric versions
+of Depth Anything, for which no export with a stable URL was found.
 """
 
 from dataclasses import dataclass
@@ -16,29 +16,29 @@ from .network import Normalization
 
 @dataclass(frozen=True, kw_only=True)
 class KnownNetwork:
-    """A network that can be had by its name."""
+    """A network that can be downloaded by its name."""
 
     name: str
     repository: str
-    """On huggingface.co."""
+    """Repository on huggingface.co."""
     file: str
-    """In the repository."""
+    """Path in the repository."""
     revision: str
-    """Commit, so that the file stays the same."""
+    """Commit that pins the file."""
     bytes: int
-    """Of the file; where it was stated rounded, so is this."""
+    """Size of the file; rounded if its source is."""
     sha256: str
     licence: str
     normalization: Normalization
     kind: DepthKind
     input: str
-    """Pixels of its input, for people."""
+    """Description of the input size, px."""
     source: str
-    """Of the weights."""
+    """URL of the authors' code and weights."""
 
     @property
     def page(self) -> str:
-        """Where a user can look at it."""
+        """URL of the model page."""
         return f"https://huggingface.co/{self.repository}"
 
 
@@ -70,7 +70,7 @@ NETWORKS = (
         input="518 on the shorter side",
         source="https://github.com/DepthAnything/Depth-Anything-V2",
     ),
-    # The file of MiDaS' own release v2_1; its graph normalises by itself, from [0, 1].
+    # The file of MiDaS' own release v2_1; its graph includes the normalization, from [0, 1].
     KnownNetwork(
         name="midas-v2.1-small",
         repository="julienkay/sentis-MiDaS",
@@ -99,11 +99,11 @@ NETWORKS = (
         source="https://huggingface.co/Intel/dpt-hybrid-midas",
     ),
 )
-"""In the order in which they are listed."""
+"""Known networks, in the order of `--list-models`."""
 
 
 def known(name: str) -> KnownNetwork | None:
-    """The network of a name; None: there is none."""
+    """The network of this name, in any case; None: unknown."""
     return next((network for network in NETWORKS if network.name == name.lower()), None)
 
 

@@ -1,7 +1,7 @@
 """Depth chart: a depth map with its camera, for points in the world and their depths.
 
-Values of a map become tones, 0 at its far end and 1 at its near end, so that two positive numbers,
-the inverse depths at the ends, place it in the world whatever its own numbers are.
+Values of a map are normalised to tones, 0 at its far end and 1 at its near end, so that two
+positive numbers, the inverse depths at the ends, define its scale and offset.
 """
 
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from .samples import Samples, grid_step
 _ENDS = (0.02, 0.98)
 """Quantiles of a map's values at its ends."""
 _LEAST_PIXELS = 50
-"""Sure pixels of the grid that a map needs to be compared with others."""
+"""Minimum number of confident pixels of the grid to compare a map with others."""
 _SURE = 0.5
-"""Confidence from which a pixel lies on a surface and not on an edge."""
+"""Minimum confidence of a pixel on a surface, not on an edge."""
 _LEAST_POINTS = 8
-"""Points of a view that say something of where its map lies."""
+"""Minimum number of points in a view to use them."""
 _FLOOR = 1e-3
-"""No inverse depth is smaller than this part of that at the near end."""
+"""Minimum inverse depth, relative to that at the near end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """A map ready to be compared with others. P sampled pixels, M points."""
+    """A depth map prepared for comparison with others. P sampled pixels, M points."""
 
     low: float
     """The map's value at tone 0."""
@@ -39,17 +39,17 @@ class Chart:
     step: int
     """Pixels between two columns of the grid, and two rows."""
     size: tuple[int, int]
-    """Of the camera, width and height in pixels."""
+    """Width and height of the camera, px."""
     K: np.ndarray
     """[3, 3], pixels."""
     viewmat: np.ndarray
     """[4, 4], world to camera."""
     tones: np.ndarray
-    """[P] float64 at sure pixels."""
+    """[P] float64 at the sampled, confident pixels."""
     directions: np.ndarray
-    """[P, 3] world vectors of these pixels, as long as one unit of camera z."""
+    """[P, 3] rays of these pixels in the world, scaled to camera z = 1."""
     point_tones: np.ndarray
-    """[M] float64 where the view's own points are seen."""
+    """[M] float64 at the view's own points."""
     point_inverse: np.ndarray
     """[M] float64 positive, 1/world unit."""
     point_weights: np.ndarray
@@ -57,21 +57,21 @@ class Chart:
 
     @property
     def center(self) -> np.ndarray:
-        """[3] place of the camera, world."""
+        """[3] camera centre, world."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def points(self, inverse_depth: np.ndarray) -> np.ndarray:
-        """[..., P, 3] in the world, of the sampled pixels at inverse depths [..., P]."""
+        """World positions [..., P, 3] of the sampled pixels at inverse depths [..., P]."""
         return self.center + self.directions / inverse_depth[..., None]
 
     def look_up(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the map shows where points lie: tones, NaN outside, and inverse camera z.
+        """Tones of the map at points, NaN outside the picture, and the points' inverse depths.
 
         Args:
             points: [..., 3], world.
 
         Returns:
-            [...] and [...] float64; the latter 1 behind the camera.
+            [...] and [...] float64; the inverse depth is 1 behind the camera.
         """
         local = points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
         front = local[..., 2] > 0
@@ -84,7 +84,7 @@ class Chart:
         return tones, 1 / z
 
     def ends(self, fit: Fit) -> np.ndarray | None:
-        """[2] inverse depths at tones 0 and 1 as a fit has them; None where one is not positive."""
+        """[2] inverse depths of a fit at tones 0 and 1; None if one is not positive."""
         ends = fit.scale * np.array([self.low, self.high]) + fit.offset
         return ends if ends[0] > _FLOOR * ends[1] > 0 else None
 
@@ -94,11 +94,11 @@ class Chart:
         return float(scale), float(ends[0] - scale * self.low)
 
     def uncertainty(self, ends: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
-        """`center`, `deviation` and `noise` of a Fit whose expected error is that of these ends.
+        """`center`, `deviation` and `noise` of a Fit, from the uncertainty of its ends.
 
         Args:
             ends: [2] inverse depths at tones 0 and 1.
-            covariance: [2, 2] of their logs.
+            covariance: [2, 2] covariance of their logs.
         """
         # Inverse depth = constant + tone * slope, both linear in the ends.
         constant, slope = np.array([ends[0], 0.0]), np.array([-ends[0], ends[1]])
@@ -114,12 +114,12 @@ class Chart:
 
 
 def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Chart | None:
-    """The map of view `index` at `count` of its pixels; None if it shows too little.
+    """Chart of view `index` with `count` sampled pixels; None if too few pixels are confident.
 
     Args:
-        samples: Of a map that is affine in inverse depth.
-        cameras: At the size that the grid was made from.
-        index: Of the view.
+        samples: Samples of a map that is affine in inverse depth.
+        cameras: Cameras at the size of the grid's source.
+        index: Index of the view.
         count: P; pixels are drawn at random, with repetition if there are fewer.
     """
     known = np.isfinite(samples.grid)
@@ -158,6 +158,6 @@ def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Char
 
 
 def inverse_depth(ends: np.ndarray, tones: np.ndarray) -> np.ndarray:
-    """[..., N] inverse depths at tones [..., N] of maps with `ends` [..., 2]."""
+    """Inverse depths [..., N] at tones [..., N] of maps with `ends` [..., 2]."""
     far, near = ends[..., :1], ends[..., 1:]
     return np.maximum(far + (near - far) * tones, _FLOOR * near)

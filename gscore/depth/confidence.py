@@ -3,14 +3,14 @@
 import numpy as np
 
 _STEP_SHARE = 0.01
-"""Bend of a map, relative to its spread, at which a pixel counts half."""
+"""Second difference of a map, relative to its spread, at which the confidence is 0.5."""
 
 
 def confidence(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """Trust in the pixels of a map that is affine in inverse depth.
+    """Confidence in the pixels of a map that is affine in inverse depth.
 
-    Inverse depth is affine across a plane whatever its slant, so its second differences show edges
-    between surfaces and nothing else, at any scale and offset of the map.
+    Inverse depth is affine across any plane, so its second differences show only edges between
+    surfaces, at any scale and offset of the map.
 
     Args:
         values: [H, W] float32, NaN: unknown.
@@ -28,23 +28,24 @@ def confidence(values: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 
 
 def inner(values: np.ndarray, half: np.ndarray | np.float32) -> np.ndarray:
-    """[H, W] float32 trust in the pixels of a map [H, W] float32, NaN: unknown, by its bends alone.
+    """Confidence [H, W] float32 in the pixels of a map [H, W] float32, NaN: unknown, from its
+    second differences only.
 
-    0.5 where a second difference there or beside it is `half`, [H, W] or one number; 0 next to
+    0.5 where a second difference within 3 x 3 pixels is `half`, [H, W] or one number; 0 next to
     unknown ones.
     """
-    bend = _spread_by_one(_bend(values))
-    out = 1.0 / (1.0 + (bend / half) ** 2)
-    out[~(np.isfinite(values) & np.isfinite(bend))] = 0
+    difference = _spread_by_one(_second_difference(values))
+    out = 1.0 / (1.0 + (difference / half) ** 2)
+    out[~(np.isfinite(values) & np.isfinite(difference))] = 0
     return out
 
 
-def shown_by(mask: np.ndarray, trust: np.ndarray) -> np.ndarray:
-    """[H, W] float32 trust in the pixels that a mask [H, W] uint8 shows, without its rim."""
-    return (trust * _eroded(mask.astype(np.float32) / 255)).astype(np.float32)
+def shown_by(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Confidence [H, W] float32 multiplied by a mask [H, W] uint8 without its rim."""
+    return (values * _eroded(mask.astype(np.float32) / 255)).astype(np.float32)
 
 
-def _bend(values: np.ndarray) -> np.ndarray:
+def _second_difference(values: np.ndarray) -> np.ndarray:
     """[H, W] larger magnitude of the two second differences; 0 at borders, NaN next to unknown."""
     out = np.zeros_like(values)
     inner = out[:, 1:-1]
@@ -60,7 +61,7 @@ def _spread_by_one(values: np.ndarray) -> np.ndarray:
 
 
 def _eroded(values: np.ndarray) -> np.ndarray:
-    """Minimum over 3 x 3 pixels: the rim of a mask mixes what is in front with what is behind."""
+    """Minimum over 3 x 3 pixels: the rim of a mask mixes foreground and background."""
     return _lowest(values)
 
 

@@ -1,8 +1,8 @@
 """Depth consensus: scale and offset of depth maps from the maps of other views.
 
-Points of structure from motion often lie on the subject alone, so that a map's scale is known there
-and guessed for the floor and the walls behind it. Where two views show the same floor, their maps
-must place it alike. So all maps are placed together, by their points and by each other (`joint`).
+SfM points are often on the subject only, so a map's scale is known there and extrapolated to the
+floor and walls behind it. Where two views show the same floor, their maps must agree. So all maps
+are aligned jointly, to their points and to each other (`joint`).
 """
 
 from collections.abc import Sequence
@@ -18,24 +18,24 @@ from .joint import Web, covariances, place
 from .samples import Samples
 
 _MOST_VIEWS = 12
-"""Other views that a map is compared with: those that look most alike."""
+"""Number of other views that a map is compared with: those with the most similar directions."""
 _PIXELS = 400
-"""Sampled pixels of a map."""
+"""Maximum number of sampled pixels per map."""
 _MOST_PIXELS = 5000
-"""And no more than these of all maps, but for _LEAST_PIXELS each."""
+"""Maximum number over all maps, but at least _LEAST_PIXELS each."""
 _LEAST_PIXELS = 100
 _RATIOS = (2.0, 3.5, 7.0)
-"""Between the inverse depths of the ends of all maps, to start from."""
+"""Initial ratios between the inverse depths of the ends of all maps."""
 _ROUGH_PIXELS = 5000
-"""Sampled pixels of all maps that the best start is found with, about."""
+"""Approximate number of sampled pixels of all maps in the search for the best start."""
 _FACTORS = (4.0, 2.0, 1.0)
-"""How wide penalties are on the way, see `place`."""
+"""Widths of the penalties of successive minimisations, see `place`."""
 _SETTLED = 0.03
-"""Expected relative error at both ends of a map that needs no others."""
+"""Maximum expected relative error at both ends of a map that needs no others."""
 _NEAR = 0.15
-"""Log of the ratio of inverse depths up to which a map agrees with a point or another map."""
-_HEARD = 0.05
-"""Pixels of others in a map's frame, as a share of its own, from which on they are heard."""
+"""Maximum log ratio of inverse depths of a map and an agreeing point or map."""
+_OVERLAP = 0.05
+"""Minimum number of pixels of other maps in a map's frame, as a share of its own."""
 
 
 def agreed(
@@ -44,15 +44,14 @@ def agreed(
     """Fits that agree with the points of all views and with each other.
 
     Args:
-        fits: Of each view by its points alone.
-        maps: By view, affine in inverse depth; None: there is none.
-        cameras: Of the views, at the size that the grids were made from.
+        fits: Fit of each view to its own points.
+        maps: Samples by view, affine in inverse depth; None: there is no map.
+        cameras: Cameras at the size of the grids' source.
 
     Returns:
-        The fits, with the errors to be expected of them. `points`, `inliers` and `error` speak of
-        the view's own points. A map that contradicts points and others is refused, and does not
-        count for the others; one that meets no other, or whose points alone say where it lies,
-        keeps its fit.
+        The fits, with their expected errors. `points`, `inliers` and `error` refer to the view's
+        own points. A map that contradicts points and other maps is refused, and does not count for
+        the others; one that overlaps no other, or is well known from its points, keeps its fit.
     """
     usable = [
         part if fit is not None and fit.reason != REVERSED else None
@@ -78,7 +77,7 @@ def agreed(
 def with_errors(
     fits: Sequence[Fit | None], maps: Sequence[Samples | None], cameras: Cameras
 ) -> list[Fit | None]:
-    """The same fits with the errors to be expected of them, by what points and other maps say."""
+    """The same fits with their expected errors, from points and other maps."""
     found, (views, web) = list(fits), _web(maps, cameras)
     known = {
         k: (fit, ends)
@@ -106,14 +105,14 @@ def _web(maps: Sequence[Samples | None], cameras: Cameras) -> tuple[list[int], W
         if samples is not None and (found := chart(samples, cameras, i, count=count)) is not None
     }
     axes = cameras.viewmats[list(charts), 2, :3]
-    alike = axes @ axes.T - 3 * np.eye(len(axes))  # itself comes last
-    order = np.argsort(-alike, axis=1, kind="stable")[:, : min(_MOST_VIEWS, len(axes) - 1)]
+    similarity = axes @ axes.T - 3 * np.eye(len(axes))  # itself comes last
+    order = np.argsort(-similarity, axis=1, kind="stable")[:, : min(_MOST_VIEWS, len(axes) - 1)]
     return list(charts), Web(charts=list(charts.values()), asked=order.tolist())
 
 
 def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
-    """[V, 2] logs of the ends that contradict each other least, of those found from several starts:
-    the fits that points alone give, and ends of one ratio for all maps."""
+    """[V, 2] logs of the ends with the least contradiction, from several starts: the fits to points
+    only, and ends of one ratio for all maps."""
     every = [chart.point_inverse for chart in web.charts if len(chart.point_inverse)]
     middle = float(np.median(np.concatenate(every))) if every else 1.0
     starts = [
@@ -130,14 +129,14 @@ def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
 
 
 def _settled(chart: Chart, fit: Fit | None) -> bool:
-    """Whether the points alone say where the map lies, better than maps say it of each other."""
+    """Whether the points alone determine the map better than other maps would."""
     if fit is None or not fit.accepted:
         return False
     return bool((fit.relative_error(np.array([chart.low, chart.high])) < _SETTLED).all())
 
 
 def _through_points(chart: Chart, middle: float, ratio: float) -> np.ndarray:
-    """[2] ends of that ratio with the median point between them, or `middle` without points."""
+    """[2] ends of this ratio with the median point between them, or `middle` without points."""
     tone, level = 0.5, middle
     if len(chart.point_inverse):
         tone = float(np.clip(np.median(chart.point_tones), 0, 1))
@@ -153,10 +152,9 @@ def _own_points(samples: Samples | None) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _refusal(web: Web, index: int, logs: np.ndarray) -> str | None:
-    """Why a map is not to be used, by what points and other maps say; empty if it is, None if no
-    other map is heard.
+    """Why points and other maps refuse a map; empty if they do not, None if no other map overlaps.
 
-    Points weigh as much as all maps.
+    The points have the same total weight as all maps.
     """
     chart = web.charts[index]
     tones, stated = [], []
@@ -165,19 +163,19 @@ def _refusal(web: Web, index: int, logs: np.ndarray) -> str | None:
         seen, inverse = chart.look_up(other.points(inverse_depth(np.exp(logs[i]), other.tones)))
         tones.append(seen[np.isfinite(seen)])
         stated.append(inverse[np.isfinite(seen)])
-    heard = sum(len(part) for part in tones)
-    if heard < _HEARD * len(chart.tones):
+    count = sum(len(part) for part in tones)
+    if count < _OVERLAP * len(chart.tones):
         return None
-    weights = np.concatenate([chart.point_weights, np.full(heard, 1 / heard)])
+    weights = np.concatenate([chart.point_weights, np.full(count, 1 / count)])
     own = np.log(inverse_depth(np.exp(logs[index]), np.concatenate([chart.point_tones, *tones])))
-    told = np.log(np.concatenate([chart.point_inverse, *stated]))
-    low, high = np.quantile(told, (0.05, 0.95))
+    expected = np.log(np.concatenate([chart.point_inverse, *stated]))
+    low, high = np.quantile(expected, (0.05, 0.95))
     near = min(_NEAR, 0.3 * float(high - low))
-    share = float(weights[np.abs(own - told) <= near].sum() / weights.sum())
+    share = float(weights[np.abs(own - expected) <= near].sum() / weights.sum())
     if share < LEAST_SHARE:
         return (
-            f"only {share:.0%} of what points and other maps say agrees with one scale and offset"
+            f"only {share:.0%} of points and other maps, by weight, agree with one scale and offset"
         )
-    if not beyond_chance(own, told, weights, near):
+    if not beyond_chance(own, expected, weights, near):
         return "the map does not follow the depth of points and other maps"
     return ""

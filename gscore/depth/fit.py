@@ -17,7 +17,7 @@ class Fit:
     inliers: float = 0.0
     """Share of the points, by weight, that agree with the fit, in [0, 1]."""
     points: int = 0
-    """Points of structure from motion that were compared."""
+    """Number of SfM points compared."""
     error: float = float("nan")
     """Median relative difference of inverse depths over all points; NaN where there are none."""
     center: float = 0.0
@@ -29,19 +29,19 @@ class Fit:
     accepted: bool = False
     """Whether scale and offset may be used."""
     reason: str = ""
-    """Why it was refused, a clause without a full stop; empty if accepted."""
+    """Reason of a refusal, a clause without a full stop; empty if accepted."""
 
     @property
     def slope_error(self) -> float:
-        """Relative standard error of `scale`; infinite where the points do not show it."""
+        """Relative standard error of `scale`; infinite if the points do not constrain it."""
         spread = abs(self.scale) * self.deviation * _INDEPENDENT**0.5
         return self.noise / spread if spread > 0 else float("inf")
 
     def relative_error(self, values: np.ndarray) -> np.ndarray:
-        """Expected relative error of the inverse depth that the fit gives for a map's values.
+        """Expected relative error of the fitted inverse depth at a map's values.
 
-        That of the fit itself: small among the points, larger the farther a value lies outside
-        theirs. Errors of the map at single pixels are not in it.
+        It covers the fit only: small among the points, and growing with the distance of a value
+        from theirs. Errors of the map at single pixels are excluded.
 
         Args:
             values: [...] float32 of the map.
@@ -56,28 +56,28 @@ class Fit:
             return np.where(inverse > 0, error / inverse, np.float32(np.inf))
 
     def refused(self, reason: str) -> Self:
-        """The same fit, not to be used."""
+        """The same fit, refused."""
         return replace(self, accepted=False, reason=reason)
 
 
 _INDEPENDENT = 12
-"""Points counted as independent: errors of a map are alike over large parts of it, so thousands of
-points fix its scale no better than a dozen."""
+"""Number of independent points: errors of a map are correlated over large parts of it, so thousands
+of points constrain its scale no better than a dozen."""
 
 _UNDERSTATED = 4.0
-"""Errors of fits among the points and far from them, in those that scatter and number of the
-inliers suggest. Inliers are chosen for agreeing, and a map's error grows away from them: simulated
-maps of the studio capture are off by 0.6 to 10 times as much, 2.8 in the median."""
+"""Factor on the error estimated from scatter and number of the inliers. Inliers are selected for
+agreement, and a map's error grows away from them: in simulated maps of the studio capture the true
+error is 0.6 to 10 times the estimate, median 2.8."""
 
 NO_FIT = Fit(scale=0.0, offset=0.0)
-"""A view about which nothing is known."""
+"""Fit of a view without information."""
 
 LOW, HIGH = 0.2, 5.0
-"""A scale outside these multiples of the median scale of all views is unreliable."""
+"""Multiples of the median scale of all views between which a scale is reliable."""
 
 
 def noise_of(error: float) -> float:
-    """The scatter about a fit of which this error would be expected among the points."""
+    """`Fit.noise` for a given expected error among the points, 1/world unit."""
     return error * _INDEPENDENT**0.5 / _UNDERSTATED
 
 
@@ -88,14 +88,14 @@ def median_scale(scales: list[float]) -> float:
 
 
 def scale_reason(scale: float, median: float) -> str:
-    """Why a scale is unreliable next to the median of all views; empty if it is not.
+    """Why a scale is unreliable relative to the median of all views; empty if it is reliable.
 
     The rule of the official 3DGS trainer.
     """
     if LOW * median <= scale <= HIGH * median:
         return ""
     return (
-        f"its scale {scale:.3g} lies outside {LOW:g} to {HIGH:g} times the median {median:.3g} of "
+        f"its scale {scale:.3g} is outside {LOW:g} to {HIGH:g} times the median {median:.3g} of "
         f"all views"
     )
 
@@ -103,7 +103,7 @@ def scale_reason(scale: float, median: float) -> str:
 def fit_of(
     scale: float, offset: float, mono: np.ndarray, inverse_depth: np.ndarray, weights: np.ndarray
 ) -> Fit:
-    """A scale and offset with what the points say to it; accepted for now.
+    """Fit of a given scale and offset with its quality at the points; accepted for now.
 
     Args:
         scale: 1/world unit per unit of the map.
@@ -133,9 +133,9 @@ def fit_of(
 
 
 def tolerance(inverse_depth: np.ndarray) -> float:
-    """How far an inlier may lie from the fit, 1/world unit.
+    """Maximum residual of an inlier, 1/world unit.
 
-    5 % of the median; less where all points lie at similar depths, or any fit would do.
+    5 % of the median; less if all points are at similar depths, where any fit would agree.
     """
     low, high = np.quantile(inverse_depth, (0.05, 0.95))
     return float(min(0.05 * np.median(inverse_depth), 0.3 * (high - low)))

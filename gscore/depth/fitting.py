@@ -16,12 +16,12 @@ from .params import Params, params_path, read_params, refusal
 from .samples import Samples
 
 _LEAST_SHARE = 0.3
-"""Share of points that must agree with a scale from depth_params.json for it to be used."""
+"""Minimum share of points that agree with a scale from depth_params.json."""
 _MOST_ERROR = 0.1
-"""Median relative error up to which it is used all the same: maps are bent, and points that lie at
-much the same depth may all be off by that."""
+"""Median relative error up to which a scale with fewer is used: maps are distorted, and points at
+similar depths may all be off by that."""
 _LEAST_CORRELATION = 0.1
-"""Mean rank correlation below which the points do not say what a map holds."""
+"""Mean rank correlation below which the points do not show the kind of the maps."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,9 +31,9 @@ class Alignment:
     fits: list[Fit | None]
     """By view; None: there is no map."""
     kind: DepthKind
-    """What the maps' numbers grow with; never AUTO."""
+    """Kind of the maps; never AUTO."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
 def align_views(
@@ -45,20 +45,19 @@ def align_views(
     kind: DepthKind,
     together: bool = True,
 ) -> Alignment:
-    """Scale and offset of every map in `folder` as `data.depth_align` asks.
+    """Scale and offset of every map in `folder` by the method `data.depth_align`.
 
-    What others are held against, and what maps hold, is told by the maps of training views alone:
-    those of held-out views are fitted to their points, so that nothing of their photos reaches a
-    training.
+    The median scale, the kind and the joint alignment use the maps of training views only; maps of
+    held-out views are fitted to their own points, so held-out photos do not influence a training.
 
     Args:
-        data: Where `depth_align` is.
+        data: Its `depth_align` selects the method.
         dataset: The capture.
-        folder: Of the maps.
-        samples: Of the maps, by view.
-        kind: What the maps' numbers grow with.
-        together: Place maps by each other too, and say what error to expect; else by points alone,
-            which takes next to no time.
+        folder: Folder of the maps.
+        samples: Samples of the maps by view.
+        kind: Kind of the maps.
+        together: Align maps to each other too and estimate the errors; False: to the points only,
+            which is much faster.
 
     Raises:
         DatasetError: `official`, and there is no depth_params.json.
@@ -74,7 +73,7 @@ def align_views(
         return _checked(stated, path, samples, dataset, together=together)
     found, warnings = settled_kind(kind, samples, dataset)
     if data.depth_align == "none":
-        fits = [None if part is None else _judged(1.0, 0.0, part, found) for part in samples]
+        fits = [None if part is None else _evaluated(1.0, 0.0, part, found) for part in samples]
         alignment = Alignment(fits=fits, kind=found, warnings=warnings)
         return _with_errors(alignment, samples, dataset) if together else alignment
     return robust(samples, found, dataset, warnings, together=together)
@@ -88,13 +87,13 @@ def robust(
     *,
     together: bool = True,
 ) -> Alignment:
-    """Our own fits: to the points, then to each other; refused where their scale stands alone.
+    """Robust fits to the points, then to each other; refused if their scale is an outlier.
 
     Args:
-        samples: Of the maps.
-        kind: What they grow with.
+        samples: Samples of the maps by view.
+        kind: Kind of the maps.
         dataset: The capture, at the size of its photos in training.
-        warnings: What to say besides.
+        warnings: Earlier warnings, copied to the result.
         together: As for `align_views`.
     """
     parts = [None if part is None else part.inverse(kind) for part in samples]
@@ -113,13 +112,12 @@ def robust(
 def settled_kind(
     kind: DepthKind, samples: list[Samples | None], dataset: Dataset
 ) -> tuple[DepthKind, tuple[str, ...]]:
-    """What maps hold, never AUTO, and sentences for the user; AUTO is found out from training
-    views."""
+    """Kind of the maps, AUTO resolved from the training views, and messages for the user."""
     return find_kind(_of_training(samples, dataset)) if kind is DepthKind.AUTO else (kind, ())
 
 
 def _of_training(samples: list[Samples | None], dataset: Dataset) -> list[Samples | None]:
-    """The same without those of held-out views."""
+    """The samples of training views; None for held-out views."""
     train = set(dataset.train)
     return [part if i in train else None for i, part in enumerate(samples)]
 
@@ -127,7 +125,7 @@ def _of_training(samples: list[Samples | None], dataset: Dataset) -> list[Sample
 def _with_errors(
     alignment: Alignment, samples: list[Samples | None], dataset: Dataset
 ) -> Alignment:
-    """The same scales and offsets with the errors to be expected of them."""
+    """The same scales and offsets with their expected errors."""
     parts = [None if part is None else part.inverse(alignment.kind) for part in samples]
     parts = _of_training(parts, dataset)
     return replace(alignment, fits=with_errors(alignment.fits, parts, dataset.scene.cameras))
@@ -140,19 +138,20 @@ def _robust(part: Samples) -> Fit:
 
 
 def find_kind(samples: list[Samples | None]) -> tuple[DepthKind, tuple[str, ...]]:
-    """Whether maps rise or fall with the inverse depth of the points, by rank correlation."""
+    """Kind of the maps from the rank correlation with the points, and messages for the user."""
     found = [c for part in samples if part is not None and (c := _correlation(part)) is not None]
     mean = float(np.mean(found)) if found else 0.0
     if abs(mean) < _LEAST_CORRELATION:
         return DepthKind.INVERSE, (
-            "The points do not show whether the depth maps hold depth or inverse depth; taken for "
-            "inverse depth. Say it with --kind when making depth_params.json.",
+            "The points do not show whether the depth maps contain depth or inverse depth; inverse "
+            "depth is assumed. Set it with --kind when making depth_params.json.",
         )
     return (DepthKind.INVERSE if mean > 0 else DepthKind.DEPTH), ()
 
 
 def _correlation(part: Samples) -> float | None:
-    """Spearman's, of map and inverse depth; None for few points or a constant map."""
+    """Spearman's rank correlation of map and inverse depth; None for few points or a constant
+    map."""
     use = np.isfinite(part.values)
     values, depth = part.values[use], part.inverse_depth[use]
     if len(values) < 10 or np.ptp(values) == 0 or np.ptp(depth) == 0:
@@ -167,7 +166,7 @@ def _stated(
     dataset: Dataset,
     samples: list[Samples | None],
 ) -> Alignment:
-    """Fits from depth_params.json, those refused that official tools would not use."""
+    """Fits from depth_params.json; those that official tools would ignore are refused."""
     median = median_scale([entry.scale for entry in params.values()])
     kinds = {entry.kind for entry in params.values()}
     kind = DepthKind.DEPTH if kinds == {DepthKind.DEPTH} else DepthKind.INVERSE
@@ -184,7 +183,7 @@ def _stated(
         if entry is None:
             fit = Fit(scale=0.0, offset=0.0, points=len(part.values))
         else:
-            fit = _judged(entry.scale, entry.offset, part, entry.kind)
+            fit = _evaluated(entry.scale, entry.offset, part, entry.kind)
         fits.append(fit.refused(reason) if reason else fit)
     return Alignment(fits=fits, kind=kind, warnings=_refusals(fits, samples, median))
 
@@ -197,7 +196,7 @@ def _checked(
     *,
     together: bool,
 ) -> Alignment:
-    """The fits of a file; where most points of a view contradict it, our own in their place."""
+    """The fits of a file, replaced by robust ones in views whose points contradict it."""
     fits = list(stated.fits)
     wrong = [
         i
@@ -214,13 +213,13 @@ def _checked(
         fits[i] = ours[i]
     sentence = (
         f"{path} contradicts the points of {count_words(len(wrong), 'view')}, as if it belonged "
-        "to other maps; these are aligned anew. Make it again: gscore depth SOURCE"
+        "to other maps; these are aligned again. Make it again: gscore depth SOURCE"
     )
     return replace(stated, fits=fits, warnings=(*stated.warnings, sentence))
 
 
-def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
-    """A given scale and offset, with what the points say to it."""
+def _evaluated(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
+    """Fit of a given scale and offset with its quality at the points."""
     if part.trouble:
         return NO_FIT.refused(part.trouble)
     values = part.inverse(kind).values
@@ -231,17 +230,16 @@ def _judged(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
 def _refusals(
     fits: list[Fit | None], samples: list[Samples | None], median: float
 ) -> tuple[str, ...]:
-    """One sentence about all maps that are not used though their files can be read; `unusable` says
-    which cannot."""
-    judged = [
+    """Message on all maps that are readable but refused; `unusable` reports unreadable ones."""
+    usable = [
         fit
         for fit, part in zip(reliable(fits, median), samples, strict=True)
         if fit is not None and part is not None and not part.trouble
     ]
-    refused = [fit for fit in judged if not fit.accepted]
+    refused = [fit for fit in usable if not fit.accepted]
     if not refused:
         return ()
     return (
-        f"{len(refused)} of {count_words(len(judged), 'depth map')} were not aligned, the first "
+        f"{len(refused)} of {count_words(len(usable), 'depth map')} were not aligned, the first "
         f"because {refused[0].reason}.",
     )

@@ -17,7 +17,7 @@ from .catalogue import KnownNetwork
 
 
 def cached_file(network: KnownNetwork) -> Path | None:
-    """The file where it was downloaded before, by whatever program; None: it was not.
+    """Path of the file in the shared hub cache; None: it was not downloaded yet.
 
     Raises:
         BackendError: huggingface_hub is not installed.
@@ -31,15 +31,15 @@ def network_file(network: KnownNetwork, *, download: bool) -> Path:
     """The file of a network, checked against its SHA-256.
 
     Args:
-        network: Which one.
-        download: Whether it may be downloaded, with the user's own settings of the hub
-            (HF_HOME, HF_ENDPOINT, HF_TOKEN, HF_HUB_OFFLINE).
+        network: The network.
+        download: Allow a download, with the user's own hub settings (HF_HOME, HF_ENDPOINT,
+            HF_TOKEN, HF_HUB_OFFLINE).
 
     Raises:
-        BackendError: huggingface_hub is not installed, and the file may be downloaded.
-        ConfigError: it is not there and must not be downloaded.
+        BackendError: huggingface_hub is not installed.
+        ConfigError: the file is not in the cache, and a download is not allowed.
         GsError: the hub cannot be reached, has no such file, or the disk is full.
-        FormatError: what is there, or came, is another file; it was removed.
+        FormatError: the cached or downloaded file has another SHA-256; it was removed.
     """
     path = cached_file(network)
     if path is None and not download:
@@ -54,7 +54,7 @@ def network_file(network: KnownNetwork, *, download: bool) -> Path:
 
 
 def terms(network: KnownNetwork) -> str:
-    """Size, licence and where from, which a user should know before."""
+    """Size, licence and source of a download, for the user to decide."""
     return f"{size_words(network.bytes)}, licence {network.licence}, from {network.page}"
 
 
@@ -82,8 +82,7 @@ def _downloaded(network: KnownNetwork) -> Path:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """A block without the hub's own bars, and without its word on each try: what went wrong is said
-    once."""
+    """Context manager without the hub's progress bars and log of retries."""
     from huggingface_hub.utils import (
         are_progress_bars_disabled,
         disable_progress_bars,
@@ -103,11 +102,11 @@ def _quiet() -> Iterator[None]:
 
 
 def _why(error: Exception, network: KnownNetwork) -> str:
-    """The cause and what to do, by the names of the hub's errors, which differ among its
-    versions in what they derive from."""
+    """Cause and remedy, by the names of the hub's errors, because their base classes differ between
+    its versions."""
     kinds = {cls.__name__ for each in _chain(error) for cls in type(each).__mro__}
     if "GatedRepoError" in kinds:
-        return f"its authors want you to agree first, at {network.page}; then set HF_TOKEN."
+        return f"its authors require you to agree first, at {network.page}; then set HF_TOKEN."
     if kinds & {"EntryNotFoundError", "RepositoryNotFoundError", "RevisionNotFoundError"} and (
         "LocalEntryNotFoundError" not in kinds
     ):
@@ -121,15 +120,15 @@ def _why(error: Exception, network: KnownNetwork) -> str:
         if isinstance(each, OSError) and each.errno and "Connect" not in type(each).__name__:
             return reason(each)
     return (
-        f"the hub cannot be reached ({_cause(error)}). Look at the connection, or fetch "
+        f"the hub cannot be reached ({_cause(error)}). Check the connection, or download "
         f"{network.file} from {network.page} and give its path with --model."
     )
 
 
 def _cause(error: Exception) -> str:
-    """What was wrong in the end, without the advice that the hub's own errors give."""
-    said = [str(each).strip() for each in _chain(error)]
-    last = next((text for text in reversed(said) if text), type(error).__name__)
+    """The root cause, without the advice in the hub's own errors."""
+    messages = [str(each).strip() for each in _chain(error)]
+    last = next((text for text in reversed(messages) if text), type(error).__name__)
     return brief(last.splitlines()[0].rstrip("."))
 
 
@@ -146,11 +145,11 @@ def _check(network: KnownNetwork, path: Path) -> None:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if digest == network.sha256:
         return
-    # Of the cache both the name and what it leads to, or the next call would find it again.
+    # Remove both the link in the cache and its target, or the next call would find it again.
     for each in {path.resolve(), path}:
         each.unlink(missing_ok=True)
     raise FormatError(
-        f"What the hub gave for {network.name} is another file (SHA-256 {digest[:12]}..., "
-        f"{network.sha256[:12]}... was expected); it was removed. Try again with --download, or "
-        "fetch it in a browser and give its path with --model."
+        f"The file from the hub for {network.name} has the SHA-256 {digest[:12]}..., expected "
+        f"{network.sha256[:12]}...; it was removed. Try again with --download, or download it in a "
+        "browser and give its path with --model."
     )

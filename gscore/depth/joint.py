@@ -1,12 +1,11 @@
 """Joint alignment of all depth maps: the end values with the least contradiction.
 
-Let r be the log of the ratio between the inverse depth of a point and that which a map states for
-it, in units of the log ratio between the map's ends. What is minimised is the sum of a bounded
-penalty of r over the points of structure from motion that each view sees, and over sampled pixels
-of each map, placed by its own ends, in the maps of its neighbours. Bounded, so that hidden
-surfaces, edges and bad maps decide nothing; in units of the maps' own span, or maps drawn flat
-would agree best. Levenberg and Marquardt's method moves the logs of all ends; the curvature of the
-sum says how well each map is known.
+Let r be the log ratio between the inverse depth of a point and that of a map at its pixel, in units
+of the log ratio between the map's ends. The objective is the sum of a bounded penalty of r over the
+SfM points of each view, and over sampled pixels of each map, unprojected with its own ends, in the
+maps of its neighbours. The bound limits the influence of hidden surfaces, edges and bad maps; the
+units avoid flat maps, which would agree best otherwise. The Levenberg-Marquardt method optimises
+the logs of all ends; the curvature of the sum gives the uncertainty of each map.
 """
 
 from collections.abc import Sequence
@@ -18,46 +17,47 @@ import numpy as np
 from .chart import Chart, inverse_depth
 
 MAP_SIGMA = 0.1
-"""Standard deviation of r: maps err by some per cents, in large parts of them alike."""
+"""Standard deviation of r: maps have correlated errors of some per cent."""
 _BOUND = 2.0
-"""No single r adds more to the sum; as much as 2 standard deviations would to a sum of squares."""
+"""Maximum penalty of one r: that of 2 standard deviations in a sum of squares."""
 POINTS = 0.3
-"""Independent observations that all points of a view are worth: they lie in a part of the picture
-where the map errs alike. Chosen on simulated maps of studio, as MAP_SIGMA and _ALIKE were."""
+"""Total weight of the points of a view, in independent observations: they are in one part of the
+picture, with correlated errors. Tuned on simulated maps of studio, like MAP_SIGMA and
+_SPAN_SIGMA."""
 PAIRS = 1.0
-"""Independent observations that a map is worth to a neighbour that sees all of it."""
-_ALIKE = 0.7
-"""Standard deviation of the log ratio of a map's ends from the median one of a capture, for maps of
-which points and neighbours say little: all show the same place."""
+"""Weight of a map in a neighbour that shows all of it, in independent observations."""
+_SPAN_SIGMA = 0.7
+"""Standard deviation of the log ratio of a map's ends around the median of the capture, a prior for
+maps with few points and neighbours: all show the same place."""
 _DAMPING = 1e-4
-"""Of the first step, as a share of the curvature."""
+"""Damping of the first step, relative to the curvature."""
 _STEPS = 30
 _DONE = 1e-4
-"""Relative decrease of the sum below which it is at its minimum."""
+"""Relative decrease of the sum at convergence."""
 _LONGEST = 0.5
-"""Longest step of a log."""
+"""Maximum step of a log."""
 _SPAN = (0.01, 6.0)
-"""Least and largest log of the ratio between the ends of a map."""
+"""Minimum and maximum log ratio between the ends of a map."""
 _NARROWER = np.array([1.0, -1.0])
-"""What a log of the ratio of a map's ends falls by with the logs of these."""
+"""Negative derivative of the log ratio of a map's ends by their logs."""
 _DELTA = 1e-3
-"""Relative change of an inverse depth that derivatives are taken over."""
+"""Relative change of an inverse depth in finite differences."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Web:
-    """Maps and who is compared with whom."""
+    """Maps and their neighbours."""
 
     charts: list[Chart]
     asked: list[list[int]]
-    """By map, those whose maps its pixels are looked up in."""
+    """By map, the neighbours into which its pixels are projected."""
 
     def asking(self, index: int) -> list[int]:
-        """The maps whose pixels are looked up in map `index`."""
+        """The maps whose pixels are projected into map `index`."""
         return [i for i, others in enumerate(self.asked) if index in others]
 
     def only(self, chosen: list[int]) -> "Web":
-        """Some of the maps, which become 0, 1, ... in this order."""
+        """A subset of the maps, renumbered 0, 1, ... in this order."""
         place = {k: n for n, k in enumerate(chosen)}
         asked = [[place[i] for i in self.asked[k] if i in place] for k in chosen]
         return Web(charts=[self.charts[k] for k in chosen], asked=asked)
@@ -71,7 +71,7 @@ class Web:
 
 
 def _penalty(r: np.ndarray, sigma: float) -> np.ndarray:
-    """Geman and McClure's function of r / sigma: half a square, bounded; 0 for NaN."""
+    """Geman-McClure function of r / sigma: half a square, bounded; 0 for NaN."""
     square = (r / sigma) ** 2
     return np.where(np.isfinite(r), _BOUND * square / (square + 2 * _BOUND), 0.0)
 
@@ -85,12 +85,12 @@ def _weight(r: np.ndarray, sigma: float) -> np.ndarray:
 def place(
     web: Web, logs: np.ndarray, *, factors: Sequence[float] = (1.0,)
 ) -> tuple[float, np.ndarray]:
-    """Logs [V, 2] of the ends, from `logs` downhill, and how much the maps contradict each other.
+    """Minimise the objective from `logs`; return the contradiction and the logs [V, 2] of the ends.
 
-    Bounded penalties have many minima, wide ones fewer: `factors` are multiples of MAP_SIGMA to go
-    downhill with, one after the other. What is returned with the logs is the mean penalty, with the
-    last factor, of pixels that a neighbour shows plus that of points: maps that are not seen by
-    others do not look better by it.
+    Bounded penalties have many local minima, wide ones fewer: `factors` are multiples of MAP_SIGMA
+    for successive minimisations. The contradiction is the mean penalty, with the last factor, of
+    pixels visible in a neighbour plus that of points, so maps do not gain by leaving the others'
+    frames.
     """
     system = None
     for factor in factors:
@@ -103,7 +103,7 @@ def _descend(web: Web, logs: np.ndarray, sigma: float) -> tuple[np.ndarray, "_Sy
     damping = _DAMPING
     typical = float(np.median(logs[:, 1] - logs[:, 0]))
     system = _linearised(web, logs, sigma, typical)
-    # A pixel that nobody shows costs as much as others, or maps would be put out of sight.
+    # A pixel that no neighbour shows costs as much as others, or maps would leave all frames.
     unseen = system.mean
     for _ in range(_STEPS):
         damped = system.curvature + damping * np.diag(np.diag(system.curvature) + 1e-3)
@@ -125,10 +125,10 @@ def _descend(web: Web, logs: np.ndarray, sigma: float) -> tuple[np.ndarray, "_Sy
 
 
 def covariances(web: Web, logs: np.ndarray) -> np.ndarray:
-    """[V, 2, 2] of the logs of each map's ends, as the curvature of the sum at `logs` has them."""
+    """Covariances [V, 2, 2] of the logs of each map's ends, from the curvature at `logs`."""
     typical = float(np.median(logs[:, 1] - logs[:, 0]))
     curvature = _linearised(web, logs, MAP_SIGMA, typical).curvature
-    # Where nothing is known, a factor of e^10.
+    # A weak prior: standard deviation 10 of the logs.
     inverse = np.linalg.inv(curvature + 1e-2 * np.eye(len(curvature)))
     count = len(logs)
     every = np.arange(count)
@@ -136,7 +136,7 @@ def covariances(web: Web, logs: np.ndarray) -> np.ndarray:
 
 
 def _bounded(logs: np.ndarray) -> np.ndarray:
-    """The near end stays nearer than the far one, and that at a finite distance."""
+    """Clip the log ratio of the ends to `_SPAN`."""
     far, near = logs.T
     return np.stack([np.clip(far, near - _SPAN[1], near - _SPAN[0]), near], 1)
 
@@ -148,49 +148,49 @@ def _shares(ends: np.ndarray, tones: np.ndarray) -> np.ndarray:
 
 
 class _System(NamedTuple):
-    """The sum and its derivatives at some place."""
+    """The objective and its derivatives at given logs."""
 
     points: float
     """Penalties of the points of all views, each view's weighted to one, times POINTS."""
     spans: float
-    """Half the squares of how unlike the ratios of the maps' ends are."""
+    """Prior of the ratios of the maps' ends, half a sum of squares."""
     pairs: float
-    """Penalties of all sampled pixels where a neighbour shows them."""
+    """Penalties of all sampled pixels in the neighbours that show them."""
     seen: int
-    """How many these are."""
+    """Number of these pairs of pixel and neighbour."""
     unseen: int
-    """And how many no neighbour shows."""
+    """Number of pairs whose neighbour does not show the pixel."""
     share: float
-    """What a pixel counts."""
+    """Weight of a pixel."""
     views: int
-    """Maps."""
+    """Number of maps."""
     curvature: np.ndarray
     """[2V, 2V], without second derivatives of r."""
     slope: np.ndarray
-    """[2V]"""
+    """[2V] gradient."""
 
     @property
     def mean(self) -> float:
-        """Penalty of a seen pixel."""
+        """Mean penalty of a visible pixel."""
         return self.pairs / max(self.seen, 1)
 
     @property
     def doubt(self) -> float:
-        """Penalty of a seen pixel plus that of a point."""
+        """Mean penalty of a visible pixel plus that of a point."""
         return self.mean + self.points / (POINTS * self.views)
 
     def total(self, unseen: float) -> float:
-        """The sum, with a penalty for pixels that no neighbour shows."""
+        """The objective, with the penalty `unseen` for pixels that no neighbour shows."""
         return self.points + self.spans + self.share * (self.pairs + unseen * self.unseen)
 
 
 def _linearised(web: Web, logs: np.ndarray, sigma: float, typical: float) -> _System:
     ends, spans, count = np.exp(logs), logs[:, 1] - logs[:, 0], len(logs)
     points, pairs, visible, asked = 0.0, 0.0, 0, 0
-    unlike = (spans - typical) / _ALIKE
-    curvature, slope = np.zeros((count, 2, count, 2)), -unlike[:, None] * _NARROWER / _ALIKE
+    unlike = (spans - typical) / _SPAN_SIGMA
+    curvature, slope = np.zeros((count, 2, count, 2)), -unlike[:, None] * _NARROWER / _SPAN_SIGMA
     for j in range(count):
-        curvature[j, :, j] = np.outer(_NARROWER, _NARROWER) / _ALIKE**2
+        curvature[j, :, j] = np.outer(_NARROWER, _NARROWER) / _SPAN_SIGMA**2
     tones = np.stack([chart.tones for chart in web.charts])
     share = PAIRS / tones.shape[1]
     depths = inverse_depth(ends, tones)

@@ -17,22 +17,22 @@ from ..io.npy import read_npy
 from ..quoting import quoted
 
 ENDINGS = (".png", ".npy", ".exr", ".tif", ".tiff")
-"""Kinds of depth maps, in the order in which they are preferred."""
+"""File name endings of depth maps, in order of preference."""
 SHEET = "contact_sheet.png"
-"""Picture of all maps that `gscore depth` leaves beside them; not a map."""
+"""Contact sheet of all maps, which `gscore depth` writes next to them; not a map."""
 CONFIDENCE = ".confidence.png"
-"""What a map's name ends with in the name of its confidence, 8-bit grey, 255: sure."""
+"""Ending of a confidence file, `<stem of the map>.confidence.png`: 8-bit grey, 255: confident."""
 PNG_UNIT = 65536.0
-"""Values of PNGs, of 8 and of 16 bit alike, are divided by this, as 3DGS trainers do."""
+"""Divisor of PNG values, 8 and 16 bit alike, as in 3DGS trainers."""
 FARTHEST_DEPTH = 1e9
-"""Blender's Z pass holds 1e10 where there is nothing; from here on a value is not a depth."""
+"""Value from which on it is not a depth; Blender's Z pass has 1e10 in the background."""
 
 
 class DepthKind(StrEnum):
-    """What the numbers of a depth map grow with."""
+    """Meaning of the numbers in a depth map."""
 
     AUTO = "auto"
-    """Found out from the points of structure from motion."""
+    """Detected from the SfM points."""
     INVERSE = "inverse"
     """Inverse depth up to scale and offset: larger is nearer (MiDaS, Depth Anything)."""
     DEPTH = "depth"
@@ -40,13 +40,13 @@ class DepthKind(StrEnum):
 
 
 class MapFolder:
-    """The depth maps below a folder, listed once and found by the names of views."""
+    """The depth maps below a folder, listed once and looked up by view name."""
 
     def __init__(self, root: Path) -> None:
         """List a folder.
 
         Raises:
-            DatasetError: there is no such folder.
+            DatasetError: the folder does not exist.
         """
         if not root.is_dir():
             raise DatasetError(
@@ -66,7 +66,7 @@ class MapFolder:
         return len(self._files)
 
     def find(self, view: str) -> Path | None:
-        """The map of a view: its name with another ending, or with one more."""
+        """The map of a view: its name with the ending of a map replaced or appended; None: none."""
         for base in (stem(view), view):
             for ending in ENDINGS:
                 found = self._files.get(_key(f"{base}{ending}"))
@@ -85,18 +85,18 @@ def stem(view: str) -> str:
 
 
 def read_map(path: Path) -> np.ndarray:
-    """Read a depth map as its file states it.
+    """Read a depth map with the values of its file.
 
     Args:
         path: PNG (grey, 8 or 16 bit), TIFF (grey, 8, 16 or 32 bit), NPY ([H, W] numbers) or EXR.
 
     Returns:
-        [H, W] float32; PNG values divided by 65536, all others as they are; NaN where the file
-        holds no finite number or 1e9 and more.
+        [H, W] float32; PNG values divided by 65536, all others unchanged; NaN where the value is
+        not finite or at least 1e9.
 
     Raises:
-        DatasetError: there is no such file, or it is no regular one.
-        FormatError: it is damaged, or no map of one number a pixel.
+        DatasetError: the file does not exist, or is not a regular file.
+        FormatError: it is damaged, or does not have one number per pixel.
         BackendError: the package OpenEXR is needed and not installed.
     """
     check_regular(path)
@@ -112,7 +112,7 @@ def read_map(path: Path) -> np.ndarray:
     if values.ndim != 2 or 0 in values.shape:
         raise FormatError(
             f"{path} has the shape {list(values.shape)}, expected [height, width] with one number "
-            f"a pixel. Save it without channels."
+            f"per pixel. Save it without channels."
         )
     with np.errstate(invalid="ignore", over="ignore"):
         values = values.astype(np.float32)
@@ -121,13 +121,13 @@ def read_map(path: Path) -> np.ndarray:
 
 
 def to_inverse(values: np.ndarray, kind: DepthKind) -> np.ndarray:
-    """Values that are affine in inverse depth, NaN where nothing is known.
+    """Values that are affine in inverse depth, NaN where unknown.
 
-    Zero means unknown in either kind: 16-bit depth images hold it there, and in a map of inverse
-    depth it is the farthest point or a sky that has no depth.
+    Zero means unknown in either kind: 16-bit depth images mark unknown pixels with it, and in a map
+    of inverse depth it is the farthest point or the sky, which has no depth.
 
     Args:
-        values: [H, W] float32, as `read_map` gives them.
+        values: [H, W] float32, as returned by `read_map`.
         kind: INVERSE or DEPTH.
 
     Returns:
@@ -178,8 +178,8 @@ def _read_picture(path: Path) -> np.ndarray:
         values = np.array(image)
     if deep and mode[0] != "I":
         raise FormatError(
-            f"{path} has 16 bits a channel in colour, of which only 8 bits can be read. Save it as "
-            f"grey."
+            f"{path} is a colour picture of 16 bits per channel, which can only be read with 8 "
+            f"bits. Save it as grey."
         )
     if mode in ("RGB", "RGBA", "LA"):
         colours = values[..., :3] if mode != "LA" else values[..., :1]
@@ -191,14 +191,14 @@ def _read_picture(path: Path) -> np.ndarray:
         return colours[..., 0]
     if mode not in ("L", "I", "F") and not mode.startswith("I;16"):
         raise FormatError(
-            f"{path} is a picture of the kind {quoted(mode)}, expected one of grey values. Save "
-            f"the depth map as a grey 16-bit PNG."
+            f"{path} is a picture of the mode {quoted(mode)}, expected grey values. Save the depth "
+            f"map as a grey 16-bit PNG."
         )
     return values
 
 
 def _read_exr(path: Path) -> np.ndarray:
-    """[H, W] of the channel that holds depth."""
+    """[H, W] of the depth channel."""
     try:
         OpenEXR = need("OpenEXR", f"{path}: reading EXR files")
     except BackendError as error:
@@ -216,7 +216,8 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _depth_channel(path: Path, channels: dict[str, Any]) -> str:
-    """Blender writes Z, Depth.Z, ViewLayer.Depth.Z or Depth.V; other tools Y, or all of R, G, B."""
+    """Name of the depth channel: Blender writes Z, Depth.Z, ViewLayer.Depth.Z or Depth.V; other
+    tools Y, or equal R, G, B."""
     for wanted in ("Z", "DEPTH", "V", "Y"):
         named = [name for name in channels if name.rpartition(".")[2].upper() == wanted]
         named.sort(key=lambda name: ("depth" not in name.lower(), len(name)))
@@ -229,6 +230,6 @@ def _depth_channel(path: Path, channels: dict[str, Any]) -> str:
         if all(np.array_equal(red, channels[c], equal_nan=True) for c in "GB"):
             return "R"
     raise FormatError(
-        f"{path} has the channels {', '.join(sorted(channels))}, none of which is known to hold "
-        f"depth, expected Z or one like ViewLayer.Depth.Z. Render it with Blender's Z pass."
+        f"{path} has the channels {', '.join(sorted(channels))}, expected a depth channel Z or one "
+        f"like ViewLayer.Depth.Z. Render it with Blender's Z pass."
     )

@@ -17,22 +17,22 @@ from .onnx_graph import GraphFacts, read_facts
 WHERE = (
     "`gscore depth --list-models` names networks that --download fetches. As files: "
     "model-small.onnx of https://github.com/isl-org/MiDaS/releases (v2_1), and Depth Anything V2 "
-    "exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases; look at their licences"
+    "exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases; check their licences"
 )
-"""Where a user finds networks."""
+"""Instruction on how to get a network."""
 
 
 class Normalization(StrEnum):
-    """What a network expects photos to be turned into."""
+    """Normalization of photos that a network expects."""
 
     AUTO = "auto"
-    """Found out from the network."""
+    """Detected from the network."""
     IMAGENET = "imagenet"
     """(RGB in [0, 1] - mean) / deviation of ImageNet: MiDaS 2.1, Depth Anything."""
     HALF = "half"
     """RGB in [-1, 1]: DPT and MiDaS 3."""
     UNIT = "unit"
-    """RGB in [0, 1]: files with the normalisation inside, such as MiDaS' own exports."""
+    """RGB in [0, 1]: files that include the normalization, such as MiDaS' own exports."""
     BYTES = "bytes"
     """RGB in [0, 255]."""
 
@@ -48,28 +48,28 @@ _INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 _RESHAPING = frozenset(
     {"If", "Equal", "Gather", "Shape", "Squeeze", "Unsqueeze", "Reshape", "Identity", "Cast"}
 )
-"""Operations after the last one that changes numbers; exporters squeeze in several ways."""
+"""Operations that do not change numbers; exporters squeeze the output in several ways."""
 _OUTPUT_NAMES = ("predicted_depth", "depth", "inverse_depth", "disparity", "inv_depth")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """How to feed a network."""
+    """Input and output format of a network."""
 
     family: str
-    """For people: which networks it was taken for."""
+    """Detected family of networks, for messages."""
     normalization: Normalization
     """Never AUTO."""
     kind: DepthKind
-    """What its output grows with; never AUTO."""
+    """Kind of the output; never AUTO."""
     width: int
-    """Pixels of its input; 0: any."""
+    """Width of the input, px; 0: any."""
     height: int
-    """Pixels of its input; 0: any."""
+    """Height of the input, px; 0: any."""
     multiple: int
-    """Both sides must be multiples of this, where they are free."""
+    """Both sides must be multiples of this, if they are free."""
     short_side: int
-    """Pixels of the shorter side, where both are free."""
+    """Shorter side of the input if both are free, px."""
     channels_last: bool
     """Whether the input is [1, H, W, 3] instead of [1, 3, H, W]."""
 
@@ -77,24 +77,24 @@ class Profile:
 def recognize(
     shape: list[Any], name: str, file_name: str, facts: GraphFacts, *, size: int = 0
 ) -> Profile:
-    """The profile of a network by its input and its graph.
+    """Profile of a network from its input and its graph.
 
     Args:
-        shape: Of the input; names or None where free.
-        name: Of the input.
-        file_name: Of the file; `metric` and `small` in it are heeded.
-        facts: Of the graph.
-        size: Pixels of the shorter side to use where the network leaves it free; 0: its usual one.
+        shape: Shape of the input; names or None for free sizes.
+        name: Name of the input.
+        file_name: Name of the file; `metric` and `small` in it are used.
+        facts: Properties of the graph.
+        size: Shorter side of the input if it is free, px; 0: the family's default.
 
     Raises:
-        FormatError: the input is no batch of one colour picture.
+        FormatError: the input is not a batch of one colour picture.
     """
     numbers = [n if isinstance(n, int) and n > 0 else 0 for n in shape]
     if len(numbers) != 4 or numbers[0] > 1 or 3 not in (numbers[1], numbers[3]):
         raise FormatError(
             f"{file_name} takes {name} of the shape {shape}, expected one colour picture: "
-            f"[1, 3, height, width] or [1, height, width, 3]. It is no network for depth from one "
-            f"photo"
+            f"[1, 3, height, width] or [1, height, width, 3]. It is not a network for depth from "
+            f"one photo"
         )
     last = numbers[1] != 3
     height, width = numbers[1:3] if last else numbers[2:]
@@ -110,7 +110,7 @@ def recognize(
         if max(width, height) == 256 or "small" in file_name.lower():
             family, short = "MiDaS 2.1 small", 256
     if {"Sub", "Add", "BatchNormalization"} & set(facts.arithmetic):
-        # The file normalises by itself. Large or tiny factors turn bytes into [0, 1] first.
+        # The file includes the normalization. Large or tiny factors convert bytes to [0, 1] first.
         of_bytes = any(c > 100 or 0 < c < 0.01 for c in facts.constants)
         normalization = Normalization.BYTES if of_bytes else Normalization.UNIT
     ending = [op for op in facts.last if op not in _RESHAPING][:2]
@@ -138,19 +138,19 @@ class Network:
         size: int = 0,
         threads: int = 0,
     ) -> None:
-        """Load it.
+        """Load a network.
 
         Args:
             path: The ONNX file.
-            normalization: Instead of the recognised one.
-            size: Pixels of the shorter side of its input; 0: its usual one.
-            threads: Threads to use; 0: all cores.
+            normalization: Overrides the detected one, unless AUTO.
+            size: Shorter side of the input, px; 0: the family's default.
+            threads: Number of threads; 0: all cores.
 
         Raises:
-            ConfigError: there is no such file, the network does not take that size, or more threads
-                are asked for than 1024.
+            ConfigError: the file does not exist, the network does not support that size, or
+                `threads` is more than 1024.
             BackendError: onnxruntime is not installed.
-            FormatError: the file is no network that turns a photo into a map.
+            FormatError: the file is not a network from a photo to a map.
         """
         if not path.is_file():
             raise ConfigError(f"There is no model {path}. {WHERE}.")
@@ -163,13 +163,13 @@ class Network:
         if normalization is not Normalization.AUTO:
             profile = replace(profile, normalization=normalization)
         self.profile = profile
-        """How photos are fed to it."""
+        """Input and output format."""
         self.path = path
         """The file."""
         if size and profile.width and profile.height and size != min(profile.width, profile.height):
             raise ConfigError(
-                f"{path.name} takes pictures of {profile.width} x {profile.height} pixels and no "
-                f"others; leave --input-size out."
+                f"{path.name} only takes pictures of {profile.width} x {profile.height} pixels; "
+                f"leave --input-size out."
             )
         if size % profile.multiple and not (profile.width and profile.height):
             raise ConfigError(
@@ -178,10 +178,10 @@ class Network:
             )
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height that a photo of this size is scaled to.
+        """Width and height to which a photo of this size is scaled.
 
-        A network of fixed size gets the whole photo stretched to it, as its authors' scripts do;
-        one of free size gets the photo's proportions, up to a multiple of what it needs.
+        For a network of fixed size the whole photo is stretched, as in its authors' scripts; for
+        one of free size the proportions are kept, rounded to the required multiple.
         """
         profile = self.profile
         scale = profile.short_side / min(width, height)
@@ -198,10 +198,10 @@ class Network:
             photo: [H, W, 3] uint8 RGB.
 
         Returns:
-            [H, W] float32; NaN where the network gave no finite number.
+            [H, W] float32; NaN where the output is not finite.
 
         Raises:
-            GsError: the network failed, or gave no map.
+            GsError: the network failed, or its output is not a map.
         """
         height, width = photo.shape[:2]
         feed = {self._input: self._tensor(photo)}
@@ -215,8 +215,8 @@ class Network:
         values = np.asarray(output, np.float32).squeeze()
         if values.ndim != 2 or min(values.shape) < 2:
             raise GsError(
-                f"{self.path.name} gives {list(np.shape(output))}, expected one number a pixel. It "
-                f"is no network for depth from one photo. {WHERE}."
+                f"{self.path.name} gives {list(np.shape(output))}, expected one number per pixel. "
+                f"It is not a network for depth from one photo. {WHERE}."
             )
         values[~np.isfinite(values)] = np.nan
         return resize_map(values, width, height)
@@ -243,25 +243,25 @@ def _load(path: Path, threads: int) -> Any:
     except Exception as error:  # onnxruntime has no common base for its errors
         reason = str(error).strip().rstrip(".")[:300]
         raise FormatError(
-            f"{path} is no ONNX model that onnxruntime can load: {reason}. Download it again, or "
-            f"update onnxruntime."
+            f"{path} cannot be loaded by onnxruntime as an ONNX model: {reason}. Download it "
+            f"again, or update onnxruntime."
         ) from error
 
 
 def _ends(path: Path, session: Any) -> tuple[Any, Any]:
-    """The one input, and the output that is the map."""
+    """The single input, and the output with the map."""
     inputs, outputs = session.get_inputs(), session.get_outputs()
     if len(inputs) != 1 or inputs[0].type not in _INPUT_TYPES:
         stated = ", ".join(f"{i.name} {i.type} {i.shape}" for i in inputs)
         raise FormatError(
             f"{path.name} takes {stated or 'nothing'}, expected one picture of float numbers. It "
-            f"is no network for depth from one photo. {WHERE}."
+            f"is not a network for depth from one photo. {WHERE}."
         )
     named = [o for name in _OUTPUT_NAMES for o in outputs if o.name == name]
     maps = [o for o in outputs if len(o.shape) in (2, 3, 4)]
     if not (named or maps):
         raise FormatError(
-            f"{path.name} gives {[o.shape for o in outputs]}, expected a map. It is no network for "
-            f"depth from one photo. {WHERE}."
+            f"{path.name} gives {[o.shape for o in outputs]}, expected a map. It is not a network "
+            f"for depth from one photo. {WHERE}."
         )
     return inputs[0], (named or maps)[0]

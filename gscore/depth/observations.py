@@ -11,39 +11,39 @@ from ..io.colmap.folder import ColmapImage, ColmapModel
 from ..io.colmap.model import PointIndex
 
 _LONG_TRACK = 10
-"""Observations from which on a point counts no more than it does."""
+"""Track length above which the weight of a point no longer grows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Observations:
-    """Points seen in one view, as the photo was taken (before undistortion)."""
+    """SfM points observed in one view, in the original photo (before undistortion)."""
 
     x: np.ndarray
-    """[M] float64, pixels of the camera, 0 = left border."""
+    """[M] float64, px of the camera, 0 = left border."""
     y: np.ndarray
-    """[M] float64, pixels of the camera, 0 = upper border."""
+    """[M] float64, px of the camera, 0 = upper border."""
     inverse_depth: np.ndarray
     """[M] float64, 1 / camera z, 1/world unit; not positive behind the camera."""
     weights: np.ndarray
-    """[M] float64, positive: how far a point is to be trusted."""
+    """[M] float64, positive: reliability of a point."""
     width: int
-    """Of the camera, pixels."""
+    """Width of the camera, px."""
     height: int
-    """Of the camera, pixels."""
+    """Height of the camera, px."""
 
     def __len__(self) -> int:
         return len(self.x)
 
 
 def observations(data: DataConfig, dataset: Dataset) -> list[Observations]:
-    """What structure from motion knows of each view of `dataset`.
+    """Observations of the SfM points by view of `dataset`.
 
-    Captures with a COLMAP model have observations; for others the points are projected, hidden ones
-    too, which a robust fit has to bear.
+    Without a COLMAP model all points in the frame count, hidden ones too, so the fit must be robust
+    to them.
     """
     model = model_of(dataset)
     if model is None:
-        # Not the dataset's points: those may be made up.
+        # Not the dataset's points: those may be random.
         points = read_capture(data, photos_required=False).points.points
         points = points[np.isfinite(points).all(axis=1)]
         return [_projected(dataset, points, i) for i in range(len(dataset))]
@@ -53,12 +53,12 @@ def observations(data: DataConfig, dataset: Dataset) -> list[Observations]:
 
 
 def observed(model: ColmapModel, image: ColmapImage, index: PointIndex) -> Observations:
-    """The points that COLMAP found in one image; `index` is that of the model's points."""
+    """COLMAP's observations in one image; `index` is that of the model's points."""
     points, camera = model.points, model.cameras[image.camera_id]
     known, rows = index.find(image.point3D_ids)
     viewmat = image.viewmat
     z = points.xyz[rows] @ viewmat[2, :3] + viewmat[2, 3]
-    # A long track fixes the depth better, a large reprojection error says that it may be wrong.
+    # A long track makes the depth more accurate, a large reprojection error less.
     error = np.where(points.error[rows] >= 0, points.error[rows], 1.0)
     tracks = np.clip(points.track_lengths[rows], 2, _LONG_TRACK)
     return Observations(
@@ -73,19 +73,19 @@ def observed(model: ColmapModel, image: ColmapImage, index: PointIndex) -> Obser
 
 @dataclass(frozen=True, kw_only=True)
 class SeenPoints:
-    """Points of structure from motion and which views see them."""
+    """SfM points and their visibility."""
 
     points: np.ndarray
     """[P, 3] float64, world."""
     seen: list[np.ndarray]
-    """By view: [M] int64, rows of the points it sees, rising."""
+    """By view: [M] int64, ascending rows of its visible points."""
 
 
 def seen_points(dataset: Dataset) -> SeenPoints:
-    """Which points are seen in which views of `dataset`.
+    """Visibility of the SfM points in the views of `dataset`.
 
-    Without a COLMAP model whose images are the views a point counts as seen wherever it lies in the
-    frame, hidden ones too. Points that were made up are none.
+    Without a COLMAP model of these views, all points in a view's frame count as visible, hidden
+    ones too. Random initial points are ignored.
     """
     tracks = tracks_of(dataset)
     if tracks is not None:
@@ -97,7 +97,7 @@ def seen_points(dataset: Dataset) -> SeenPoints:
 
 
 def _in_frame(dataset: Dataset, points: np.ndarray, index: int) -> np.ndarray:
-    """Rows of the points [P, 3] that fall into a view."""
+    """Rows of the points [P, 3] in the frame of a view."""
     cameras = dataset.scene.cameras
     viewmat = cameras.viewmats[index]
     x, y, z = cameras.Ks[index] @ (viewmat[:3, :3] @ points.T + viewmat[:3, 3:])
@@ -108,7 +108,7 @@ def _in_frame(dataset: Dataset, points: np.ndarray, index: int) -> np.ndarray:
 
 
 def _projected(dataset: Dataset, points: np.ndarray, index: int) -> Observations:
-    """All points [P, 3] that fall into a view."""
+    """Observations of all points [P, 3] in the frame of a view."""
     file, viewmat = dataset.files[index], dataset.scene.cameras.viewmats[index]
     width, height = file.photo_size
     local = points @ viewmat[:3, :3].T + viewmat[:3, 3]

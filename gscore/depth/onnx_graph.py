@@ -17,30 +17,30 @@ _PASSING = frozenset(
     | {"Split", "Concat", "Gather", "QuantizeLinear", "DequantizeLinear"}
     | {"DynamicQuantizeLinear"}
 )
-"""Operations that may stand between the input of a network and its first convolution."""
+"""Operations allowed between the input of a network and its first convolution."""
 _CONVOLUTIONS = {"Conv": 1, "ConvInteger": 1, "QLinearConv": 3}
-"""Convolutions, plain and of quantized networks, and which of their inputs is the kernel."""
+"""Convolutions, plain and quantized, and the index of their kernel among the inputs."""
 _ATTENTION = frozenset(
     {"Softmax", "LayerNormalization", "Attention", "MultiHeadAttention", "Erf", "Gelu"}
 )
 _LARGEST_CONSTANT = 64
-"""Numbers of a constant that is looked at; means and deviations of colours have few."""
+"""Maximum size of a constant that is read; means and deviations of colours have few numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraphFacts:
-    """What tells one family of networks from another."""
+    """Properties of a graph that identify its family of networks."""
 
     kernel: tuple[int, ...] = ()
     """Sides of the first convolution's kernel; empty: not found."""
     arithmetic: tuple[str, ...] = ()
-    """Sums and products the input goes through before that convolution."""
+    """Arithmetic operations on the input before that convolution."""
     constants: tuple[float, ...] = ()
-    """The largest magnitude in each of their constants, as far as they are stated."""
+    """Largest magnitude in each of their constants, if stored in the file."""
     attention: bool = False
     """Whether it is a transformer."""
     last: tuple[str, ...] = ()
-    """The operations that make the output, the last one first."""
+    """The operations before the output, the last one first."""
 
 
 @dataclass(kw_only=True)
@@ -59,16 +59,18 @@ class _Tensor:
 
 
 def read_facts(path: Path, input_name: str, output_name: str) -> GraphFacts:
-    """Read them; the weights are skipped, so this takes milliseconds for any size.
+    """Read the properties; weights are skipped, so this takes milliseconds for any size.
 
     Raises:
-        FormatError: the file is no ONNX model.
+        FormatError: the file is not an ONNX model.
     """
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             nodes, tensors = _graph(data)
     except (OSError, ValueError, IndexError, struct.error, UnicodeDecodeError) as error:
-        raise FormatError(f"{path} is no ONNX model: {brief(error)}. Download it again.") from error
+        raise FormatError(
+            f"{path} is not an ONNX model: {brief(error)}. Download it again."
+        ) from error
     constants = {name: t.largest for name, t in tensors.items()}
     constants |= {o: n.constant for n in nodes if n.op == "Constant" for o in n.outputs}
     consumers: dict[str, list[_Node]] = {}
@@ -99,7 +101,7 @@ def read_facts(path: Path, input_name: str, output_name: str) -> GraphFacts:
 
 
 def _kernel(conv: _Node, nodes: list[_Node], tensors: dict[str, _Tensor]) -> tuple[int, ...]:
-    """Sides of a convolution's kernel, which may be stored quantized; empty: not stated."""
+    """Sides of a convolution's kernel, which may be stored quantized; empty: unknown."""
     name = next(iter(conv.inputs[_CONVOLUTIONS[conv.op] :]), "")
     for node in nodes:
         if node.op in ("DequantizeLinear", "Cast", "Identity") and name in node.outputs:
@@ -139,7 +141,7 @@ def _graph(data: mmap.mmap) -> tuple[list[_Node], dict[str, _Tensor]]:
                 tensor = _tensor(data, *part)
                 tensors[tensor.name] = tensor
     if not nodes:
-        raise ValueError("it holds no graph")
+        raise ValueError("it contains no graph")
     return nodes, tensors
 
 
@@ -201,7 +203,7 @@ def _text(data: mmap.mmap, start: int, end: int) -> str:
 
 
 def _fields(data: mmap.mmap, start: int, end: int) -> Iterator[tuple[int, int | tuple[int, int]]]:
-    """Field numbers with their values: an integer, or where its bytes start and end."""
+    """Field numbers with their values: an integer, or start and end of its bytes."""
     at = start
     while at < end:
         key, at = _varint(data, at)

@@ -12,11 +12,11 @@ from ..quoting import brief
 from ..text_format import count_words
 
 STEREO_RECORD = "stereo.json"
-"""File beside maps that stereo made."""
+"""Record next to depth maps made by stereo."""
 
 
 def write_record(folder: Path, views: Sequence[str], maps: Sequence[str]) -> None:
-    """Say which photos took part, and which maps of views came of it."""
+    """Write the record: the photos used, and the views that got a map."""
     record = {"gscore": __version__, "method": "stereo", "photos": [*views], "maps": [*maps]}
     text = json.dumps(record, indent=2, ensure_ascii=False) + "\n"
     atomic_write(folder / STEREO_RECORD, text.encode("utf-8"))
@@ -43,14 +43,14 @@ def read_record(folder: Path) -> dict[str, list[str]] | None:
 
 
 def held_out_maps_warning(folder: Path, held_out: Collection[str]) -> tuple[str, ...]:
-    """A sentence where photos that a run holds out had a part in its maps."""
+    """Warning if depth maps were made with photos that a run holds out; else empty."""
     record = read_record(folder)
     among = [] if record is None else sorted(set(record["photos"]) & set(held_out))
     if not among:
         return ()
     return (
-        f"{count_words(len(among), 'held-out photo', 'held-out photos')} had a part in the depth "
-        f"maps in {folder}, for example {brief(among[0])}, so that held-out views look better than "
-        "views nobody has seen would. Make the maps again with the test views held out: gscore "
-        "depth SOURCE --method stereo --hold-out 8",
+        f"The depth maps in {folder} were made with "
+        f"{count_words(len(among), 'held-out photo', 'held-out photos')}, for example "
+        f"{brief(among[0])}, so the metrics of held-out views are too good. Make the maps again "
+        "without them: gscore depth SOURCE --method stereo --hold-out 8",
     )

@@ -17,43 +17,43 @@ from .maps import DepthKind
 
 FILE = "depth_params.json"
 DEPTH_FOLDER = "depths"
-"""Where `gscore depth` writes maps, relative to the capture."""
+"""Folder in the capture to which `gscore depth` writes maps."""
 _REMAKE = "Make it again: gscore depth SOURCE"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Params:
-    """What the file says of one view."""
+    """Entry of one view. All fields but `scale` and `offset` are extensions by gscore."""
 
     scale: float
-    """1/world unit per unit of the map; 0: its maker could not align it."""
+    """1/world unit per unit of the map; 0: not aligned."""
     offset: float
     """1/world unit."""
     kind: DepthKind = DepthKind.INVERSE
-    """What the map's numbers grow with. An addition of ours: official tools know inverse depth."""
+    """Kind of the map; official tools support inverse depth only."""
     accepted: bool = True
-    """Whether its maker would use it. An addition of ours."""
+    """Whether the map may be used."""
     reason: str = ""
-    """Why not. An addition of ours."""
+    """Reason of a refusal."""
     inliers: float | None = None
-    """Share of the points that agree, in [0, 1]; None: not stated. An addition of ours."""
+    """Share of the points that agree, in [0, 1]; None: unknown."""
     points: int | None = None
-    """Points that were compared; None: not stated. An addition of ours."""
+    """Number of points compared; None: unknown."""
     error: float | None = None
-    """Median relative difference of inverse depths; None: not stated. An addition of ours."""
+    """Median relative difference of inverse depths; None: unknown."""
 
 
 def params_path(root: Path, maps: Path, *, writing: bool = False) -> Path:
-    """Where the file of some maps lies or belongs.
+    """Path of depth_params.json for a folder of maps.
 
-    Official tools look in `sparse/0`, beside the COLMAP model, and know one folder of maps. So the
-    file of `depths` lies there; that of any other folder lies with its maps, and where it does not,
-    the one in `sparse/0` is taken to speak of them, as official tools take it.
+    Official tools read it from `sparse/0`, next to the COLMAP model, and support one folder of
+    maps. So the file of `depths` is there; that of any other folder is in the folder itself, and if
+    it has none, the one in `sparse/0` is read, as official tools do.
 
     Args:
         root: Folder of the capture.
         maps: Folder of the maps.
-        writing: Where to write it, not where it may be read.
+        writing: Return the path to write, not the path to read.
     """
     own = maps / FILE
     if own.is_file() or (writing and maps.resolve() != (root / DEPTH_FOLDER).resolve()):
@@ -71,16 +71,16 @@ def read_params(path: Path) -> dict[str, Params]:
     """Read the file.
 
     Returns:
-        By name of the view without ending.
+        Entries by name of the view without ending.
 
     Raises:
-        DatasetError: there is no such file, or it holds another layout.
-        FormatError: it is no JSON, or an entry has no numbers `scale` and `offset`.
+        DatasetError: the file does not exist, or has another layout.
+        FormatError: it is not JSON, or an entry has no numbers `scale` and `offset`.
     """
     if not path.is_file():
         raise DatasetError(
-            f"There is no {path}, which says how the depth maps are scaled. Make it "
-            f"with: gscore depth SOURCE"
+            f"There is no {path} with the scales of the depth maps. Make it with: gscore depth "
+            f"SOURCE"
         )
     try:
         content = parse_json(read_bytes(path))
@@ -91,12 +91,12 @@ def read_params(path: Path) -> dict[str, Params]:
 
 
 def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:
-    """Why a training does not use what the file says of a view; empty if it does.
+    """Why a training does not use the entry of a view; empty if it does.
 
     Args:
         path: The file.
         key: Name of the view without ending.
-        entry: What the file says of it.
+        entry: Entry of the view; None: missing.
         median: Median scale of all entries.
     """
     if entry is None:
@@ -106,15 +106,15 @@ def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:
 
 
 def write_params(path: Path, fits: Mapping[str, Fit], kind: DepthKind) -> None:
-    """Write the file completely or not at all.
+    """Write the file atomically.
 
-    Official tools read `scale` and `offset`; a refused view has the scale 0, which they take for
-    unreliable. The other keys tell people and gscore more.
+    Official tools read `scale` and `offset`; a refused view has the scale 0, which is unreliable to
+    them. The other keys are extensions by gscore.
 
     Args:
         path: The file.
-        fits: By name of the view without ending.
-        kind: What the maps' numbers grow with.
+        fits: Fits by name of the view without ending.
+        kind: Kind of the maps.
 
     Raises:
         GsError: the file cannot be written.
@@ -139,16 +139,16 @@ def write_params(path: Path, fits: Mapping[str, Fit], kind: DepthKind) -> None:
 
 
 def _check_layout(path: Path, content: Any) -> None:
-    """Raise unless the content maps names to objects; name the other layout that is met."""
+    """Raise unless the content maps names to objects; name the other known layout."""
     entries = list(content.values()) if isinstance(content, dict) else content
     first = entries[0] if isinstance(entries, list) and entries else None
     keys = set(content) if isinstance(content, dict) else set()
     keys |= set(first) if isinstance(first, dict) else set()
     if keys & {"depth_map", "depth_scale"} and "scale" not in keys:
         raise DatasetError(
-            f"{path} has the layout with depth_map, camera and depth_scale, which states one unit "
-            f"of metric depth but neither the scale nor the offset of inverse depth in each view. "
-            f"Remove it and run: gscore depth SOURCE --kind depth"
+            f"{path} has the layout with depth_map, camera and depth_scale, which has one unit of "
+            f"metric depth, expected scale and offset of inverse depth in each view. Remove it and "
+            f"run: gscore depth SOURCE --kind depth"
         )
     if not isinstance(content, dict) or not all(isinstance(e, dict) for e in content.values()):
         raise FormatError(
@@ -182,6 +182,6 @@ def _entry(where: str, entry: dict[str, Any]) -> Params:
 
 
 def _known(value: Any) -> float | None:
-    """A finite number, or None for anything else: what is only told need not be right."""
+    """A finite number, or None for anything else: these keys are only reported."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return float(value) if is_number and math.isfinite(value) else None

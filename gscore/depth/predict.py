@@ -25,23 +25,23 @@ from .observations import Observations
 from .samples import sampled
 
 PREDICTION_FILE = "prediction.json"
-"""File beside the maps that says which network made them."""
+"""Record of the network, next to its maps."""
 _HIDDEN = 127
-"""Grey that lies behind photos with opacity while the network looks at them."""
+"""Grey background of photos with opacity in the network's input."""
 _VIEWS_FOR_KIND = 3
-"""Views that decide whether a network gives depth or inverse depth."""
+"""Number of views from which the kind of the output is detected."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """What became of the views."""
+    """Result of a prediction, by view names."""
 
     written: list[str]
-    """Views predicted now."""
+    """Newly predicted views."""
     kept: list[str]
-    """Views whose map was there already."""
+    """Views that already had a map."""
     kind: DepthKind
-    """What the network's output grows with; what is written is inverse depth in either case."""
+    """Kind of the network's output; the files contain inverse depth in either case."""
 
 
 def predict_views(
@@ -57,22 +57,22 @@ def predict_views(
 ) -> Prediction:
     """Predict every view that has no map in `folder` yet.
 
-    A map is written as soon as it is known, completely or not at all, so an interrupted call can be
-    made again and goes on.
+    Each map is written atomically right after its prediction, so an interrupted call can be
+    repeated to resume.
 
     Args:
         network: The network.
         dataset: The capture; its photos are read at full size.
-        seen: The points of each view; they tell depth from inverse depth where `kind` is AUTO.
-        folder: Where to write `<view>.png`.
-        kind: What the network's output grows with.
-        overwrite: Predict all views, whatever is there.
+        seen: Points of each view, from which `kind` AUTO is detected.
+        folder: Output folder for `<view>.png`.
+        kind: Kind of the network's output.
+        overwrite: Predict all views, replacing existing maps.
         on_view: Called with (done, total, name) after each view.
-        cancelled: Asked before each view; true ends the call.
+        cancelled: Called before each view; True stops.
 
     Raises:
-        Cancelled: `cancelled` said so.
-        ConfigError: the folder holds maps that this network did not make.
+        Cancelled: `cancelled` returned True.
+        ConfigError: the folder contains maps of another network.
         GsError: the network failed, or a file cannot be written.
     """
     record = _record(network)
@@ -98,10 +98,10 @@ def predict_views(
 
 
 def photo_of(file: ViewFile, mask_mode: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """[H, W, 3] uint8 full-size photo as a network should see it, and [H, W] bool of what counts.
+    """Input of a network: the full-size photo [H, W, 3] uint8, and its valid pixels [H, W] bool.
 
-    Where the mask is opacity, what it hides is no part of the scene: it becomes grey and is left
-    out of the map. Other masks say what the training shall not see; the network may, and needs to.
+    If the mask is opacity, hidden pixels are not part of the scene: they become grey and get no
+    depth. Other masks only hide pixels from the training; the network needs the whole photo.
     """
     photo = read_image(file.image, upright=file.upright)
     mask = None
@@ -118,10 +118,10 @@ def photo_of(file: ViewFile, mask_mode: str) -> tuple[np.ndarray, np.ndarray | N
 
 
 def encoded(name: str, values: np.ndarray, mask: np.ndarray | None, kind: DepthKind) -> np.ndarray:
-    """[H, W] uint16 inverse depth, stretched to 1 to 65535; 0 where nothing is known.
+    """[H, W] uint16 inverse depth, stretched to 1 to 65535; 0 where unknown.
 
     Raises:
-        GsError: the map has no two different values, so the network saw nothing.
+        GsError: the map has a single value.
     """
     if kind is DepthKind.DEPTH:
         values = to_inverse(values, kind)
@@ -129,8 +129,8 @@ def encoded(name: str, values: np.ndarray, mask: np.ndarray | None, kind: DepthK
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     if not high > low:
         raise GsError(
-            f"The network gives {name} one value everywhere. Check with --normalization how it "
-            f"wants its photos, or try another model."
+            f"The network gives {name} one value everywhere. Set --normalization to its input "
+            f"format, or try another model."
         )
     code = np.zeros(values.shape, np.uint16)
     share = (values[known].astype(np.float64) - low) / (float(high) - float(low))
@@ -153,7 +153,7 @@ def _record(network: Network) -> dict[str, Any]:
 
 
 def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[str]:
-    """Views that have a map by the same network; raise if the maps are somebody else's."""
+    """Views that have a map by the same network; raise if the maps have another origin."""
     if not folder.is_dir():
         return []
     maps = MapFolder(folder)
@@ -161,7 +161,7 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
     if not there:
         return []
     path = folder / PREDICTION_FILE
-    by = "they do not say by which model they were made"
+    by = "it is unknown by which model they were made"
     if path.is_file():
         try:
             before = parse_json(path.read_bytes())
@@ -174,15 +174,15 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
             return there
         by = f"they were made by {before.get('model')} with another {' and '.join(changed)}"
     raise ConfigError(
-        f"{folder} holds depth maps of {count_words(len(there), 'view')} already, and {by}. Give "
-        "--overwrite to replace them, or another folder with --depths."
+        f"{folder} already contains depth maps of {count_words(len(there), 'view')}, and {by}. "
+        "Give --overwrite to replace them, or another folder with --depths."
     )
 
 
 def _find_kind(
     network: Network, dataset: Dataset, seen: list[Observations], todo: list[int]
 ) -> tuple[DepthKind, dict[int, np.ndarray]]:
-    """What the network gives, by the views with the most points; and their outputs."""
+    """Kind of the network's output, from the views with the most points; and their outputs."""
     rich = sorted(todo, key=lambda i: -len(seen[i]))[:_VIEWS_FOR_KIND]
     outputs = {}
     for index in rich:

@@ -24,7 +24,7 @@ from .params import DEPTH_FOLDER
 from .samples import unusable, view_samples
 
 _TOLERABLE = 1.0
-"""Expected relative error of an aligned inverse depth at which a pixel counts half."""
+"""Expected relative error of an aligned inverse depth that halves the confidence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,14 +32,14 @@ class DepthPrior:
     """Prior of one view at training resolution."""
 
     inverse_depth: np.ndarray
-    """[H, W] float32, 1/world unit of the capture where `aligned`, else in the map's own unit; 0
-    where nothing is known."""
+    """[H, W] float32, 1/world unit of the capture if `aligned`, else in the map's own unit; 0 where
+    unknown."""
     confidence: np.ndarray
-    """[H, W] float32 in [0, 1]; 0 where nothing is known (mask, edges, invalid)."""
+    """[H, W] float32 in [0, 1]; 0 where unknown (mask, edges, invalid)."""
     aligned: bool
-    """Whether scale and offset are known; else only losses free of both make sense."""
+    """Whether scale and offset are known; else only losses invariant to both are valid."""
     fit: Fit | None
-    """How the map agrees with the points of structure from motion."""
+    """Alignment with the SfM points; None: not aligned."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,15 +47,15 @@ class Priors:
     """The priors of a capture."""
 
     views: list[DepthPrior | None]
-    """By index of the dataset's views; None: there is no map, or it was refused entirely."""
+    """Priors by index of the dataset's views; None: there is no usable map."""
     kind: DepthKind
-    """What the maps' numbers grow with."""
+    """Kind of the maps."""
     folder: Path
-    """Where the maps are."""
+    """Folder of the maps."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Messages for the user."""
     table: list[dict[str, Any]] = field(default_factory=list)
-    """A row a view, JSON values: view, map, points, scale, offset, inliers, error, accepted,
+    """One row per view, JSON values: view, map, points, scale, offset, inliers, error, accepted,
     reason."""
 
 
@@ -67,14 +67,14 @@ def load_priors(
     together: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Priors:
-    """Read the depth maps of a capture and give them the scale of its world.
+    """Read the depth maps of a capture and align them with its world.
 
     Args:
         data: Options `depths` (empty: `depths`) and `depth_align`.
         dataset: The capture at training resolution.
-        kind: What the maps' numbers grow with; AUTO: found out from the points.
-        together: Place maps by each other too, not by points alone: seconds of work that pay where
-            maps steer a training. Maps of held-out views neither steer nor are steered.
+        kind: Kind of the maps; AUTO: detected from the points.
+        together: Align maps to each other too, not to points only; takes seconds, for maps that
+            supervise a training. Maps of held-out views are excluded from it.
         on_progress: Called with (done, total) while the maps are read.
 
     Raises:
@@ -117,7 +117,7 @@ def load_priors(
 def fit_table(
     names: tuple[str, ...], maps: list[Path | None], alignment: Alignment
 ) -> list[dict[str, Any]]:
-    """A row a view for reports and depth_params.json's readers; NaN is None."""
+    """One row per view as in `Priors.table`; NaN becomes None."""
     rows = []
     for name, path, fit in zip(names, maps, alignment.fits, strict=True):
         stated = fit or NO_FIT.refused("there is no depth map of it")
@@ -141,8 +141,8 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
     missing = [name for name, path in zip(names, maps, strict=True) if path is None]
     if len(missing) == len(maps):
         raise DatasetError(
-            f"{folder.root} has no depth map of any view ({count_words(len(folder), 'map')} "
-            "there); expected "
+            f"{folder.root} has no depth map of any view (it contains "
+            f"{count_words(len(folder), 'map')}); expected "
             f"names like {Path(names[0]).stem}.png. Make them with `gscore depth`, or name another "
             f"folder with --depths."
         )
@@ -156,7 +156,7 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
 
 
 def _stated_confidence(path: Path, values: np.ndarray) -> np.ndarray | None:
-    """[H, W] float32 of a map whose maker says how sure its pixels are; None: it does not.
+    """Confidence [H, W] float32 from the file of a map; None: there is no file.
 
     Raises:
         FormatError: it has another size than the map.
@@ -176,29 +176,29 @@ def _stated_confidence(path: Path, values: np.ndarray) -> np.ndarray | None:
 def _prior(
     dataset: Dataset, index: int, values: np.ndarray, stated: np.ndarray | None, fit: Fit | None
 ) -> DepthPrior:
-    """The map of a view at training resolution, aligned where the fit allows it.
+    """Prior of a view at training resolution, aligned if the fit is accepted.
 
-    `stated` is how sure its pixels are, where its maker says; else its edges tell.
+    `stated` is the confidence from the file; if None, it is computed from the map's edges.
     """
     file = dataset.files[index]
     values = fit_map(file, values)
     mask = dataset.mask(index) if dataset.mask_mode != "none" else None
     if stated is None:
-        trust = confidence(values, mask)
+        weight = confidence(values, mask)
     else:
-        trust = np.nan_to_num(fit_map(file, stated), nan=0.0) * np.isfinite(values)
-        trust = trust.astype(np.float32) if mask is None else shown_by(mask, trust)
+        weight = np.nan_to_num(fit_map(file, stated), nan=0.0) * np.isfinite(values)
+        weight = weight.astype(np.float32) if mask is None else shown_by(mask, weight)
     aligned = fit is not None and fit.accepted
     if fit is not None and fit.accepted:
         if fit.deviation > 0:
-            trust /= 1 + (fit.relative_error(values) / np.float32(_TOLERABLE)) ** 2
-            trust[np.isnan(trust)] = 0
+            weight /= 1 + (fit.relative_error(values) / np.float32(_TOLERABLE)) ** 2
+            weight[np.isnan(weight)] = 0
         values = np.float32(fit.scale) * values + np.float32(fit.offset)
         with np.errstate(invalid="ignore"):
-            trust[~(values > 0)] = 0  # behind infinity
+            weight[~(values > 0)] = 0  # behind infinity
     return DepthPrior(
         inverse_depth=np.nan_to_num(values, nan=0.0).astype(np.float32, copy=False),
-        confidence=trust,
+        confidence=weight,
         aligned=aligned,
         fit=fit,
     )

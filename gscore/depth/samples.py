@@ -16,24 +16,23 @@ from .maps import DepthKind, read_map, sample
 from .observations import Observations
 
 _SIDE = 120
-"""Columns of the grid, up to twice as many; fewer where the photo is smaller."""
+"""Minimum number of columns of the grid, less than twice that; fewer for smaller photos."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Samples:
-    """The values of one view's map at its points, and on a coarse grid."""
+    """Values of one view's map at its points, and on a coarse grid."""
 
     values: np.ndarray
-    """[M] float64, as the map states them; NaN: unknown."""
+    """[M] float64, values of the map; NaN: unknown."""
     inverse_depth: np.ndarray
     """[M] float64, 1/world unit."""
     weights: np.ndarray
     """[M] float64, positive."""
     grid: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    """[h, w] float32, means over n x n pixels of the map at the size of the photo in training; NaN:
-    unknown."""
+    """[h, w] float32, means over n x n pixels of the map at training resolution; NaN: unknown."""
     trouble: str = ""
-    """Why the file cannot be used at all; M is 0 then."""
+    """Why the file cannot be used; M is 0 then. Empty: it can."""
 
     def inverse(self, kind: DepthKind) -> Self:
         """The same with values that are affine in inverse depth."""
@@ -49,12 +48,12 @@ def view_samples(
     *,
     on_view: Callable[[int], None] | None = None,
 ) -> list[Samples | None]:
-    """Read each map at the points seen in its view; None where there is no map.
+    """Sample each map at the points observed in its view; None where there is no map.
 
-    `on_view` is called with the index of each view when it is read.
+    `on_view` is called with the index of each view after it was read.
 
     Raises:
-        DatasetError: no map of all that are there can be used.
+        DatasetError: none of the maps can be used.
     """
 
     def samples(index: int) -> Samples | None:
@@ -76,14 +75,14 @@ def view_samples(
 
 
 def _samples(path: Path, file: ViewFile, seen: Observations) -> Samples:
-    """A map at the points of its view, or why it is unusable: one bad file stops no training."""
+    """Samples of a map, or why it is unusable, because one bad file must not stop a training."""
     try:
         values = read_map(path)
         check_proportions(file, values)
     except (FormatError, DatasetError) as error:
         trouble = str(error).rstrip(".")
     except ShapeError as error:
-        trouble = f"{path} cannot be used: {error}. It has to show the whole photo"
+        trouble = f"{path} cannot be used: {error}. It must cover the whole photo"
     else:
         grid = averaged(fit_map(file, np.where(values == 0, np.float32(np.nan), values)))
         return replace(sampled(values, seen), grid=grid)
@@ -92,7 +91,7 @@ def _samples(path: Path, file: ViewFile, seen: Observations) -> Samples:
 
 
 def unusable(samples: list[Samples | None]) -> tuple[str, ...]:
-    """One sentence about the maps whose files cannot be used."""
+    """Message on the maps whose files cannot be used."""
     troubles = [part.trouble for part in samples if part is not None and part.trouble]
     if not troubles:
         return ()
@@ -105,7 +104,7 @@ def unusable(samples: list[Samples | None]) -> tuple[str, ...]:
 
 
 def sampled(values: np.ndarray, seen: Observations) -> Samples:
-    """A map's values at the points seen in its view, pixel centres at +0.5 in both."""
+    """A map's values at the points observed in its view, pixel centres at +0.5 in both."""
     height, width = values.shape
     known = np.where(values == 0, np.float32(np.nan), values)
     x, y = seen.x * (width / seen.width) - 0.5, seen.y * (height / seen.height) - 0.5
@@ -120,9 +119,9 @@ def sampled(values: np.ndarray, seen: Observations) -> Samples:
 
 def averaged(values: np.ndarray) -> np.ndarray:
     """Means of [H, W] float32 over squares of n = `grid_step(W)` pixels; NaN where less than half
-    of the square is known. What is left over at the right and below is in none.
+    of the square is known. Remaining pixels at the right and bottom are ignored.
 
-    Single pixels would not do: at that distance fine noise looks like edges.
+    Means, because the noise of single pixels at this distance looks like edges.
     """
     step = grid_step(values.shape[1])
     height, width = (side // step for side in values.shape)
@@ -135,7 +134,7 @@ def averaged(values: np.ndarray) -> np.ndarray:
 
 
 def grid_step(width: int) -> int:
-    """Pixels between two columns, and two rows, of the grid of a picture that is so wide."""
+    """Grid spacing for a picture of this width, px."""
     return max(1, width // _SIDE)
 
 

@@ -15,7 +15,7 @@ from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse
 
 MOST_VIEWS = 96
-"""Views on a sheet; of more, this many at even distances."""
+"""Maximum number of views on a sheet, evenly spaced among all."""
 _TILE = 200
 """Width of a picture, pixels."""
 _GAP, _LINE = 8, 14
@@ -36,13 +36,13 @@ def write_sheet(
     Args:
         path: The PNG.
         dataset: The capture at any resolution.
-        maps: File of each view's map.
-        fits: Of each view.
-        kind: What the maps' numbers grow with.
-        colorize: [...] float in [0, 1] to [..., 3] uint8.
+        maps: Map file of each view; None: no map.
+        fits: Fit of each view.
+        kind: Kind of the maps.
+        colorize: Colour map, [...] float in [0, 1] to [..., 3] uint8.
 
     Returns:
-        The number of views on it.
+        The number of views on the sheet.
 
     Raises:
         GsError: the file cannot be written.
@@ -68,7 +68,7 @@ def write_sheet(
 
 
 def map_picture(values: np.ndarray, colorize: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """[H, W, 3] uint8 of a map affine in inverse depth, from its 1st to its 99th percentile."""
+    """Picture [H, W, 3] uint8 of a map affine in inverse depth, 1st to 99th percentile."""
     known = np.isfinite(values)
     if not known.any():
         return np.full((*values.shape, 3), _UNKNOWN, np.uint8)
@@ -92,18 +92,18 @@ def _tile(
     height = max(1, round(photo.shape[0] * width / photo.shape[1]))
     tile = np.full((height + 2 * _LINE + 2, 2 * _TILE, 3), _BACK, np.uint8)
     tile[:height, :width] = resize(photo, width, height)
-    note = _words(fit)
+    note = _fit_text(fit)
     try:
         values = fit_map(dataset.files[index], to_inverse(read_map(path), kind)) if path else None
-    except GsError:  # the fit says why
+    except GsError:  # the fit has the reason
         values = None
     if values is not None:
         picture = map_picture(resize_map(values, width, height), colorize)
         tile[:height, _TILE : _TILE + width] = picture
-    return _written(tile, height, (dataset.names[index], _INK), note)
+    return _with_text(tile, height, (dataset.names[index], _INK), note)
 
 
-def _words(fit: Fit | None) -> tuple[str, tuple[int, int, int]]:
+def _fit_text(fit: Fit | None) -> tuple[str, tuple[int, int, int]]:
     if fit is None:
         return "", _INK
     if fit.accepted:
@@ -114,8 +114,8 @@ def _words(fit: Fit | None) -> tuple[str, tuple[int, int, int]]:
     return f"refused: {fit.reason}", _BAD
 
 
-def _written(tile: np.ndarray, top: int, *lines: tuple[str, tuple[int, int, int]]) -> np.ndarray:
-    """The tile with lines of text from `top` on, cut at its right border."""
+def _with_text(tile: np.ndarray, top: int, *lines: tuple[str, tuple[int, int, int]]) -> np.ndarray:
+    """The tile with lines of text below row `top`, truncated to its width."""
     from PIL import Image, ImageDraw, ImageFont
 
     picture = Image.fromarray(tile)

@@ -13,28 +13,28 @@ from .params import DEPTH_FOLDER, params_path, read_params, refusal
 
 @dataclass(frozen=True, kw_only=True)
 class StatedDepth:
-    """Which views have a map, and which maps a training would use as the file says."""
+    """Maps of the views, and which of them a training would use according to the file."""
 
     params: Path
-    """depth_params.json, whether it is there or not."""
+    """Path of depth_params.json, which may not exist."""
     entries: int = 0
-    """Views of which the file speaks."""
+    """Number of views with an entry."""
     problem: str = ""
-    """Why it cannot be read; empty if it can, or is not there."""
+    """Why the file cannot be read; empty if it can, or does not exist."""
     table: list[dict[str, Any]] = field(default_factory=list)
-    """A row a view with the keys of `Priors.table`. `accepted` is None for a map of which nothing
-    is known yet, and numbers that are not stated are None."""
+    """One row per view with the keys of `Priors.table`. `accepted` is None for a map that was not
+    compared with the points yet; unknown numbers are None."""
 
 
 def stated_depth(source: Path, views: Sequence[str], *, folder: str = DEPTH_FOLDER) -> StatedDepth:
-    """Read depth_params.json and list the maps; quick, and never raises on bad ones.
+    """Read depth_params.json and list the maps; fast, and never raises on damaged ones.
 
-    Whether the points agree is not looked at; `gscore depth SOURCE --check` does.
+    The points are not compared; `gscore depth SOURCE --check` does that.
 
     Args:
         source: Folder of the capture.
         views: Names of the views.
-        folder: Of the maps, in the capture.
+        folder: Folder of the maps in the capture.
     """
     root = source / folder
     try:

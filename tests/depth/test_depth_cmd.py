@@ -120,7 +120,12 @@ def test_maps_of_others_are_not_overwritten(planes, networks, gscore, tmp_path):
     there = planes.folder / "depths" / "cam" / "v_0.npy"
     before = there.read_bytes()
     code, _, err = gscore("depth", planes.folder, "--model", model)
-    assert code == 2 and "5 views already" in err and "--overwrite" in err and "--depths" in err
+    assert (
+        code == 2
+        and "already contains depth maps of 5 views" in err
+        and "--overwrite" in err
+        and "--depths" in err
+    )
     assert there.read_bytes() == before
     assert gscore("depth", planes.folder, "--model", model, "-d", "mono", "--quiet")[0] == 0
     # The file beside the model speaks of depths/; this folder keeps its own.

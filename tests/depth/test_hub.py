@@ -178,7 +178,7 @@ def test_another_file_is_removed(served: _Hub) -> None:
     assert entry is not None
     (path,) = [path for path in served.files if "midas_v21" in path]
     right, served.files[path] = served.files[path], b"something else"
-    with pytest.raises(FormatError, match="another file"):
+    with pytest.raises(FormatError, match="has the SHA-256"):
         network_file(entry, download=True)
     assert cached_file(entry) is None
     served.files[path] = right

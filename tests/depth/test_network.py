@@ -108,7 +108,7 @@ def test_sizes_that_cannot_be(tmp_path, networks):
     free = networks["transformer"](tmp_path / "free.onnx", patch=14, shape=[1, 3, "h", "w"])
     with pytest.raises(ConfigError, match="multiple of 14"):
         Network(free, size=300)
-    with pytest.raises(ConfigError, match="256 x 256 pixels and no others"):
+    with pytest.raises(ConfigError, match="only takes pictures of 256 x 256 pixels"):
         Network(networks["midas"](tmp_path / "fixed.onnx"), size=512)
 
 
@@ -228,5 +228,5 @@ def test_networks_of_another_kind(tmp_path, inputs, output, word):
 def test_a_classifier_in_disguise(tmp_path):
     """Oracle: an output that is no map is found out when it comes."""
     path = _other(tmp_path / "net.onnx", [("x", FLOAT, [1, 3, 32, 32])], ([1, "n"], [2, 3]))
-    with pytest.raises(GsError, match="one number a pixel"):
+    with pytest.raises(GsError, match="one number per pixel"):
         Network(path).predict(_flat())

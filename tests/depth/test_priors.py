@@ -134,7 +134,7 @@ def test_no_maps_and_some_maps(planes):
         _load(planes)
     (planes.folder / "depths").mkdir()
     np.save(planes.folder / "depths" / "other.npy", np.ones((4, 4)))
-    with pytest.raises(DatasetError, match=r"no depth map of any view \(1 map there\)"):
+    with pytest.raises(DatasetError, match=r"no depth map of any view \(it contains 1 map\)"):
         _load(planes)
     planes.write_maps(_npy(lambda s: s))
     (planes.folder / "depths" / "cam" / "v_1.npy").unlink()
