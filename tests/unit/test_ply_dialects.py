@@ -127,7 +127,11 @@ def test_flat_splats_are_written(splats: Splats, name: str, tmp_path: Path) -> N
         ("Vertical Axis: z", "Z"), ("vertical axis: Z", "Z"), ("Vertical axis: -z", "-Z"),
         ("Vertical Axis: x", "X"), ("Vertical Axis: +y", "Y"), ("Vertical Axis: -y", "-Y"),
         ("Vertical axis: y", ""), ("gscore up Z", "Z"), ("gscore up Y", "Y"),
-        ("Vertical Axis: zeta", ""), ("no vertical axis: z", ""),
+        ("Created by X, Vertical axis: Z", "Z"), ("X (vertical axis = -z)", "-Z"),
+        ("X 1.2; up axis: y", "Y"), ("up_axis z", "Z"), ("UpAxis: -Y", "-Y"),
+        ("Made by X - Up Axis: +X", "X"), ("setup axis: z", ""),
+        ("Created by X, Vertical axis: Y", ""), ("Vertical Axis: zeta", ""),
+        ("no vertical axis: z", ""),
     ],
 )  # fmt: skip
 def test_the_axis_that_a_comment_states(line: str, axis: str) -> None:

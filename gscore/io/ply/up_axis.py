@@ -5,9 +5,12 @@ from collections.abc import Iterable
 
 UP_NOTE = "gscore up "
 """Start of gscore's own comment, followed by an axis: X, Y or Z, or one of them after a minus."""
-_VERTICAL = re.compile(r"vertical axis:\s*([+-]?)([xyz])\b", re.IGNORECASE)
-"""Comment of nerfstudio and Brush. A y without a sign is ignored, because Brush always writes it,
-and the usual axis, -Y, is also one along y."""
+_STATED = re.compile(
+    r"(?:^|[,;.|()\[\]-])\s*(vertical|up)[ _-]?axis\s*[:=]?\s*([+-]?)([xyz])\b", re.IGNORECASE
+)
+"""Comment of nerfstudio and Brush, `Vertical Axis: z`, and `up axis`, at the start of a line or of
+a part of it. A vertical y without a sign is ignored, because Brush always writes it, and the usual
+axis, -Y, is also one along y."""
 
 
 def stated_up(comments: Iterable[str]) -> str:
@@ -16,8 +19,10 @@ def stated_up(comments: Iterable[str]) -> str:
     for line in lines:
         if line.startswith(UP_NOTE):
             return line.removeprefix(UP_NOTE)
-    found = next(filter(None, map(_VERTICAL.match, lines)), None)
+    found = next(filter(None, map(_STATED.search, lines)), None)
     if found is None:
         return ""
-    sign, axis = found[1], found[2].upper()
-    return "" if axis == "Y" and not sign else sign.replace("+", "") + axis
+    kind, sign, axis = found[1].lower(), found[2], found[3].upper()
+    if kind == "vertical" and axis == "Y" and not sign:
+        return ""
+    return sign.replace("+", "") + axis
