@@ -21,7 +21,7 @@ from .failure_reason import failure_reason
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .gps_scale import Gps, read_gps, to_metres
 from .heic import what_to_do
-from .panorama import check_lens, refused_panoramas
+from .panorama import check_lens, possible_panoramas, refused_panoramas
 from .photo_folders import captures_inside, doubt, excluded_folders, other_cameras, stamp
 from .photo_quality import PhotoQuality, blurred, exposure_jumps
 from .pycolmap_stages import Work
@@ -107,13 +107,15 @@ class _Search:
             self._root, names, on_photo=self._progress.counter("reading photos", len(names)),
             cancelled=self._stopping,
         )  # fmt: skip
-        if sentence := refused_panoramas(
-            {photo.name: photo.panorama for photo in read}, self._request
-        ):
+        panoramas = {photo.name: photo.panorama for photo in read}
+        if sentence := refused_panoramas(panoramas, self._request):
             raise DatasetError(sentence)
+        possible = possible_panoramas(panoramas, self._request)
         read, sentences = photos.one_of_each(self._root, read)
         doubtful = doubt(self._root, names, len(photos.by_camera(read)))
-        for sentence in filter(None, (*sentences, doubtful, other_cameras(self._request.photos))):
+        for sentence in filter(
+            None, (*sentences, possible, doubtful, other_cameras(self._request.photos))
+        ):
             self._progress.warn(sentence)
         found = self._masks([photo.name for photo in read])
         resumed = self._space.open(self._state(found))

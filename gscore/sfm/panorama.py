@@ -1,7 +1,7 @@
 """Panoramas: detection and refusal, with instructions to cut them into views."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,19 @@ from ..io.colmap.camera_models import NO_PINHOLE
 from ..text_format import count_words
 from .search_request import USUAL_LENS, SearchRequest
 
-STATED, SEEN = "stated", "seen"
-"""How a photo is known to be a panorama."""
-_XMP = re.compile(rb"GPano:ProjectionType")
-"""XMP tag that 360-degree cameras write (Google, Photo Sphere XMP metadata)."""
+STATED, PARTIAL, HINTED, SEEN, POSSIBLE = "stated", "partial", "hinted", "seen", "possible"
+"""Kinds of evidence: XMP or the camera states all directions; XMP states a part of them or a
+cylinder; XMP that does not fit the size, as of a view that was cut out; the pixels show it; twice
+as wide as high, and the pixels do not contradict."""
+_PROJECTION = re.compile(rb"GPano:ProjectionType\W{0,4}?(?:=\s*[\"']|>)\s*(\w+)")
+_CROPPED = re.compile(rb"GPano:CroppedAreaImage(Width|Height)Pixels(?:=\s*[\"']|>)\s*(\d+)")
+"""As attributes or elements of XMP (Google, Photo Sphere XMP metadata)."""
+_CAMERAS = re.compile(
+    r"theta|insta360|arashi vision|gopro max|gear 360|sm-[cr]2[01]0|virb 360|keymission 360|qoocam"
+    r"|lg-r105|mi sphere|madv360|yi 360",
+    re.IGNORECASE,
+)
+"""Makes and models of 360-degree cameras in EXIF."""
 _GRID = 256, 128
 """Width and height of the reduced picture in which edges are compared, px."""
 _SEAM = 3.0
@@ -33,28 +42,56 @@ _HOW = (
 )
 
 
-def states_panorama(image: Any) -> bool:
-    """Whether the XMP of Pillow's image marks it as a panorama."""
+def panorama_of(image: Any, camera: Sequence[str] = (), *, whole: bool = True) -> str:
+    """How Pillow's image is known to be a panorama; empty: it is none.
+
+    Args:
+        image: Opened; its pixels are decoded if `whole`.
+        camera: Make and model of EXIF.
+        whole: Whether pixels count too.
+    """
+    double = _is_double(image)
+    packets = _xmp(image)
+    if projection := _PROJECTION.search(packets):
+        kind = projection[1].lower()
+        size = {b"Width": image.width, b"Height": image.height}
+        cropped = dict(_CROPPED.findall(packets))
+        fits = bool(cropped) and all(int(cropped[side]) == size[side] for side in cropped)
+        if kind == b"equirectangular":
+            return STATED if double else PARTIAL if fits else HINTED
+        if kind == b"cylindrical":
+            return PARTIAL
+    if double and _CAMERAS.search(" ".join(camera)):
+        return STATED
+    return _look(image) if whole and double else ""
+
+
+def _xmp(image: Any) -> bytes:
+    """The XMP packets of Pillow's image."""
     packets = [image.info.get("xmp"), image.info.get("XML:com.adobe.xmp")]
     packets += [body for _, body in getattr(image, "applist", [])]
     texts = (text.encode() if isinstance(text, str) else text for text in packets)
-    return any(isinstance(text, bytes) and bool(_XMP.search(text)) for text in texts)
+    return b"\n".join(text for text in texts if isinstance(text, bytes))
 
 
-def looks_panoramic(image: Any) -> bool:
-    """Whether Pillow's decoded image is twice as wide as high, its left and right edges match, and
-    its upper and lower edges, each one point of the sphere, have one colour."""
-    if abs(image.width - 2 * image.height) > 0.005 * image.width:
-        return False
+def _is_double(image: Any) -> bool:
+    """Whether an image is twice as wide as high."""
+    return abs(image.width - 2 * image.height) <= 0.005 * image.width
+
+
+def _look(image: Any) -> str:
+    """`SEEN` where a picture continues from its right edge to its left one and has one colour along
+    its upper and lower edge, each of which is one point; `POSSIBLE` where these two edges are too
+    plain to know."""
     pixels = np.asarray(image.convert("RGB").resize(_GRID), np.float32).mean(axis=2)
     step = np.abs(np.diff(pixels, axis=1)).mean()
     seam = np.abs(pixels[:, 0] - pixels[:, -1]).mean()
     contrast = pixels.std()
     poles = max(pixels[0].std(), pixels[-1].std())
     sides = min(pixels[:, 0].std(), pixels[:, -1].std())
-    return bool(
-        seam <= _SEAM * step and poles <= _POLE * contrast and sides >= _UPRIGHT * contrast > 0
-    )
+    if not contrast > 0 or seam > _SEAM * step or poles > _POLE * contrast:
+        return ""
+    return SEEN if sides >= _UPRIGHT * contrast else POSSIBLE
 
 
 def check_lens(model: str) -> None:
@@ -67,22 +104,52 @@ def check_lens(model: str) -> None:
 
 
 def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
-    """Message on photos that are panoramas; empty if none is, or if the lens was given.
+    """Message on photos that are panoramas; empty if none is.
 
     Args:
-        photos: `STATED`, `SEEN` or an empty text by name. `SEEN` counts only if most photos are
-            panoramas, since few may look like one by chance.
-        request: Its lens model or focal length, if given, marks the photos as ordinary.
+        photos: Evidence by name. `SEEN` counts where it is that of most photos: few may look so by
+            chance.
+        request: A lens model or focal length in it states that photos are ordinary, against all
+            evidence that is not `STATED` or `PARTIAL`.
     """
-    if request.camera_model != USUAL_LENS or request.focal_length:
-        return ""
-    often = 2 * sum(map(bool, photos.values())) > len(photos)
-    names = [name for name, how in photos.items() if how == STATED or (how and often)]
+    if parts := [name for name, how in photos.items() if how == PARTIAL]:
+        return (
+            f"{count_words(len(parts), 'photo is a panorama', 'photos are panoramas')} of a part "
+            f"of all directions (cylindrical or equirectangular, by XMP): {listing(parts, 3)}. No "
+            "lens model fits them: leave them out."
+        )
+    names = [name for name, how in photos.items() if how == STATED]
+    excuse = (
+        "If these are ordinary photos, remove that statement, as with `exiftool -XMP-GPano:all= "
+        "-Model= PHOTOS`."
+    )
+    if not names and not _lens_is_given(request):
+        often = 2 * sum(how in (HINTED, SEEN) for how in photos.values()) > len(photos)
+        names = [n for n, how in photos.items() if how == HINTED or (how == SEEN and often)]
+        excuse = (
+            "If they are ordinary photos, give --focal-length in px or another --camera-model, as "
+            "OPENCV."
+        )
     if not names:
         return ""
     what = count_words(len(names), "photo shows", "photos show")
     return (
-        f"{what} all directions (360-degree panoramas, by XMP or because left and right edge "
-        f"meet): {listing(names, 3)}. {_HOW}. If they are ordinary photos, give --focal-length in "
-        "px or another --camera-model, as OPENCV."
+        f"{what} all directions (360-degree panoramas, by XMP, by the camera or because left and "
+        f"right edge meet): {listing(names, 3)}. {_HOW}. {excuse}"
     )
+
+
+def possible_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
+    """Message where most photos may be panoramas and nothing decides it; empty otherwise."""
+    names = [name for name, how in photos.items() if how in (POSSIBLE, SEEN)]
+    if _lens_is_given(request) or 2 * len(names) <= len(photos):
+        return ""
+    return (
+        f"{count_words(len(names), 'photo is', 'photos are')} twice as wide as high, as "
+        f"360-degree panoramas are: {listing(names, 3)}. They are searched as ordinary photos. If "
+        f"they show all directions, stop. {_HOW}."
+    )
+
+
+def _lens_is_given(request: SearchRequest) -> bool:
+    return request.camera_model != USUAL_LENS or bool(request.focal_length)

@@ -17,7 +17,7 @@ from ..io.images.raw import RAW_ENDINGS
 from ..io.images.read_image import IMAGE_ENDINGS
 from ..text_format import count_words, number
 from .heic import what_to_do
-from .panorama import SEEN, STATED, looks_panoramic, states_panorama
+from .panorama import panorama_of
 from .photo_quality import PhotoQuality, measure_quality
 
 LEAST = 3
@@ -48,7 +48,7 @@ class Photo:
     shot: Shot | None = None
     """Key to detect copies of one exposure; None if only the header was read."""
     panorama: str = ""
-    """`STATED` if its XMP marks it as a panorama, `SEEN` if its pixels do; empty: neither."""
+    """How it is known to be a panorama, as `panorama_of` returns it; empty: it is none."""
 
 
 def photo_folder(path: Path) -> Path:
@@ -133,7 +133,6 @@ def read_photos(
         try:
             with opened_picture(root / names[i]) as image:
                 camera, look, shot = _camera(image), None, None
-                panorama = STATED if states_panorama(image) else ""
                 if image.format == "TIFF" and image.tell():
                     raise FormatError(
                         f"{root / names[i]} starts with a reduced picture, which COLMAP would "
@@ -142,7 +141,7 @@ def read_photos(
                 if whole:
                     check_whole(root / names[i], image)
                     look, shot = measure_quality(image), shot_of(names[i], image)
-                    panorama = panorama or (SEEN if looks_panoramic(image) else "")
+                panorama = panorama_of(image, camera[:2], whole=whole)
                 alias = f"{i:06}{Path(names[i]).suffix.lower()}"
                 size = image.width, image.height
                 return Photo(names[i], alias, *size, camera, look, shot, panorama)

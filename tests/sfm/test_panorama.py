@@ -1,5 +1,6 @@
 """360-degree photos, by XMP and by their look, and ordinary ones of the same proportions."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,17 @@ from PIL import Image
 
 import gscore
 from gscore.commands import main
-from gscore.sfm.panorama import looks_panoramic, states_panorama
+from gscore.sfm.panorama import (
+    HINTED,
+    PARTIAL,
+    POSSIBLE,
+    SEEN,
+    STATED,
+    panorama_of,
+    possible_panoramas,
+    refused_panoramas,
+)
+from gscore.sfm.search_request import SearchRequest
 
 from .conftest import STUDIO
 
@@ -78,23 +89,23 @@ def test_panoramas_are_known_by_their_look(panoramas: list[Image.Image]) -> None
     for picture in panoramas:
         for shift in (0, 100, 333):
             rolled = Image.fromarray(np.roll(np.asarray(picture), shift, axis=1))
-            assert looks_panoramic(rolled)
+            assert panorama_of(rolled) == SEEN
     width, height = panoramas[0].size
-    assert not looks_panoramic(panoramas[0].crop((0, height // 4, width // 2, height // 2)))
-    assert not looks_panoramic(panoramas[0].crop((0, 0, width, height - 10)))
+    assert not panorama_of(panoramas[0].crop((0, height // 4, width // 2, height // 2)))
+    assert not panorama_of(panoramas[0].crop((0, 0, width, height - 10)))
 
 
 def test_ordinary_photos_twice_as_wide_as_high_are_none() -> None:
-    """Oracle: strips of photos, one colour, and a thing before white."""
+    """Oracle: strips of photos and one colour; of a thing before white it is not known."""
     for i in range(0, 60, 6):
         with Image.open(STUDIO / f"images/view_{i:03}.jpg") as photo:
             for top in (0, photo.height - photo.width // 2):
                 strip = photo.crop((0, top, photo.width, top + photo.width // 2))
-                assert strip.width == 2 * strip.height and not looks_panoramic(strip)
+                assert strip.width == 2 * strip.height and not panorama_of(strip)
     white = np.full((200, 400, 3), 255, np.uint8)
-    assert not looks_panoramic(Image.fromarray(white))
+    assert not panorama_of(Image.fromarray(white))
     white[60:150, 120:280] = np.random.default_rng(0).integers(0, 255, (90, 160, 3))
-    assert not looks_panoramic(Image.fromarray(white))
+    assert panorama_of(Image.fromarray(white)) == POSSIBLE
 
 
 @pytest.mark.parametrize("ending", ["jpg", "png", "webp"])
@@ -110,17 +121,69 @@ def test_xmp_states_a_panorama(ending: str, tmp_path: Path) -> None:
         picture.save(tmp_path / "stated.png", pnginfo=text)
     else:
         picture.save(tmp_path / f"stated.{ending}", xmp=XMP)
-    for name, wanted in (("plain", False), ("stated", True)):
+    for name, wanted in (("plain", ""), ("stated", HINTED)):
         with Image.open(tmp_path / f"{name}.{ending}") as image:
-            assert states_panorama(image) == wanted
+            assert panorama_of(image) == wanted
+
+
+def _with_xmp(size: tuple[int, int], fields: str) -> Image.Image:
+    image = Image.new("RGB", size, "gray")
+    image.info["xmp"] = f"<rdf:Description {fields}/>".encode()
+    return image
+
+
+CROPPED = "GPano:CroppedAreaImageWidthPixels='{}' GPano:CroppedAreaImageHeightPixels='{}'"
+
+
+@pytest.mark.parametrize(
+    ("size", "fields", "kind"),
+    [
+        ((60, 30), 'GPano:ProjectionType="equirectangular"', STATED),
+        ((60, 30), "GPano:ProjectionType = 'Equirectangular'", STATED),
+        ((60, 30), "><GPano:ProjectionType>equirectangular</GPano:ProjectionType>", STATED),
+        ((60, 20), 'GPano:ProjectionType="equirectangular"', HINTED),
+        ((60, 20), f'GPano:ProjectionType="equirectangular" {CROPPED.format(60, 20)}', PARTIAL),
+        ((60, 20), f'GPano:ProjectionType="equirectangular" {CROPPED.format(600, 300)}', HINTED),
+        ((60, 10), 'GPano:ProjectionType="cylindrical"', PARTIAL),
+        ((60, 30), 'GPano:ProjectionType="cylindrical"', PARTIAL),
+        ((60, 30), 'GPano:ProjectionType="rectilinear"', ""),
+        ((60, 30), 'GPano:UsePanoramaViewer="True"', ""),
+    ],
+)
+def test_projections_of_xmp(size: tuple[int, int], fields: str, kind: str) -> None:
+    """Oracle: the projections of Photo Sphere XMP, and sizes that fit them or not."""
+    assert panorama_of(_with_xmp(size, fields)) == kind
+
+
+@pytest.mark.parametrize(
+    "camera", ["RICOH THETA V", "Insta360 X3", "GoPro MAX", "SAMSUNG Gear 360", "Garmin VIRB 360"]
+)
+def test_cameras_that_take_panoramas_alone(camera: str) -> None:
+    """Oracle: their stitched photos are 2:1; others of them are not."""
+    assert panorama_of(Image.new("RGB", (60, 30)), (camera, ""), whole=False) == STATED
+    assert not panorama_of(Image.new("RGB", (40, 30)), (camera, ""), whole=False)
+    assert not panorama_of(Image.new("RGB", (60, 30)), ("GoPro", "HERO9"), whole=False)
+
+
+def test_what_a_lens_that_is_given_excuses(tmp_path: Path) -> None:
+    """Oracle: photos known by their look or by XMP that does not fit; not those that XMP states."""
+    plain = SearchRequest(photos=tmp_path, output=tmp_path / "o")
+    for lens in (replace(plain, focal_length=500.0), replace(plain, camera_model="OPENCV")):
+        for kind, excused in ((STATED, False), (PARTIAL, False), (HINTED, True), (SEEN, True)):
+            assert refused_panoramas({"a": kind}, plain)
+            assert bool(refused_panoramas({"a": kind}, lens)) != excused
+        assert possible_panoramas({"a": POSSIBLE}, plain)
+        assert not possible_panoramas({"a": POSSIBLE}, lens)
+    assert "v360" not in refused_panoramas({"a": PARTIAL}, plain)
+    assert not possible_panoramas({"a": POSSIBLE, "b": ""}, plain)
 
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_a_search_refuses_panoramas_and_says_how_to_cut_them(
     stated: bool, panoramas: list[Image.Image], tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: one sentence and no capture; a focal length states that they are ordinary photos, and
-    then no model is found of them for another reason."""
+    """Oracle: one sentence and no capture; a focal length says that those without XMP are ordinary
+    photos, and then no model is found of them for another reason."""
     (tmp_path / "walk").mkdir()
     for i, picture in enumerate(panoramas):
         picture.save(tmp_path / f"walk/{i}.jpg", xmp=XMP if stated else b"")
@@ -130,7 +193,7 @@ def test_a_search_refuses_panoramas_and_says_how_to_cut_them(
     assert "4 photos show all directions" in told and "v360=equirect:flat" in told
     assert "Traceback" not in told and not (tmp_path / "found").exists()
     main([*asked, "--focal-length", "500"])
-    assert "all directions" not in " ".join(capsys.readouterr().err.split())
+    assert ("all directions" in " ".join(capsys.readouterr().err.split())) == stated
 
 
 def test_the_lens_model_of_panoramas_is_refused(photos: Path, tmp_path: Path, capsys: Out) -> None:
