@@ -270,7 +270,9 @@ def test_photos_start_no_programs(ghostscript: Path, name: str, tmp_path: Path) 
     path = tmp_path / name
     path.write_bytes(EPS)
     for read in (read_info, read_image, read_mask, _read_picture):
-        with pytest.raises(FormatError, match=rf"{name} cannot be read as an image: its format is not"):
+        with pytest.raises(
+            FormatError, match=rf"{name} cannot be read as an image: its format is not"
+        ):
             read(path)
     assert not ghostscript.exists()
 

@@ -26,6 +26,9 @@ _STRAY, _STRAY_METRES = 6.0, 10.0
 """Residual, in medians and in metres, above both of which a position is an outlier (weight 0)."""
 _TRIPLES = 500
 """Initial fits to three photos: with every second position an outlier, 60 of them have none."""
+_REPEATED = 0.4
+"""Share of the photos beyond which a position that they have in common is a fix that the camera
+repeated, and not used where enough others are left."""
 _EXACT = 1e-6
 """Minimum residual of a position, metres."""
 _ANY_TURN = math.pi**2 / 3
@@ -46,6 +49,8 @@ class Gps:
     """Standard deviation of the up direction, degrees; set together with `metres`."""
     strays: tuple[tuple[str, float], ...] = ()
     """Outliers: names in the model and errors in metres, largest first; weight 0 in the fit."""
+    repeated: int = 0
+    """Number of photos whose position is not used because too many have the same."""
     contradicts: float | None = None
     """Median residual in metres if the positions contradict the model; None: they agree, or are too
     few or too close together for a scale."""
@@ -61,17 +66,27 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
     numbers = sorted(set(places) & set(model.reg_image_ids()))
     if len(numbers) < LEAST_PLACES:
         return Gps()
-    there = _in_metres(np.array([places[number] for number in numbers], np.float64))
+    fixes = np.array([places[number] for number in numbers], np.float64)
+    repeated = _is_repeated(fixes)
+    lost = int(repeated.sum())
+    if len(np.unique(fixes[~repeated], axis=0)) >= LEAST_PLACES:
+        numbers = [n for n, same in zip(numbers, repeated, strict=True) if not same]
+        fixes = fixes[~repeated]
+    elif 2 * lost > len(fixes):  # the median error is that of the repeated ones
+        return Gps(repeated=lost)
+    else:
+        lost = 0
+    there = _in_metres(fixes)
     centers = np.array([model.images[number].projection_center() for number in numbers])
     weights = _agreement(centers, there)
     rotation, metres, placed, errors = _fit(centers, there, weights)
     sizes, kept = np.linalg.norm(errors, axis=1), weights > 0
     if 2 * np.linalg.norm(placed[kept], axis=1).max() < _LEAST_EXTENT:
-        return Gps()
+        return Gps(repeated=lost)
     usual = float(np.median(sizes))
     few = kept.sum() < max(LEAST_PLACES, len(kept) // 2 + 1)
     if few or _scale_error(placed, errors, weights) > _MOST_SCALE_ERROR:
-        return Gps(contradicts=usual)
+        return Gps(repeated=lost, contradicts=usual)
     tilt = _tilt(placed, errors, weights)
     strays = sorted(np.flatnonzero(~kept), key=lambda i: -sizes[i])
     return Gps(
@@ -79,7 +94,14 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
         rotation[2] if tilt <= _MOST_TILT else None,
         tilt,
         tuple((model.images[numbers[i]].name, float(sizes[i])) for i in strays),
+        lost,
     )
+
+
+def _is_repeated(fixes: np.ndarray) -> np.ndarray:
+    """[n] whether each of the positions [n, 3] is that of too many photos."""
+    _, which, counts = np.unique(fixes, axis=0, return_inverse=True, return_counts=True)
+    return counts[which.reshape(-1)] > max(_REPEATED * len(fixes), 1)
 
 
 def places_in_metres(file: Path) -> dict[str, np.ndarray]:

@@ -157,12 +157,19 @@ def lens_text(before: float, after: float) -> str:
 
 def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
     """Messages on GPS outliers and on an unknown scale or up direction; `names` by alias."""
+    sentences = []
+    if gps.repeated:
+        what = count_words(gps.repeated, "photo has", "photos have")
+        sentences.append(
+            f"GPS in EXIF of {what} one position in common, as where a phone repeats a fix: it was "
+            "not used for size and up."
+        )
     if gps.contradicts is not None:
         return [
+            *sentences,
             "GPS in EXIF is not used for scale and up direction: it contradicts the camera "
-            f"positions, by {_length(gps.contradicts)} for a typical photo."
+            f"positions, by {_length(gps.contradicts)} for a typical photo.",
         ]
-    sentences = []
     if gps.strays:
         outliers = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.strays[:5]]
         more = ", ..." if len(gps.strays) > len(outliers) else ""

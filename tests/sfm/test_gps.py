@@ -158,6 +158,34 @@ def test_stray_places_are_named_and_change_neither_size_nor_up(kind: str, count:
             assert _degrees(found.up, turn[:, 2]) < 3
 
 
+@pytest.mark.parametrize("share", [0.45, 0.55, 0.75])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_fix_that_is_repeated_does_not_count(share: float, first: bool) -> None:
+    """Oracle: the world's metres and vertical, from the photos with fixes of their own."""
+    turn, places = _turned(2), _places(AROUND + HIGH, 1.0)
+    same = list(range(1, 25))[: round(24 * share)] if first else range(25 - round(24 * share), 25)
+    for number in same:
+        places[number] = places[same[0]]
+    found = read_gps(_model(AROUND @ turn.T / METRES), places)
+    assert found.metres == pytest.approx(METRES, rel=0.1) and found.repeated == len(same)
+    sentences = gps_text(found, {})
+    assert f"of {len(same)} photos have one position in common" in sentences[0]
+
+
+def test_repeated_fixes_alone_are_named() -> None:
+    """Oracle: four fixes are too few for a size, and a sentence says why there is none; the two
+    cameras of each of six stations keep theirs."""
+    places = _places(AROUND, 1.0)
+    repeated = {number: places[20 if number < 21 else number] for number in range(4, 25)}
+    found = read_gps(_model(AROUND / METRES), repeated)
+    assert found.repeated == 17 and found.metres is None and found.up is None
+    assert "not used for size and up" in gps_text(found, {})[0]
+    rigs = {number: places[1 + (number - 1) // 2 * 2] for number in places if number <= 12}
+    centers = np.repeat(AROUND[:12:2], 2, axis=0) / METRES
+    found = read_gps(_model(centers), rigs)
+    assert found.metres == pytest.approx(METRES, rel=0.2) and not found.repeated
+
+
 def test_the_messages_name_strays_and_contradictions() -> None:
     """Oracle: the heights and places that were set to zero, and errors as large as the way."""
     places = _places(AROUND + HIGH, 0.5)
