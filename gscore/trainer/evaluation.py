@@ -1,4 +1,4 @@
-"""Evaluation of a model in training: metrics against the photos, and preview pictures."""
+"""Evaluation of a model in training: metrics against the photos, and preview images."""
 
 import math
 from collections.abc import Callable
@@ -13,11 +13,11 @@ from ..report import PictureCollector
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
-"""Training views that are measured if none are held out."""
+"""Most training views that are evaluated if none are held out."""
 
 
 class Evaluator:
-    """Metrics and pictures of the measured views of a trainer."""
+    """Metrics and images of the evaluated views of a trainer."""
 
     def __init__(
         self, trainer: Trainer, *, lpips: Lpips | LpipsNet | None, lpips_reason: str
@@ -26,26 +26,26 @@ class Evaluator:
         self._lpips, self._lpips_reason = lpips, lpips_reason
         photos = trainer.photos
         self.split = "test" if photos.test else "train"
-        """`test` if the measured views are held out."""
+        """`test` if the evaluated views are held out."""
         self.indices = list(photos.test)
-        """Views that are measured."""
+        """Evaluated views."""
         if not photos.test:
             count = min(len(photos.train), _TRAIN_VIEWS_SHOWN)
             places = np.linspace(0, len(photos.train) - 1, count).round().astype(int)
             self.indices = [photos.train[i] for i in places]
 
     def picture(self, index: int) -> np.ndarray:
-        """Current picture of view `index`, [H, W, 3] float32, over the background of metrics."""
+        """Render view `index`, [H, W, 3] float32, over the background of metrics."""
         trainer = self._trainer
         return trainer.renderer.picture(index, background=trainer.renderer.background).numpy()
 
     def measure(
         self, collector: PictureCollector | None, *, interrupted: Callable[[], bool]
     ) -> Evaluation | None:
-        """All metrics of all measured views.
+        """Compute all metrics of all evaluated views.
 
         Args:
-            collector: Receives the pictures for the report.
+            collector: Receives the images for the report.
             interrupted: Called after each view; True ends the evaluation.
 
         Returns:
@@ -65,8 +65,8 @@ class Evaluator:
                 shown = self._trainer.renderer.aligned_picture(
                     self.indices[place], background=self._trainer.renderer.background
                 )
-                worth = psnr(shown.numpy(), target, mask=weights)
-                values["psnr_aligned"] = worth if math.isfinite(worth) else None
+                aligned = psnr(shown.numpy(), target, mask=weights)
+                values["psnr_aligned"] = aligned if math.isfinite(aligned) else None
             if collector:
                 collector(place, target, render, weights, values)
 

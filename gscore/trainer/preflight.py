@@ -1,4 +1,4 @@
-"""Preflight checks before the first step: whether cameras and splats can be trained."""
+"""Preflight checks of cameras and splats before the first step."""
 
 import math
 from collections.abc import Iterator
@@ -14,27 +14,28 @@ from ..text_format import count_words, number
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
-_LOOKED_AT = 64
-"""Training views, spread evenly, that are checked for splats."""
+_CHECKED = 64
+"""About the most training views, evenly spaced, that are checked for splats."""
 
 _FEW_IN_REGION = 100
-"""Fewer splats than this in a region cause a warning: it is probably the wrong box."""
-_GLANCED_AT, _GLANCE = 8, 8
-"""Training views that given splats are compared with, and the divisor of their sides."""
+"""Number of splats in a region below which it is probably the wrong box, so the user is warned."""
+_COMPARED, _FACTOR = 8, 8
+"""Training views that start splats are compared with, and the divisor of their sides."""
 
 
 def check_training(trainer: Trainer) -> list[str]:
-    """Warnings for the user about a training before its first or next step.
+    """Return warnings about a training before its first or next step.
 
     Raises:
-        DatasetError: no training view shows any splat, so nothing can be learnt.
+        DatasetError: no training view shows any splat.
     """
     scene = trainer.photos.scene
-    placed = [*position_warnings(scene), *axis_warnings(scene)]
-    return [*_world(trainer), *placed, *_unseen(trainer), *_strange(trainer)]
+    poses = [*position_warnings(scene), *axis_warnings(scene)]
+    return [*_splat_warnings(trainer), *poses, *_empty_views(trainer), *_other_scene(trainer)]
 
 
-def _world(trainer: Trainer) -> Iterator[str]:
+def _splat_warnings(trainer: Trainer) -> Iterator[str]:
+    """Warnings about near plane, antialiasing, region, SH degree and origin."""
     frame, config = trainer.frame, trainer.config
     near = frame.world_near
     if near < 0.999 * config.near:
@@ -51,50 +52,48 @@ def _world(trainer: Trainer) -> Iterator[str]:
     count = trainer.trained_count
     if config.region and config.start_splats and not trainer.steps and count < _FEW_IN_REGION:
         yield (
-            f"Only {count_words(count, 'splat')} of {config.start_splats} lie in the region "
-            f"{config.region}; gscore info says where splats are."
+            f"Only {count_words(count, 'splat')} of {config.start_splats} are in the region "
+            f"{config.region}; gscore info prints the bounds of the splats."
         )
     if trainer.cut_degree > config.sh_degree:
         yield (
-            f"The splats to start from have SH degree {trainer.cut_degree}, this run "
-            f"{config.sh_degree} at most: what depends on the direction beyond it is lost."
+            f"The start splats have SH degree {trainer.cut_degree}, this run at most "
+            f"{config.sh_degree}: the view dependence of higher degrees is lost."
         )
     offset = float(np.abs(frame.similarity.shift).max()) * frame.similarity.scale / frame.extent
     if offset > _FAR_FROM_ORIGIN:
         yield (
-            f"The capture lies {offset:.0f} times its own size from the origin; the float32 "
-            "numbers of a PLY are coarse there. A training that starts anew writes splats about a "
-            "local origin."
+            f"The capture is {offset:.0f} times its own size from the origin, where the float32 "
+            "numbers of a PLY are coarse. A new training writes splats about a local origin."
         )
 
 
-def _strange(trainer: Trainer) -> list[str]:
-    """Warnings where the start splats seem to belong to another scene."""
+def _other_scene(trainer: Trainer) -> list[str]:
+    """Warnings if the start splats seem to belong to another scene."""
     if trainer.config.start_splats is None or trainer.steps:
         return []
     views = trainer.photos.train
-    error = trainer.renderer.error(views[:: -(-len(views) // _GLANCED_AT)], _GLANCE)
+    error = trainer.renderer.error(views[:: -(-len(views) // _COMPARED)], _FACTOR)
     psnr = -20 * math.log10(max(error, 1e-6))
     return photo_mismatch_warnings(psnr, f"The splats of {trainer.config.start_splats}")
 
 
-def _unseen(trainer: Trainer) -> Iterator[str]:
-    """A warning on views without a splat at the start; DatasetError if all are empty."""
+def _empty_views(trainer: Trainer) -> Iterator[str]:
+    """A warning about views without splats at the start; DatasetError if all are empty."""
     if trainer.steps:
         return
     views = trainer.photos.train
-    looked_at = views[:: -(-len(views) // _LOOKED_AT)]
-    empty = [index for index in looked_at if not trainer.renderer.shows_splats(index)]
-    if len(empty) == len(looked_at) and not any(map(trainer.renderer.shows_splats, views)):
+    checked = views[:: -(-len(views) // _CHECKED)]
+    empty = [index for index in checked if not trainer.renderer.shows_splats(index)]
+    if len(empty) == len(checked) and not any(map(trainer.renderer.shows_splats, views)):
         raise DatasetError(
             f"None of the {number(len(views))} training views shows any of the "
-            f"{count_words(trainer.splat_count, 'splat')} "
-            "to start with, so nothing can be learnt. Do the cameras and the points, or the PLY of "
-            "--start-splats, belong to one capture?"
+            f"{count_words(trainer.splat_count, 'initial splat')}. Check that the cameras and the "
+            "points, or the PLY of --start-splats, belong to one capture."
         )
     if empty:
         names = listing([trainer.photos.scene.cameras.names[i] for i in empty])
         yield (
-            f"{len(empty)} of {count_words(len(looked_at), 'training view')} looked at show no "
-            f"splat at the start and may stay empty: {names}."
+            f"{len(empty)} of {count_words(len(checked), 'checked training view')} show no splats "
+            f"at the start and may stay empty: {names}."
         )

@@ -1,4 +1,4 @@
-"""Preparation of a training: from options and a capture to a trainer, equal on every rank."""
+"""Preparation of a training: creates the trainer from options and capture, equal on every rank."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -62,10 +62,10 @@ class Prepared:
                 {"train": torch.tensor(list(self.photos.train), dtype=torch.int64, device="cpu")}
             ),
             "the plan": repr(trainer.plan),
-            "the share of splats that is left out": trainer.drop_rate,
+            "the dropout rate": trainer.drop_rate,
             "the number of models": len(trainer.members),
-            "the meshes that guide it": trainer.guide_digest,
-            "the first splats": crc_of(trainer.tensors()),
+            "the guide meshes": trainer.guide_digest,
+            "the initial splats": crc_of(trainer.tensors()),
         }
 
 
@@ -104,7 +104,7 @@ def prepare(
     region = None if config.region is None else RegionBox.read(config.region)
     if region is not None and team is not None:
         raise ConfigError(
-            "A region is trained by one process: start gscore train without torchrun."
+            "A region can only be trained by one process: start gscore train without torchrun."
         )
     origin = start.origin if origin is None and start is not None else origin
     photos = load_dataset(data, origin=origin, cancelled=lambda: control.stopping)
@@ -147,8 +147,8 @@ def prepare(
         points = photos.scene.points if depth.points is None else depth.points
         added = StereoStart()
         if stereo:
-            telling = progress_of("depth of photos", config, emit, control)
-            added = stereo_start(config, photos, points, on_view=telling)
+            on_view = progress_of("depth of photos", config, emit, control)
+            added = stereo_start(config, photos, points, on_view=on_view)
             config, enough = limited(known=added.known, compared=True)
         exposure, placing = analyze_photos(config, photos)
         trainer = Trainer(
@@ -184,7 +184,7 @@ def prepare(
 
 
 def _asked_beyond(asked: TrainConfig, limited: TrainConfig) -> dict[str, int]:
-    """Requested values, by option, of the options that `limited` lowered."""
+    """Return the requested values of the options that `limited` lowered."""
     both = {name: (getattr(asked, name), getattr(limited, name)) for name in LIFTED_BY}
     return {name: was for name, (was, now) in both.items() if was != now}
 
@@ -199,6 +199,6 @@ def memory_in_words() -> Iterator[None]:
         if not isinstance(error, MemoryError) and "can't allocate memory" not in str(error):
             raise
         raise BackendError(
-            "Out of memory; use fewer splats (--max-splats), smaller photos (-r 2), or close "
+            "Out of memory; use fewer splats (--max-splats) or smaller photos (-r 2), or close "
             "programs. The last checkpoint is kept."
         ) from error

@@ -1,4 +1,4 @@
-"""Run: `train` checks everything before the first step, then runs a session."""
+"""Run: `train` prepares and checks a training, then runs its session."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -126,7 +126,7 @@ def _prepared(
     control: Control,
     team: ProcessGroup | None,
 ) -> Prepared:
-    """The prepared trainer, after all ranks have confirmed that theirs are equal."""
+    """Prepare the trainer, and check on all ranks that theirs are equal."""
     found, failure = None, None
     try:
         found = prepare(

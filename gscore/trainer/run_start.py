@@ -1,4 +1,4 @@
-"""Run start: from points, given splats, a checkpoint, or a run that is already complete."""
+"""Run start: from points, start splats, a checkpoint, or a run that is already complete."""
 
 import contextlib
 from pathlib import Path
@@ -143,7 +143,7 @@ class RunStart:
         if other_isa := checkpoint.isa_warning(found):
             session.warn(other_isa, "isa")
         for path in self._damaged:
-            session.warn(_set_aside(path, found.steps), "damaged_checkpoint")
+            session.warn(_rename_damaged(path, found.steps), "damaged_checkpoint")
 
     def _last(self) -> Checkpoint | None:
         """The last intact checkpoint of the folder; later, damaged ones are recorded."""
@@ -156,10 +156,10 @@ class RunStart:
                 if len(self._damaged) < len(paths):
                     continue
                 if len(paths) == 1:
-                    raise FormatError(f"{error} Or start anew with --overwrite.") from error
+                    raise FormatError(f"{error} Or start again with --overwrite.") from error
                 raise FormatError(
                     f"All {len(paths)} checkpoints in {path.parent} are damaged, the oldest: "
-                    f"{error} Start anew with --overwrite."
+                    f"{error} Start again with --overwrite."
                 ) from error
         return None
 
@@ -179,11 +179,11 @@ class RunStart:
         return []
 
 
-def _set_aside(path: Path, step: int) -> str:
+def _rename_damaged(path: Path, step: int) -> str:
     """Rename a damaged checkpoint, so that it is not read again; returns a warning."""
-    aside = path.with_name(f"{path.name}.damaged")
+    renamed = path.with_name(f"{path.name}.damaged")
     try:
-        path.replace(aside)
+        path.replace(renamed)
     except OSError as error:
         raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
-    return f"{path.name} is damaged (now {aside.name}); going on from step {step} before it."
+    return f"{path.name} is damaged (now {renamed.name}); continuing from step {step} before it."

@@ -1,4 +1,4 @@
-"""Sequence training: frames one after another, each from the splats of the one before."""
+"""Sequence training: frames one after another, each from the splats of the previous one."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
@@ -37,7 +37,7 @@ from .frames.sequence_index import SequenceListing
 from .run import train
 
 _FREE = ("keep_checkpoints",)
-"""Options of a sequence in which those who train parts of it may differ."""
+"""Options of a sequence that may differ between processes that train parts of it."""
 
 
 def train_sequence(
@@ -55,39 +55,38 @@ def train_sequence(
     team: ProcessGroup | None = None,
     agent: str = "",
 ) -> SequenceResult:
-    """Train every frame into a folder of its own below `output`.
+    """Train every frame into its own folder below `output`.
 
     The first frame and all keyframes start from the points of their captures, or
     `config.start_splats`, and take `config.iterations` steps; the others start from the splats of
-    the frame before. Frames that an interrupted sequence has completed are kept, one that it has
-    begun goes on from its checkpoint. The bits of a frame do not depend on who trains it.
+    the previous frame. Complete frames of an interrupted sequence are kept, and an incomplete one
+    is resumed. The bits of a frame do not depend on the process that trains it.
 
     Args:
-        config: How to train.
-        data: What to train on; see `datasets.frames.find_frames` for `source`.
-        output: Folder for the results; made if it is not there.
+        config: Training options.
+        data: Capture options; see `datasets.frames.find_frames` for `source`.
+        output: Folder for the results; created if missing.
         on_event: Called with each event of each frame, with `FrameStarted` before them and
             `SequenceDone` at the end.
-        control: Through which others ask to stop, pause or save.
-        options: Which frames, and what goes from one to the next.
-        resume: Go on with the sequence in `output`.
+        control: Requests of other threads to stop, pause or save.
+        options: Selection of frames, keyframes, and the start from the previous frame.
+        resume: Resume the sequence in `output`.
         overwrite: Replace the sequence in `output`, or the frames of the run of `frame`.
-        onlookers: Those who watch, whose pictures are drawn between steps.
-        frame: Train the run of frames, from a keyframe to the next, that holds the frame of this
-            number; what is there of it is gone on with. Others may train other runs into `output`
+        viewers: Viewer clients, whose frame requests are rendered between steps.
+        frame: Train only the run with this frame number, from its keyframe up to the next, and
+            resume it if it has begun. Other processes may train other runs into `output`
             meanwhile. None: all frames.
-        team: Processes that take runs of frames in turn, of which this one trains those that it
-            gets. All call this with the same arguments and reach the same `output`; rank 0 alone
-            returns all frames and tells `SequenceDone` of all.
-        agent: Of the torchrun that starts the team again where a process is lost, see
-            `ranks.turns`.
+        team: Process group whose ranks share the runs of frames. All ranks call this with the same
+            arguments and reach the same `output`; only rank 0 returns all frames and emits
+            `SequenceDone` for all.
+        agent: Identifier of the torchrun that restarts lost processes, see `WorkQueue`.
 
     Returns:
-        How it ended. Stopping by `control` is no error.
+        The result. A stop by `control` is no error.
 
     Raises:
-        ConfigError: `output` holds another sequence, or none to resume.
-        GsError: as `train`, with the frame's name; frames that are complete stay.
+        ConfigError: `output` contains another sequence, or none to resume.
+        GsError: as `train`, with the frame's name; complete frames stay.
         Cancelled: stopped before the first step of the first frame.
     """
     options = options or SequenceOptions()
@@ -117,10 +116,10 @@ def train_sequence(
 
 
 def read_options(output: Path) -> SequenceOptions | None:
-    """Options of the sequence in a folder, or None if there is none.
+    """Return the options of the sequence in a folder, or None if there is none.
 
     Raises:
-        FormatError: its sequence.json is something else.
+        FormatError: its sequence.json is invalid.
     """
     index = read_sequence(output)
     if index is None:
@@ -129,8 +128,8 @@ def read_options(output: Path) -> SequenceOptions | None:
         return from_dict(SequenceOptions, index.options, where="options")
     except ConfigError as error:
         raise FormatError(
-            f"{output / SEQUENCE_FILE} was written by another gscore ({error}); give all options "
-            f"without --resume, in another folder."
+            f"{output / SEQUENCE_FILE} was written by another gscore ({error}); start a new "
+            f"sequence with all options in another folder, without --resume."
         ) from error
 
 
@@ -149,14 +148,14 @@ class _Sequence:
         *,
         writes: bool,
     ) -> None:
-        """`writes`: this process lists what is complete."""
+        """`writes`: whether this process writes the list of complete frames."""
         self.output = output
         self.frames = frames
         self.runs = independent_runs(len(frames), options)
-        """Frames that must be trained one after another, by their places."""
+        """Runs of frames that depend on each other, by index."""
         self._writes = writes
-        asked = {name: getattr(config, name) for name in PER_FRAME}
-        self._about = config_json(data, replace(frames[0].config, **asked)).encode()
+        per_frame = {name: getattr(config, name) for name in PER_FRAME}
+        self._config = config_json(data, replace(frames[0].config, **per_frame)).encode()
         self._options = options
         self._emit = emit
         self._viewers = viewers
@@ -164,7 +163,7 @@ class _Sequence:
         self._done = 0
 
     def through(self, runs: Iterable[range], control: Control, *, resume: bool) -> str:
-        """Train the frames of these runs that are not complete; why that ended."""
+        """Train the incomplete frames of these runs; returns the reason of the end."""
         if resume:
             self._listed.refresh()
         for place in (place for run in runs for place in run):
@@ -176,7 +175,7 @@ class _Sequence:
         return "finished"
 
     def end(self, reason: str, places: Sequence[int]) -> SequenceResult:
-        """Tell how it ended."""
+        """Emit and return the result of the frames at `places`."""
         result = self._listed.result(reason, places)
         self._emit(
             SequenceDone(
@@ -190,22 +189,22 @@ class _Sequence:
         return result
 
     def write(self) -> None:
-        """Write the options and the list of complete frames, where this process does that."""
+        """Write the options and the list of complete frames, if this process `writes`."""
         if self._writes:
-            atomic_write(self.output / "config.json", self._about)
+            atomic_write(self.output / "config.json", self._config)
             self._listed.write()
 
     def write_if_begun(self) -> None:
-        """As `write`, once all have ended; nothing where no frame was ever begun."""
+        """As `write`, after all processes have ended; no effect if no frame was started."""
         if _begun(self.output):
             self.write()
 
     def warn(self, message: str) -> None:
-        """Tell the user, for the whole sequence."""
+        """Emit a warning for the whole sequence."""
         self._emit(Warn(message=message))
 
     def _frame(self, place: int, control: Control, *, resume: bool) -> str:
-        """Train a frame unless it is complete; why that ended."""
+        """Train a frame unless it is complete; returns the reason of the end."""
         frame = self.frames[place]
         result = completed(frame) if resume else None
         self._emit(
@@ -234,7 +233,7 @@ class _Sequence:
         self._listed.add(place, result)
         self._done += 1
         if not self._options.keep_checkpoints:
-            # They are three times as large as the splats, and only a frame in training needs them.
+            # Checkpoints are three times as large as the splats, and complete frames need none.
             marks = frame.config.checkpoint_iterations
             RunFolder(frame.folder).drop_checkpoints(keep=0, protected=marks)
         self._list()
@@ -247,7 +246,7 @@ class _Sequence:
                 frame.config,
                 frame.data,
                 frame.folder,
-                self._tell,
+                self._on_event,
                 control,
                 resume=resumes,
                 overwrite=not resumes,
@@ -259,8 +258,8 @@ class _Sequence:
             with contextlib.suppress(OSError):
                 self.output.rmdir()  # only if nothing was ever written
 
-    def _tell(self, event: Event) -> None:
-        if isinstance(event, Started):  # from here on, options and captures are known to be good
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, Started):  # options and captures have been checked
             self.write()
         self._emit(event)
 
@@ -277,9 +276,9 @@ def _to_train(
     begun: bool,
     overwrite: bool,
 ) -> list[PlannedFrame]:
-    """The frames that are left to be trained: of all, or of the run with the frame of a number.
+    """Return the incomplete frames: of all, or of the run with the frame `number`.
 
-    `begun`: what is there is gone on with.
+    `begun`: existing frames are resumed.
     """
     if number is not None:
         run = run_of_frame(frames, independent_runs(len(frames), options), number)
@@ -297,7 +296,7 @@ def _train_together(
     overwrite: bool,
     agent: str,
 ) -> SequenceResult:
-    """Take runs of frames in turn until none is left, then hear how the others ended."""
+    """Train runs of frames in turn with the other ranks until none is left."""
     sequence, idle, failure = None, "", None
     shared = WorkQueue(team=team, output=output, agent=agent)
     try:
@@ -324,32 +323,32 @@ def _train_together(
 
 
 def _open(output: Path, *, resume: bool, overwrite: bool, ours: bool = False) -> None:
-    """Raise unless a sequence may be trained into `output`, and clear it for another one.
+    """Raise unless a sequence may be trained into `output`, and clear it with `overwrite`.
 
-    `ours`: it was opened for this sequence before, which may have ended before the first frame.
+    `ours`: this sequence opened it before, and may have ended before the first frame.
     """
     begun = _begun(output)
     if read_sequence(output) is None and not begun:
         if resume and not ours:
-            raise ConfigError(f"{output} holds no sequence to resume; leave --resume out.")
+            raise ConfigError(f"{output} contains no sequence to resume; leave --resume out.")
         _check_no_run(output)
     elif overwrite:
         _clear(begun)
         (output / SEQUENCE_FILE).unlink(missing_ok=True)
     elif not resume:
         raise ConfigError(
-            f"{output} holds another sequence ({count_words(len(begun), 'frame')} begun); go on "
-            "with it with --resume, replace it with --overwrite, or choose another folder."
+            f"{output} contains another sequence ({count_words(len(begun), 'frame')} started); "
+            "continue it with --resume, replace it with --overwrite, or choose another folder."
         )
 
 
 def _open_part(
     output: Path, frames: Sequence[PlannedFrame], options: SequenceOptions, *, overwrite: bool
 ) -> None:
-    """Raise unless these frames may be trained into `output` beside others, which stay.
+    """Check that these frames may be trained into `output` next to others, which stay.
 
     Raises:
-        ConfigError: the others are of another sequence.
+        ConfigError: the other frames belong to another sequence.
     """
     stored = read_options(output)
     if stored is None and not _begun(output):
@@ -358,16 +357,16 @@ def _open_part(
         changed = differences(stored, options, ignore=_FREE)
         if changed:
             raise ConfigError(
-                f"{output} holds frames of a sequence with other options: {'; '.join(changed)}. "
-                "Give all parts of a sequence the same."
+                f"{output} contains frames of a sequence with other options: "
+                f"{'; '.join(changed)}. All parts of a sequence need the same options."
             )
     if overwrite:
-        wanted = {frame.folder for frame in frames}
-        _clear([path for path in _begun(output) if path in wanted])
+        folders = {frame.folder for frame in frames}
+        _clear([path for path in _begun(output) if path in folders])
 
 
 def _begun(output: Path) -> list[Path]:
-    """The folders of frames in which something was written."""
+    """Return the folders of frames with results."""
     frames = [path for path in output.glob("frame_*") if FRAME_FOLDER.fullmatch(path.name)]
     return sorted(path for path in frames if results_in(path))
 
@@ -375,7 +374,7 @@ def _begun(output: Path) -> list[Path]:
 def _check_no_run(output: Path) -> None:
     if names := results_in(output):
         raise ConfigError(
-            f"{output} holds a run of its own ({', '.join(names)}); choose another folder."
+            f"{output} contains a single run ({', '.join(names)}); choose another folder."
         )
 
 

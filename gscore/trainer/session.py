@@ -46,17 +46,17 @@ _CHECKPOINTS_KEPT = 2
 _PAUSE = 0.02
 """Seconds between polls of the viewer clients after the last step."""
 _CROWDED = (
-    "Many splats stand closer before a camera than the points of the capture let expect. They are "
-    "left there, as with --free-space 0."
+    "Many splats are closer to a camera than the points of the capture suggest. They are kept, as "
+    "with --free-space 0."
 )
 _FILLED = (
-    "More than a fifth of the splats stand before the mesh of --guide-free, so they are left "
-    "there. It may stand in the wrong place, or behind things that are to stay; --guide-surface "
-    "leaves what stands before a mesh."
+    "More than a fifth of the splats are in front of the mesh of --guide-free, so they are kept. "
+    "The mesh may be in the wrong place, or behind objects that should stay; --guide-surface keeps "
+    "splats in front of a mesh."
 )
 _MANY_CLEARED = 0.02
-"""Share of splats removed in front of cameras, of those at the end, that causes a warning.
-Trainings of real captures remove up to 0.005 in all."""
+"""Number of splats removed in front of cameras, relative to the final number, above which the user
+is warned. Trainings of real captures remove up to 0.005 in total."""
 
 
 class Session:
@@ -156,19 +156,19 @@ class Session:
         self._results.write_inputs()
         self._started()
         trainer, control = self._trainer, self._control
-        self._watch()
+        self._start_watchdog()
         self._steer()
         while not (self._steering.reason or control.stopping):
             if control.paused or self._viewers.hold:
                 self._emit(self._meter.progress(phase="paused"))
                 control.wait_while_paused(
                     held=lambda: self._viewers.hold,
-                    meanwhile=lambda: self._show_around(at_leisure=True),
+                    meanwhile=lambda: self._serve_viewers(at_leisure=True),
                 )
-                self._answer()
+                self._run_control_commands()
                 continue
             began, before = time.perf_counter(), trainer.steps
-            with self._work_kept():
+            with self._checkpoint_on_error():
                 result = trainer.step()
             self._meter.update(
                 step=trainer.steps,
@@ -181,37 +181,38 @@ class Session:
             )
             if self._meter.due():
                 self._emit(self._meter.progress())
-            self._complain(result)
-            if self._runs_away(result):
+            self._warn_of_step(result)
+            if self._diverged(result):
                 self._rescue()
                 continue
-            with self._work_kept():
+            with self._checkpoint_on_error():
                 self._steer()
                 self._between_steps()
         result = self._finish()
         while self._viewers.stay and not control.stopping:
-            self._show_around(at_leisure=True)
+            self._serve_viewers(at_leisure=True)
             time.sleep(_PAUSE)
         return result
 
-    def _show_around(self, *, at_leisure: bool = False) -> None:
+    def _serve_viewers(self, *, at_leisure: bool = False) -> None:
         """Render the frame requests of the viewer clients."""
-        self._viewers.answer(self._drawn, at_leisure=at_leisure)
+        self._viewers.answer(self._render, at_leisure=at_leisure)
 
-    def _drawn(self, request: FrameRequest) -> bytes:
+    def _render(self, request: FrameRequest) -> bytes:
+        """Render a frame request to RGB bytes."""
         picture = self._trainer.renderer.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
         return picture.to(torch.uint8).numpy().tobytes()
 
     @contextmanager
-    def _work_kept(self) -> Iterator[None]:
-        """Write a checkpoint if a photo cannot be read any more, and mention it in the error."""
+    def _checkpoint_on_error(self) -> Iterator[None]:
+        """Write a checkpoint if a photo can no longer be read, and name it in the error."""
         try:
             yield
         except (DatasetError, FormatError) as error:
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
             raise type(error)(
-                f"{error} Step {self._trainer.steps} is kept in {self._folder.path}; with the "
-                f"photos that the training began with, --resume goes on from there."
+                f"{error} Step {self._trainer.steps} is kept in {self._folder.path}; restore the "
+                f"original photos and continue with --resume."
             ) from error
 
     def _steer(self) -> None:
@@ -223,7 +224,7 @@ class Session:
             self._emit(Eval(step=entry["step"], split=split, metrics={key: psnr}))
 
     def _note(self, psnr: float | None) -> dict[str, Any]:
-        """Keep a measurement for the report."""
+        """Record a measurement for the report."""
         step = self._trainer.steps
         entry = {"step": step, "elapsed_s": self._meter.train_seconds, "psnr": psnr}
         self._evals = [e for e in self._evals if e["step"] != step] + [entry]
@@ -262,13 +263,14 @@ class Session:
             )
         )
 
-    def _complain(self, result: StepResult) -> None:
+    def _warn_of_step(self, result: StepResult) -> None:
+        """Emit warnings about a step: losses, gradients, slow ranks, free space, runaways."""
         step, count = self._trainer.steps, self._trainer.bad_rows
         if result.skipped:
             self.warn(f"Step {step}: the loss was not usable; the step was skipped.", "non_finite")
         if any(count - result.bad_rows < limit <= count for limit in _WARN_BAD_ROWS):
             self.warn(
-                f"Step {step}: gradients of splats that were not finite were left out, {count} "
+                f"Step {step}: gradients of splats that were not finite were ignored, {count} "
                 "so far.",
                 "non_finite",
             )
@@ -282,27 +284,27 @@ class Session:
         lost = self._trainer.lost_rows
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
             self.warn(
-                f"Step {step}: splats whose numbers ran away were taken out, {lost} so far.",
+                f"Step {step}: splats with runaway values were reset, {lost} so far.",
                 "lost_splats",
             )
 
     @property
     def _guarded(self) -> bool:
-        """Whether states are kept for the watchdog to go back to."""
+        """Whether checkpoints are kept for the watchdog."""
         return self._config.watchdog and self._config.checkpoint_seconds > 0
 
-    def _watch(self) -> None:
+    def _start_watchdog(self) -> None:
         """Start the watchdog, unless a resumed run already has its state."""
         good = self._watchdog.good
-        here = bool(good) and self._folder.checkpoint(good[-1]).is_file()
-        if not self._config.watchdog or here:
+        has_checkpoint = bool(good) and self._folder.checkpoint(good[-1]).is_file()
+        if not self._config.watchdog or has_checkpoint:
             return
         self._watchdog.start(self._trainer.error())
         if self._guarded:
             self._watchdog.keep(self._trainer.steps)
             self._write_checkpoint()
 
-    def _runs_away(self, result: StepResult) -> bool:
+    def _diverged(self, result: StepResult) -> bool:
         self._watchdog.plan = self._trainer.plan
         diverged = self._watchdog.observe(
             self._trainer.steps,
@@ -314,7 +316,7 @@ class Session:
         return self._config.watchdog and diverged
 
     def _rescue(self) -> None:
-        """Restore a good state and continue at lower rates; GsError if there is none."""
+        """Restore a good checkpoint and continue at lower rates; GsError if there is none."""
         trainer, step = self._trainer, self._trainer.steps
         back = self._watchdog.rescue(step)
         trainer.release()
@@ -327,13 +329,13 @@ class Session:
         # A resume must not find checkpoints of the diverged steps.
         self._folder.drop_checkpoints_after(back)
         self.warn(
-            f"Step {step}: training diverged. Went back to step {back}, and on with all learning "
+            f"Step {step}: training diverged. It continues from step {back} with all learning "
             f"rates times {trainer.rate_factor:.3g}.",
             "diverged",
         )
 
-    def _answer(self) -> None:
-        """Handle control commands other than pause and stop."""
+    def _run_control_commands(self) -> None:
+        """Run control commands other than pause and stop."""
         for line in self._control.unknown():
             self.warn(f"There is no control command {quoted(line)}.", "control")
         if self._control.take_snapshot():
@@ -346,8 +348,8 @@ class Session:
         last = bool(self._steering.reason)
         if config.snapshot_every and step % config.snapshot_every == 0:
             self._control.snapshot()
-        self._answer()
-        self._show_around()
+        self._run_control_commands()
+        self._serve_viewers()
         if config.preview_seconds and clock - self._last_preview >= config.preview_seconds:
             self._last_preview = clock
             self._preview()
@@ -408,7 +410,7 @@ class Session:
         return found
 
     def _depth_report(self) -> DepthReport | None:
-        """Rendered against given depth, if there are depth maps."""
+        """Compare rendered depth with the depth maps, if any."""
         trainer = self._trainer
         return measure_depth(
             trainer.photos,
@@ -424,13 +426,13 @@ class Session:
             if reason:  # workers of a stopped run receive its exit code later
                 trainer.team.shutdown()
         finished, reason = bool(reason), reason or self._control.stop_reason
-        self._answer()  # a snapshot requested just before the stop
+        self._run_control_commands()  # a snapshot requested just before the stop
         cleared = trainer.pruner.around.count
         if cleared > _MANY_CLEARED * trainer.trained_count:
             self.warn(
-                f"{count_words(cleared, 'splat was', 'splats were')} taken out, standing nearer to "
-                f"a camera than {self._config.free_space:g} of its distance from the nearest "
-                "points. If something does stand there, train with --free-space 0.",
+                f"{count_words(cleared, 'splat was', 'splats were')} removed, closer to a camera "
+                f"than {self._config.free_space:g} of its distance from the nearest points. If "
+                "there are objects so close, train with --free-space 0.",
                 "cleared",
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)

@@ -1,4 +1,4 @@
-"""The training step and all state it depends on; no files, no events, no clock."""
+"""Trainer: the training step and all state it depends on; no files, events or clock."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -62,8 +62,8 @@ _IN_CELL = (
 )
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
-"""Pictures are 0 to 1; colours of 100 come from splats that ran away."""
-_HOLD_EVERY = 100
+"""Mean squared error that only runaway splats cause: colours of 100 where photos have 0 to 1."""
+_SANITIZE_EVERY = 100
 """Steps between two sanitizing passes, see `model.sanitize`."""
 _ROWS_A_PART = 1 << 16
 """Splats per part of `parts`."""
@@ -94,7 +94,7 @@ class Trainer:
         guide: GuideSetup | None = None,
         block: BlockRecord | None = None,
     ) -> None:
-        """Start from `start` or from `points`, in COLMAP world, or from the points of the capture.
+        """Start from `start` or `points`, or from the points of the capture.
 
         Args:
             config: Training options.
@@ -104,11 +104,11 @@ class Trainer:
             depth: Targets of depth supervision.
             points: Start points, COLMAP world.
             known: Share of the unmasked pixels with stereo depth; None: stereo did not run.
-            gains: Exposure gains to learn; None: photo colours are used unchanged.
+            gains: Initial exposure gains; None: photo colours are used unchanged.
             placing: Checked training cameras; None: those of the capture.
             photo_cache: Bytes of photos to keep in memory; None: all.
-            team: Process group of a distributed training; each rank has such a trainer.
-            region: Box of the splats of `start` that are trained, COLMAP world; None: all are.
+            team: Process group of a distributed training; each rank has a trainer.
+            region: Box of the splats of `start` that are trained, COLMAP world; None: all.
             guide: Guide meshes.
             block: Block whose cell limits where splats are added; None: everywhere.
 
@@ -118,7 +118,7 @@ class Trainer:
         """
         if not photos.train:
             raise DatasetError(
-                "The capture has no photos to train on: all views are held out for the test; "
+                "The capture has no training photos, because all views are held out for the test; "
                 "hold out fewer."
             )
         self.config = config
@@ -163,18 +163,18 @@ class Trainer:
         self.lost_rows = 0
         """Runaway splats reset so far, see `model.sanitize`."""
         self.rate_factor = 1.0
-        """All learning rates are multiplied by this."""
+        """Factor of all learning rates."""
         self._skipped = 0
         self.laps = StageTimer()
-        """Seconds of the parts of the last step."""
+        """Seconds of the stages of the last step."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self.photo_parameters = PhotoParameters(
             config, gains, initial_poses(placing, photos.train, self.frame)
         )
-        """Learnt exposure gains and camera poses of the photos."""
+        """Optimised exposure gains and camera poses of the photos."""
         self._v_viewmat = zeros(4, 4)
         self.region = None if region is None else region.in_training(self.frame.similarity)
-        """The region box, training world; start splats inside are kept inside."""
+        """The region box, training frame; its start splats are kept inside."""
         self.still: FrozenSplats | None = None
         """Frozen splats around the region, rendered with the trained ones; None: none."""
         if region is not None and start is not None:
@@ -183,7 +183,7 @@ class Trainer:
             config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
         )
         self.members = self._members_of(first)
-        """The models that are trained in parallel; with start splats, one."""
+        """Models that are trained in parallel; one with start splats."""
         self.renderer = ModelRenderer(
             config,
             photos,
@@ -259,13 +259,13 @@ class Trainer:
         return f"{count} in the region; {number(self._standing)} around it stand still."
 
     def plan_of(self, iterations: int) -> Plan:
-        """The plan of a run of this length; cheap."""
+        """Return the plan of a run with `iterations` steps; cheap."""
         config = replace(self.config, iterations=iterations)
         return self._plan_of(config, drops=self.drop_rate > 0, models=self._models)
 
     def replan(self, iterations: int) -> None:
-        """Change the length of the run: from the next step on, all schedules are those of a run
-        of `iterations` steps."""
+        """Change the length of the run: from the next step on, schedules are those of `iterations`
+        steps."""
         self.plan = self.plan_of(iterations)
         """Schedules of the run."""
         self.strategy = make_strategy(
@@ -275,7 +275,7 @@ class Trainer:
             self.depth.set_length(iterations)
 
     def _may_grow(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: the `means` [N, 3] next to which splats may be added."""
+        """Return [N] bool: `means`, [N, 3], next to which splats may be added."""
         if self._block is None:
             return all_within(means)
         world = self.frame.similarity.points_from_training(means.numpy())
@@ -289,13 +289,13 @@ class Trainer:
     def step(self) -> StepResult:
         """Render a view, compute its loss, and update the splats.
 
-        A team of R ranks processes R views in one step, a different one on each rank, and `steps`
-        rises by R. Rank 0 broadcasts the step; the workers then call this too.
+        R ranks render R different views in one step, and `steps` rises by R. Rank 0 broadcasts the
+        step; the workers then call this too.
 
         Raises:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
             DatasetError, FormatError: a photo that is not cached is missing, damaged or changed,
-                on any rank; the step was not begun.
+                on any rank; nothing was changed.
             RankLostError: another process is gone.
         """
         if self.team is None:
@@ -305,7 +305,7 @@ class Trainer:
             return self._step(self._photos_at_once(self.team))
 
     def _step(self, count: int) -> StepResult:
-        """A step of `count` views, one of them on this rank."""
+        """Take a step of `count` views, one of them on this rank."""
         step, laps = self.steps + count, StageTimer()
         self.laps = laps
         self.renderer.forget()
@@ -335,7 +335,7 @@ class Trainer:
     def _step_of(
         self, member: EnsembleMember, training_view: TrainingView, step: int
     ) -> StepResult:
-        """The part of `step` for one of the models."""
+        """Take `step` for one of the models."""
         config, model, laps, count = (
             self.config,
             member.model,
@@ -356,9 +356,9 @@ class Trainer:
         self.steps = step
         laps.lap("loss")
         self._assert_finite(model, training_view, value)
-        # A loss that is not finite often comes from one runaway splat; reset it at once.
+        # A loss that is not finite often comes from one runaway splat; reset it immediately.
         sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
-        lost_rows = 0 if sane else self._hold(model)
+        lost_rows = 0 if sane else self._sanitize(model)
         if lost_rows or not math.isfinite(value):
             return StepResult(value, mse, Change(), 0, True, lost_rows)
         v_means2d = self._gradients(member, training_view, picture, loss, opacities, leaf)
@@ -370,7 +370,7 @@ class Trainer:
         member.pruned += pruned
         change = replace(change, removed=change.removed + pruned)
         laps.lap("learn")
-        lost_rows = self._hold(model) if step % _HOLD_EVERY == 0 else 0
+        lost_rows = self._sanitize(model) if step % _SANITIZE_EVERY == 0 else 0
         if config.finest > 0 and self.plan.prunes_free_space_at(step):
             filter3d.apply_min_scale(
                 model, map(self.renderer.view, self.sampler.indices), config.finest
@@ -400,7 +400,7 @@ class Trainer:
     def _of_all(
         self, member: EnsembleMember, training_view: TrainingView, loss: LossAndGradients
     ) -> tuple[list[float], list[float]]:
-        """Losses and mean squared errors of all photos of a batch.
+        """Return the losses and mean squared errors of all photos of a batch.
 
         Raises:
             DatasetError: another rank cannot read its photo; nothing was changed.
@@ -436,8 +436,8 @@ class Trainer:
         opacities: torch.Tensor,
         leaf: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Compute the model's gradients, and update gains and poses with theirs; returns the
-        gradients in the projected means."""
+        """Compute the model's gradients, and update gains and poses; returns the gradients in the
+        projected means, [N, 2]."""
         model, batch = member.model, member.batch
         moves = self.photo_parameters.pose_rate(self.steps / self.plan.iterations) > 0
         v_means2d = self._rasterizer.gradients(
@@ -460,20 +460,20 @@ class Trainer:
         return v_means2d
 
     def error(self, views: int = 8) -> float:
-        """Root mean squared error of the unmasked pixels, in some training views at the next
-        step's resolution."""
+        """Root mean squared error of the unmasked pixels in about `views` training views, at the
+        resolution of the next step."""
         indices = self.sampler.indices
         chosen = indices[:: -(-len(indices) // views)]
         return self.renderer.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:
-        """The current splats, in COLMAP world, with the SH degrees in use so far; frozen splats
+        """Return the current splats in COLMAP world units, with the SH degree in use; frozen ones
         first."""
         shown = self.renderer.splats()
         return self._whole(self._in_world({name: p.clone() for name, p in shown.items()}))
 
     def parts(self) -> Iterator[Splats]:
-        """The rows of `splats` in parts, which are valid until the next step."""
+        """Yield the rows of `splats` in parts, which are valid until the next step."""
         if self.still is not None:
             yield from self.still.parts(_ROWS_A_PART, self.model.sh_degree)
         for member in self.members:
@@ -489,8 +489,8 @@ class Trainer:
         self._rasterizer.release()
 
     def finish(self) -> Splats:
-        """The splats after the last step: as `splats`, but a single model is not copied and the
-        memory of steps is freed. Views can still be rendered."""
+        """Return the final splats: as `splats`, but without copying a single model, and the memory
+        of steps is freed. Views can still be rendered."""
         self.make_room()
         for member in self.members:
             member.model.sync(threads=self.config.threads)
@@ -525,7 +525,7 @@ class Trainer:
             self._collect_now()
 
     def _collect_now(self) -> None:
-        """As `collect`, without a broadcast: all ranks are about to end with the same error."""
+        """As `collect`, without a broadcast, because all ranks end with the same error."""
         for member in self.members:
             if member.batch and not member.batch.complete:
                 member.batch.collect(member.model)
@@ -536,8 +536,8 @@ class Trainer:
         return all(member.batch is None or member.batch.complete for member in self.members)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All tensors that the next step depends on, by name; no copies. In a team, those of this
-        rank; after `collect`, rank 0 has all."""
+        """All tensors that the next step depends on, by name; no copies. With several ranks, those
+        of this rank; after `collect`, rank 0 has all."""
         out = {"generator": self.generator.get_state()}
         for member in self.members:
             out |= member.tensors()
@@ -569,28 +569,28 @@ class Trainer:
         )
 
     def _members_of(self, first: Splats) -> list[EnsembleMember]:
-        """The ensemble members, each with a copy of these splats."""
+        """Create the ensemble members, each with a copy of these splats."""
         return [
             EnsembleMember(place, Model(tensors_from_splats(first)), self.team)
             for place in range(self._models)
         ]
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        """Restore `state` and `tensors` of another trainer with this config; takes ownership of
+        """Restore `state` and `tensors` of another trainer with this config, and take ownership of
         the tensors. Rank 0 sends both to the other ranks.
 
-        The length of the run is that of the config, unless a time budget leaves it open.
+        The length of the run is that of the config, or stored with a time budget.
 
         Raises:
             ValueError, KeyError: `state` or `tensors` are invalid.
         """
-        # The stored share: a resumed run without stereo points does not run stereo again.
+        # Use the stored share, because a resumed run without stereo points skips stereo.
         known = self._known
         if state.get("known") is not None:
             known = as_float("known", state["known"], low=0)
         models, like = self._models_for(known)[0], self.model
         if (there := count_members(tensors)) != models:
-            # The photos decided the number when the run began, perhaps by an older rule.
+            # The photos decided the number when the run started, perhaps by an older rule.
             by_photos = self.config.ensemble_below and there in {1, self.config.ensemble}
             if self._given or not by_photos:
                 raise ValueError(f"it has {there} models, expected {models}")
@@ -642,19 +642,19 @@ class Trainer:
     def _learn_of_photos(
         self, indices: Sequence[int], v_log_gain: tuple[float, float, float]
     ) -> None:
-        """Update gains and poses; the derivatives are those of this rank's photo."""
+        """Update gains and poses; `v_log_gain` is of this rank's photo."""
         done = self.steps / self.plan.iterations
         if self.photo_parameters.gains is None and not self.photo_parameters.pose_rate(done):
             return
         mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
         slopes = self.team.all_gather(mine) if self.team else np.array([mine])
-        # Each of M models has its own photo, so there are M times the steps, each 1/M as long.
+        # M models train on M photos per step, so each of their M updates has 1/M of the rate.
         factor = self.rate_factor / len(self.members)
         self.photo_parameters.learn(indices, slopes, done=done, factor=factor)
 
     def _step_opacities(self, model: Model, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Opacities for this step, and the leaf tensor of their gradients if they are not the
-        model's own."""
+        """Return the opacities of this step, and the leaf tensor of their gradients if dropout
+        changes them."""
         opacities = model.params["opacities"]
         rate = drop_rate_at(self.drop_rate, step, self.plan.iterations)
         if rate <= 0:
@@ -663,7 +663,7 @@ class Trainer:
         return drop_splats(leaf, rate, self.generator), leaf
 
     def _sh_degree_at(self, step: int) -> int:
-        """SH degree in use; that of start splats from the first step on."""
+        """SH degree at `step`, at least that of the start splats."""
         return max(self.plan.sh_degree_at(step), self._given_degree)
 
     def _rest_at(self, step: int, count: int) -> ShUpdate:
@@ -678,7 +678,7 @@ class Trainer:
             self.steps,
             every=(
                 *(plan.refine_every, plan.reset_every, plan.kept_every),
-                *(config.snapshot_every, _HOLD_EVERY),
+                *(config.snapshot_every, _SANITIZE_EVERY),
             ),
             marks=(
                 *config.save_iterations,
@@ -689,8 +689,8 @@ class Trainer:
         )
 
     def _mark(self, model: Model) -> float:
-        """CRC of the splats for the comparison between ranks, every `_HOLD_EVERY` steps; else 0."""
-        return float(crc_of(model.params)) if self.steps % _HOLD_EVERY == 0 else 0.0
+        """CRC of the splats every `_SANITIZE_EVERY` steps, for comparison between ranks; else 0."""
+        return float(crc_of(model.params)) if self.steps % _SANITIZE_EVERY == 0 else 0.0
 
     def _assert_finite(self, model: Model, training_view: TrainingView, value: float) -> None:
         if self.config.detect_anomaly:
@@ -703,11 +703,11 @@ class Trainer:
             raise GsError(
                 f"Training diverged: the loss was not finite for "
                 f"{count_words(_MAX_SKIPPED, 'step')} in a row, "
-                f"the last one step {self.steps}. Lower the learning rates; --detect-anomaly says "
-                "where it begins."
+                f"the last one at step {self.steps}. Lower the learning rates; --detect-anomaly "
+                "finds the first number that is not finite."
             )
 
-    def _hold(self, model: Model) -> int:
+    def _sanitize(self, model: Model) -> int:
         lost = sanitize.clamp_runaways(model, extent=self.frame.extent)
         self.lost_rows += lost
         return lost
@@ -715,8 +715,8 @@ class Trainer:
     def _learn(
         self, member: EnsembleMember, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
     ) -> tuple[Change, int]:
-        """Update the model with its gradients; returns the changes and the number of skipped
-        rows."""
+        """Update the model with its gradients; returns the changes and the number of rows whose
+        gradients were not finite."""
         model, batch, radii = member.model, member.batch, self._rasterizer.radii
         counters = batch.counters(model) if batch else model.rows
         drawn = DrawnView(

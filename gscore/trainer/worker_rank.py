@@ -1,4 +1,4 @@
-"""Worker ranks (all but rank 0): they run rank 0's commands, and write and report nothing."""
+"""Worker ranks: all but rank 0 run rank 0's commands, and write and report nothing."""
 
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ def run_worker(team: ProcessGroup, source: Path | None) -> bool:
         check_ready(team, failure)
         assert found is not None
         check_equal(team, found.facts())
-        return _obey(team, found.trainer)
+        return _run_commands(team, found.trainer)
 
 
 def _prepared(order: dict[str, Any], team: ProcessGroup, source: Path | None) -> Prepared:
@@ -68,7 +68,8 @@ def _prepared(order: dict[str, Any], team: ProcessGroup, source: Path | None) ->
     )
 
 
-def _obey(team: ProcessGroup, trainer: Trainer) -> bool:
+def _run_commands(team: ProcessGroup, trainer: Trainer) -> bool:
+    """Run commands until rank 0 sends the end; returns whether the training completed."""
     while True:
         order = team.receive()
         if order["do"] == rank_commands.END:

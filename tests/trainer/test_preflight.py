@@ -51,7 +51,7 @@ def test_a_higher_degree_than_a_training_has_is_said(photos: Any, degree: int, t
     assert [sentence for sentence in check_training(trainer) if "have SH degree 4" in sentence] == [
         sentence
         for sentence in check_training(trainer)
-        if "direction beyond it is lost" in sentence
+        if "view dependence of higher degrees is lost" in sentence
     ]
     assert sum("SH degree" in sentence for sentence in check_training(trainer)) == told
 
@@ -80,7 +80,7 @@ def test_a_region_that_holds_next_to_nothing_is_told(
     trainer = Trainer(
         replace(CONFIG, **given), photos, start=start, region=RegionBox(10 * np.eye(4))
     )
-    told = [text for text in check_training(trainer) if "lie in the region" in text]
+    told = [text for text in check_training(trainer) if "are in the region" in text]
     assert len(told) == (count < 100)
 
 

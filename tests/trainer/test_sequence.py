@@ -181,7 +181,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert "a sequence, 2 of 2 frames complete" in seen
     assert "frame_000005: 150 splats, 5 steps" in seen
     assert main([*base, "--quiet"]) == 2
-    assert "holds another sequence" in capsys.readouterr().err
+    assert "contains another sequence" in capsys.readouterr().err
     more = ["sequence", "-o", str(out), "--resume", "--frames", ":", "--events", "jsonl"]
     assert main(more) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -342,7 +342,7 @@ def test_a_sequence_takes_no_place_of_a_run_or_the_capture(frames: Path, tmp_pat
     run = tmp_path / "run"
     run.mkdir()
     (run / "point_cloud.ply").write_text("x")
-    for place, words in ((run, "holds a run of its own"), (frames, "is the capture itself")):
+    for place, words in ((run, "contains a single run"), (frames, "is the capture itself")):
         before = sorted(p for p in place.rglob("*"))
         with pytest.raises(ConfigError, match=words):
             train_sequence(CONFIG, DataConfig(source=frames), place, overwrite=True)

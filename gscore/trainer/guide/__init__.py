@@ -1,1 +1,1 @@
-"""Guide meshes: surfaces that splats lie on, and free space in front of meshes."""
+"""Guide meshes: surfaces for the depth loss, and free space in front of meshes."""

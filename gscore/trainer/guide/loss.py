@@ -9,9 +9,8 @@ from ..depth.targets import DepthTargets
 class GuideLoss:
     """Depth loss of a surface mesh, with a constant weight.
 
-    It acts on both sides of the surface. A loss without a term for splats in front of the mesh was
-    tried: splats close to cameras then compensate for missing opacity behind them, and no gradient
-    pulls them back.
+    It acts on both sides of the surface. Without a term for splats in front of the mesh, splats
+    close to cameras compensated for missing opacity behind them, and no gradient pulled them back.
     """
 
     def __init__(self, targets: DepthTargets, *, weight: float, scale: float) -> None:
@@ -27,7 +26,7 @@ class GuideLoss:
     def __call__(
         self, index: int, inverse_depth: torch.Tensor, alpha: torch.Tensor
     ) -> torch.Tensor:
-        """The loss of view `index`, without its weight; arguments as those of `DepthLoss`."""
+        """The loss of view `index`, without its weight; arguments as for `DepthLoss`."""
         height, width = inverse_depth.shape
         target = self.targets.at(index, width, height)
         if target is None:

@@ -40,7 +40,7 @@ class MeshFreeSpace:
         ]
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: the `means` [N, 3] in the free space of at least one camera."""
+        """Return [N] bool: `means`, [N, 3], in the free space of at least one camera."""
         inside = means.new_zeros(len(means), dtype=torch.bool)
         for view in self._views:
             inside |= _before(view, means)
@@ -48,8 +48,8 @@ class MeshFreeSpace:
 
 
 def _of_view(inverse_depth: np.ndarray, projection: np.ndarray, scale: float) -> _View:
-    """Depth grid of a view [H, W]: a cell is free up to the nearest mesh depth in it and its eight
-    neighbours, if the mesh covers all of them."""
+    """Compute the depth grid of a view, [H, W]: a cell is free up to the nearest mesh depth in it
+    and its eight neighbours, if the mesh covers all of them."""
     cell = -(-max(inverse_depth.shape) // _SIDE)
     rows, columns = (-(-side // cell) for side in inverse_depth.shape)
     padded = np.zeros((rows * cell, columns * cell), np.float32)
@@ -67,7 +67,7 @@ def _of_view(inverse_depth: np.ndarray, projection: np.ndarray, scale: float) ->
 
 
 def _before(view: _View, means: torch.Tensor) -> torch.Tensor:
-    """[N] bool: the `means` [N, 3] in front of the mesh of a view."""
+    """Return [N] bool: `means`, [N, 3], in front of the mesh of a view."""
     x, y, z = torch.addmm(view.projection[:, 3], means, view.projection[:, :3].T).T
     height, width = view.begins.shape
     u, v = x / z, y / z

@@ -1,4 +1,4 @@
-"""Support of a mesh by SfM: whether the points confirm the mesh where photos show it."""
+"""Support of a mesh by SfM: observations on, in front of and behind the mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +12,10 @@ from .mesh_views import MeshView
 ON_MESH = 0.05
 """Relative depth difference up to which a point counts as on the mesh."""
 FEW = 50
-"""Fewest observations for a statement on the mesh."""
-_JUDGES, _REACH = 3, 0.1
-"""Most observations that weight a pixel, and their largest distance in the photo as a share of its
-longer side."""
+"""Least observations for a statement on the mesh."""
+_NEIGHBOURS, _REACH = 3, 0.1
+"""Most observations that weight a pixel, and their largest distance relative to the photo's longer
+side."""
 _COLUMNS = 400
 """Columns of the grid on which weights are computed."""
 
@@ -25,9 +25,9 @@ class MeshSupport:
     """Observations of SfM points in one photo where it shows the mesh."""
 
     pixels: np.ndarray
-    """[M, 2] float64."""
+    """[M, 2] float64, px."""
     ratios: np.ndarray
-    """[M] float64, depth of the point over that of the mesh."""
+    """[M] float64, depth of the point divided by that of the mesh."""
 
     @property
     def on(self) -> np.ndarray:
@@ -84,7 +84,7 @@ def measure_mesh_support(
 
 
 def total_support(found: Sequence[MeshSupport | None]) -> MeshSupportTotals:
-    """Totals over all photos."""
+    """Count the observations in all photos."""
     known = [one for one in found if one is not None]
     ratios = np.concatenate([one.ratios for one in known]) if known else np.zeros(0)
     return MeshSupportTotals(
@@ -97,12 +97,12 @@ def total_support(found: Sequence[MeshSupport | None]) -> MeshSupportTotals:
 def weighted_views(
     views: Sequence[MeshView | None], found: Sequence[MeshSupport | None]
 ) -> list[MeshView | None]:
-    """The views with their confidence weighted by the support of the mesh: the share of the
-    observations around a pixel that are on the mesh.
+    """Weight the confidence of the views by the support of the mesh: the share of the observations
+    around a pixel that are on the mesh.
 
-    Objects in front of a mesh or visible through it are known by their points, so a floor mesh
-    needs no hole where a vase is on it. Without observations nearby, the weight is the share of
-    points that the mesh does not hide in all photos, so that a misplaced mesh does less harm.
+    Points reveal objects in front of the mesh or visible through it, so a floor mesh needs no hole
+    for a vase on it. Without observations nearby, the weight is on / (on + behind) over all photos,
+    so that a misplaced mesh does less harm.
     """
     total = total_support(found)
     elsewhere = total.on / (total.on + total.behind) if total.on + total.behind >= FEW else 1.0
@@ -116,8 +116,8 @@ def weighted_views(
 
 
 def _shares(shape: tuple[int, ...], found: MeshSupport, elsewhere: float) -> np.ndarray:
-    """[H, W] float32: share of the observations near a pixel that are on the mesh; `elsewhere`
-    without any."""
+    """Return [H, W] float32: share of the observations near a pixel that are on the mesh;
+    `elsewhere` without any."""
     from scipy.spatial import KDTree
 
     if len(found.ratios) == 0:
@@ -127,7 +127,7 @@ def _shares(shape: tuple[int, ...], found: MeshSupport, elsewhere: float) -> np.
     rows, columns = np.arange(0, height, step), np.arange(0, width, step)
     v, u = np.meshgrid(rows + 0.5 * step, columns + 0.5 * step, indexing="ij")
     places = np.stack([u.ravel(), v.ravel()], axis=1)
-    count = min(_JUDGES, len(found.ratios))
+    count = min(_NEIGHBOURS, len(found.ratios))
     distances, at = KDTree(found.pixels).query(
         places, k=count, distance_upper_bound=_REACH * max(height, width)
     )

@@ -11,7 +11,7 @@ from ...depth.confidence import inner, shown_by
 from ...io.mesh.triangles import TriangleMesh
 from ...raster.mesh import mesh_depth
 
-_BEND = 0.02
+_CURVATURE = 0.02
 """Relative second difference of inverse depth between pixels at which the confidence is one half:
 folds of a surface are below it, silhouettes in front of other parts of the mesh above it."""
 
@@ -35,9 +35,9 @@ def mesh_views(
     threads: int = 0,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[MeshView | None]:
-    """Views of a mesh at training resolution, by index of the view.
+    """Render a mesh in the training views at training resolution, by index of the view.
 
-    Held-out views, and views that do not show the mesh, are None.
+    Held-out views and views that do not show the mesh are None.
 
     Args:
         mesh: Mesh in COLMAP world.
@@ -47,7 +47,7 @@ def mesh_views(
     """
     cameras, train = photos.scene.cameras, list(photos.train)
 
-    def seen(index: int) -> MeshView | None:
+    def render(index: int) -> MeshView | None:
         inverse = mesh_depth(
             mesh.vertices,
             mesh.triangles,
@@ -59,14 +59,14 @@ def mesh_views(
         if not inverse.any():
             return None
         known = np.where(inverse > 0, inverse, np.float32(np.nan))
-        trust = inner(known, np.float32(_BEND) * np.maximum(inverse, np.float32(1e-30)))
+        trust = inner(known, np.float32(_CURVATURE) * np.maximum(inverse, np.float32(1e-30)))
         mask = photos.mask(index) if photos.mask_mode != "none" else None
         if mask is not None:
             trust = shown_by(mask, trust)
         return MeshView(inverse_depth=inverse, confidence=trust.astype(np.float32, copy=False))
 
     out: list[MeshView | None] = [None] * len(photos)
-    for done, view in enumerate(map_threads(seen, train, threads=threads), start=1):
+    for done, view in enumerate(map_threads(render, train, threads=threads), start=1):
         out[train[done - 1]] = view
         if on_progress is not None:
             on_progress(done, len(train))

@@ -1,4 +1,4 @@
-"""Guide setup: from the user's meshes to loss targets, free space and messages."""
+"""Guide setup: loss targets, free space and messages from the user's meshes."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -26,8 +26,8 @@ from .mesh_support import (
 from .mesh_views import MeshView, mesh_views
 
 _BEHIND = 0.3
-"""Share of observed points that a mesh would hide above which a warning is given: outliers and
-rough proxies reach a tenth."""
+"""Share of observed points behind a mesh above which the user is warned: outliers and rough proxies
+reach a tenth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,11 +70,11 @@ def prepare_guide(
         views = mesh_views(mesh, photos, threads=config.threads, on_progress=on_progress)
         if not any(view is not None for view in views):
             raise ConfigError(_unseen(path, mesh, photos))
-        sightings = measure_mesh_support(views, photos)
-        support = total_support(sightings)
+        observed = measure_mesh_support(views, photos)
+        support = total_support(observed)
         words.append(_words(role, path, views, support))
-        warnings += _doubts(path, support)
-        found[role] = weighted_views(views, sightings) if role == "surface" else views
+        warnings += _position_warnings(path, support)
+        found[role] = weighted_views(views, observed) if role == "surface" else views
     if not found:
         return GuideSetup()
     surface = None
@@ -103,15 +103,15 @@ def _words(
     )
 
 
-def _doubts(path: Path, support: MeshSupportTotals) -> list[str]:
-    """A warning where the points contradict the place of a mesh."""
+def _position_warnings(path: Path, support: MeshSupportTotals) -> list[str]:
+    """Return a warning if the points contradict the position of a mesh."""
     if support.total < FEW or support.behind <= _BEHIND * support.total:
         return []
     hidden = f"{support.behind / support.total:.0%}"
     return [
-        f"{path} stands before {hidden} of the points that photos see where "
-        "it is, and would hide them. It may be in the wrong place or of the wrong size: it must be "
-        "in the world of the capture, in its unit."
+        f"{path} is in front of {hidden} of the points observed there, and would hide them. It "
+        "may be in the wrong place or have the wrong scale: it must be in the world and unit of "
+        "the capture."
     ]
 
 
@@ -120,13 +120,13 @@ def _unseen(path: Path, mesh: TriangleMesh, photos: Dataset) -> str:
     corners = mesh.vertices[np.unique(mesh.triangles)]
     cameras = photos.scene.cameras
     z = [corners @ cameras.viewmats[i, 2, :3] + cameras.viewmats[i, 2, 3] for i in photos.train]
-    where = "behind all cameras" if max(map(np.max, z)) <= 0 else "beside all that they see"
+    where = "behind all cameras" if max(map(np.max, z)) <= 0 else "outside all their frames"
     return (
-        f"{path}: none of {count_words(len(photos.train), 'training photo')} sees the mesh, which "
-        f"lies {where}. It reaches from {_place(corners.min(axis=0))} to "
-        f"{_place(corners.max(axis=0))}, cameras stand from "
+        f"{path}: none of {count_words(len(photos.train), 'training photo')} shows the mesh, which "
+        f"is {where}. Its bounds are {_place(corners.min(axis=0))} to "
+        f"{_place(corners.max(axis=0))}, those of the cameras "
         f"{_place(cameras.centers.min(axis=0))} to {_place(cameras.centers.max(axis=0))}. It must "
-        "be in the world of the capture, in its axes and its unit."
+        "be in the world of the capture, in its axes and unit."
     )
 
 

@@ -1,4 +1,4 @@
-"""Frozen splats: rendered together with the trained splats, and never changed."""
+"""Frozen splats: rendered together with the trained splats, but not trained."""
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -40,8 +40,7 @@ class FrozenSplats:
         return digest.hexdigest()[:16]
 
     def parts(self, rows: int, sh_degree: int) -> Iterator[Splats]:
-        """The splats as given, in parts of at most `rows`, with the coefficients of `sh_degree`;
-        missing ones are zero."""
+        """Yield the splats as given, in parts of at most `rows`, zero-padded to `sh_degree`."""
         count = SH_REST_BY_DEGREE[sh_degree]
         for at in range(0, len(self), rows):
             part = {name: getattr(self.world, name)[at : at + rows] for name in PARAMETERS}
@@ -50,8 +49,7 @@ class FrozenSplats:
             yield Splats(**part)
 
     def before(self, params: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """All splats of a picture, frozen ones first, then raw `params`; valid until the next
-        call."""
+        """Return the frozen splats followed by the raw `params`; valid until the next call."""
         return {name: self._with(name, p.detach()) for name, p in params.items()}
 
     def _with(self, name: str, trained: Tensor) -> Tensor:
@@ -82,13 +80,13 @@ def split_frozen(
     inside = box.holds(start.means)
     if not inside.any():
         raise ConfigError(
-            f"None of the {number(len(start))} splats of {config.start_splats} lies in the region "
-            f"{config.region}. Is it a box in the world of the capture?"
+            f"None of the {number(len(start))} splats of {config.start_splats} is in the region "
+            f"{config.region}. Check that the box is in the capture's world."
         )
     if start.sh_degree > config.sh_degree:
         raise ConfigError(
-            f"The splats around a region stay as they are, of SH degree {start.sh_degree}, and "
-            f"this run has {config.sh_degree}: give --sh-degree {start.sh_degree}."
+            f"The frozen splats around the region have SH degree {start.sh_degree}, and this run "
+            f"has {config.sh_degree}; use --sh-degree {start.sh_degree}."
         )
     if inside.all():
         return start, None

@@ -1,4 +1,4 @@
-"""Region box: the splats in it, their bounds, and the pixels whose rays meet it."""
+"""Region box: an oriented box, tests of points and pixels against it, and clamping to it."""
 
 import hashlib
 from pathlib import Path
@@ -14,13 +14,13 @@ _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 
 
 class RegionBox:
-    """An oriented box; stored as float64, since it may be small and far from the origin."""
+    """An oriented box, in float64 because it may be small and far from the origin."""
 
     def __init__(self, matrix: np.ndarray) -> None:
         """`matrix` [4, 4] float64 maps the cube [-1, 1]^3 to the box."""
         self.matrix = matrix
         self.to_unit = np.linalg.inv(matrix)
-        """[4, 4] float64, from the world to the space in which the box is that cube."""
+        """[4, 4] float64, maps the box to the cube."""
 
     @classmethod
     def read(cls, path: Path) -> "RegionBox":
@@ -28,13 +28,13 @@ class RegionBox:
         return cls(read_region(path))
 
     def about(self, origin: np.ndarray | None) -> "RegionBox":
-        """The same box, given in the capture's world, about the local origin."""
+        """Return the box relative to a local origin."""
         matrix = self.matrix.copy()
         matrix[:3, 3] -= offset_between(origin, None)
         return RegionBox(matrix)
 
     def in_training(self, similarity: Similarity) -> "RegionBox":
-        """The same box in the training world."""
+        """Return the box in the training frame."""
         matrix = self.matrix.copy()
         matrix[:3, 3] = similarity.points_to_training(matrix[:3, 3][None])[0]
         matrix[:3, :3] *= similarity.scale
@@ -45,7 +45,7 @@ class RegionBox:
         return hashlib.sha256(self.matrix.tobytes()).hexdigest()[:16]
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """[N] bool: the `points` [N, 3] in the box, its sides included."""
+        """Return [N] bool: `points`, [N, 3], in the box or on its sides."""
         return np.abs(self._local(points)).max(axis=1, initial=0) <= 1
 
     def keep_inside(self, means: torch.Tensor) -> None:
@@ -63,25 +63,25 @@ class RegionBox:
     def may_be_seen(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float
     ) -> bool:
-        """Whether the box may be in a camera's picture: false only if all corners are beyond one
-        side of the view frustum.
+        """Whether the box may be visible: False only if all corners are beyond one side of the view
+        frustum.
 
         Args:
-            K: [3, 3] pixels.
-            viewmat: [4, 4] world to camera.
-            width: Pixels.
-            height: Pixels.
-            near: World units.
+            K: [3, 3], px.
+            viewmat: [4, 4], world to camera.
+            width: px.
+            height: px.
+            near: Near plane, world units.
         """
         corners = _CORNERS @ self.matrix[:3, :3].T + self.matrix[:3, 3]
-        seen = corners @ viewmat[:3, :3].T + viewmat[:3, 3]
-        z = seen[:, 2]
-        x, y = (seen @ K[:2].T).T  # times z, so that nothing is divided by it
+        local = corners @ viewmat[:3, :3].T + viewmat[:3, 3]
+        z = local[:, 2]
+        x, y = (local @ K[:2].T).T  # times z, to avoid a division
         beyond = (z <= near, x < 0, x > width * z, y < 0, y > height * z)
         return not any(side.all() for side in beyond)
 
     def outline(self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> np.ndarray:
-        """[H, W] bool: whether the ray through a pixel centre meets the box in front of the camera.
+        """Return [H, W] bool: pixels whose rays meet the box in front of the camera.
 
         Args: as for `may_be_seen`.
         """

@@ -1,4 +1,4 @@
-"""Region photos: the views of a capture that show a region, masked to the region's pixels."""
+"""Region photos: views of a capture that show a region, masked to its pixels."""
 
 import math
 from typing import Any
@@ -11,49 +11,54 @@ from ...text_format import number
 from .region_box import RegionBox
 
 _COARSE = 400
-"""Pixels of the longer side at which a view must show something of the box."""
+"""Longer side at which a view is checked for pixels of the box, px."""
 
 
 class RegionPhotos(Dataset):
-    """The views that may show a box. Held-out views are measured on the pixels of the box."""
+    """Views that may show a box. Held-out views are evaluated on the pixels of the box."""
 
     judged_by = "region"
-    """Name of the measured part of a picture, for `evaluate`."""
+    """Name of the evaluated part of a photo, for `evaluate`."""
 
     def __init__(
         self, whole: Dataset, box: RegionBox, *, near: float, narrow: bool = False
     ) -> None:
-        """Keep the views of `whole` that may show `box`; `near` in world units. `narrow`: training
-        views are masked to the box too.
+        """Select the views of `whole` that may show `box`.
+
+        Args:
+            whole: The capture.
+            box: Region box, COLMAP world.
+            near: Near plane, world units.
+            narrow: Whether training views are masked to the box too.
 
         Raises:
-            DatasetError: no training view shows it, or `narrow` and it contains no point.
-            ConfigError: `narrow` and the capture's masks cut the subject out.
+            DatasetError: no training view shows the box, or `narrow` and it contains no point.
+            ConfigError: `narrow` and the capture has `composite` masks.
         """
         if narrow and whole.mask_mode == "composite":
             raise ConfigError(
-                "The masks of this capture cut the subject out, which a region cannot narrow. Give "
-                "--mask-mode ignore: then they leave pixels out of the training."
+                "Composite masks cannot be combined with a region without start splats. Use "
+                "--mask-mode ignore, which excludes masked pixels from the training."
             )
         points = whole.scene.points.points
         if narrow and len(points) and not box.holds(points).any():
             raise DatasetError(
-                f"None of the {number(len(points))} points of the capture lies in the region. Is "
-                "it a box in the world of the capture?"
+                f"None of the {number(len(points))} points of the capture is in the region. Check "
+                "that the box is in the capture's world."
             )
         cameras: Any = whole.scene.cameras
 
-        def seen(index: int, *, alone: bool) -> bool:
-            """Whether a view may show the box; with `alone`, whether it does."""
+        def shows(index: int, *, exact: bool) -> bool:
+            """Whether a view may show the box; with `exact`, whether it does."""
             size = int(cameras.widths[index]), int(cameras.heights[index])
             camera = cameras.Ks[index], cameras.viewmats[index], *size
-            return box.may_be_seen(*camera, near) and (not alone or _shows(box, *camera))
+            return box.may_be_seen(*camera, near) and (not exact or _has_pixels(box, *camera))
 
         super().__init__(
             scene=whole.scene,
             files=list(whole.files),
-            train=[i for i in whole.train if seen(i, alone=narrow)],
-            test=[i for i in whole.test if seen(i, alone=True)],
+            train=[i for i in whole.train if shows(i, exact=narrow)],
+            test=[i for i in whole.test if shows(i, exact=True)],
             mask_mode="ignore" if whole.mask_mode == "none" else whole.mask_mode,
             source=whole.source,
         )
@@ -61,13 +66,13 @@ class RegionPhotos(Dataset):
         self._narrowed = frozenset(self.test + self.train if narrow else self.test)
         if whole.train and not self.train:
             raise DatasetError(
-                f"None of the {len(whole.train)} training photos looks at the region. Is it a box "
-                "in the world of the capture?"
+                f"None of the {len(whole.train)} training photos shows the region. Check that the "
+                "box is in the capture's world."
             )
 
     def mask(self, index: int) -> np.ndarray | None:
-        """[H, W] uint8. Held-out and narrowed views without cut-out masks: only the pixels whose
-        rays meet the box."""
+        """Mask of a view, [H, W] uint8. For held-out and narrowed views without composite masks:
+        restricted to pixels whose rays meet the box."""
         own = super().mask(index)
         if index not in self._narrowed or self.mask_mode != "ignore":
             return own
@@ -78,8 +83,10 @@ class RegionPhotos(Dataset):
         return inside if own is None else np.minimum(own, inside)
 
 
-def _shows(box: RegionBox, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> bool:
-    """Whether the ray through any coarse pixel centre meets the box."""
+def _has_pixels(
+    box: RegionBox, K: np.ndarray, viewmat: np.ndarray, width: int, height: int
+) -> bool:
+    """Whether the ray through any pixel of the downscaled view meets the box."""
     shrink = min(1.0, _COARSE / max(width, height))
     coarse = np.diag([shrink, shrink, 1.0]) @ K
     size = math.ceil(width * shrink), math.ceil(height * shrink)

@@ -1,4 +1,4 @@
-"""Region tiles: the part of a picture that splats of the region can change and must be drawn."""
+"""Region tiles: the tiles of a view that splats of the region can change."""
 
 from collections.abc import Mapping
 
@@ -13,13 +13,13 @@ from ..photos.raster_skips import tiles_of_mask
 _REACH = 3.34
 """Radius of a drawn splat in standard deviations: sqrt(2 log(255 * 0.99)), rounded up."""
 _EPS2D = 0.3
-"""px^2, added to each splat's covariance in the picture."""
-_BESIDE = 0.3
-"""Directions are clamped to the picture plus this share of its half-angle on each side."""
+"""px^2, added to each projected covariance."""
+_CLAMP_MARGIN = 0.3
+"""Directions are clamped to the view plus this share of its half-angle on each side."""
 
 
 def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> SizedView:
-    """The view with a mask of the tiles in which splats with raw `params` may be drawn.
+    """Mask a view to the tiles in which splats with raw `params` may be drawn.
 
     All other pixels do not depend on these splats.
     """
@@ -37,15 +37,15 @@ def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> Size
 
 
 def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.ndarray:
-    """[ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with raw `params` may be drawn: the discs
-    of round splats with the radius of the longest axis."""
+    """Return [ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with raw `params` may be drawn,
+    bounded by discs with the radius of the longest axis."""
     viewmat, K = (np.asarray(a, np.float64) for a in (view.viewmat, view.K))
     place = params["means"].numpy() @ viewmat[:3, :3].T + viewmat[:3, 3]
     widest = params["scales"].numpy().max(axis=1, initial=-np.inf)
     drawn = (place[:, 2] > view.near) & np.isfinite(place).all(axis=1) & np.isfinite(widest)
     (x, y, z), sigma = place[drawn].T, np.exp(widest[drawn].astype(np.float64))
     x, y, focal = x / z, y / z, max(K[0, 0], K[1, 1])
-    # The norm of the projection's Jacobian is at most this.
+    # Upper bound of the norm of the projection's Jacobian.
     tangents = np.minimum(np.abs(x), _most(K[0, 0], K[0, 2], view.width)) ** 2
     tangents += np.minimum(np.abs(y), _most(K[1, 1], K[1, 2], view.height)) ** 2
     radius = _REACH * np.sqrt((focal / z * sigma) ** 2 * (1 + tangents) + _EPS2D) + 1
@@ -55,12 +55,12 @@ def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.nda
 
 
 def _most(focal: float, centre: float, size: int) -> float:
-    """The largest tangent of a direction that the projection's Jacobian is taken at."""
-    return (max(centre, size - centre) + _BESIDE * size) / focal
+    """Largest tangent of a direction after the clamping."""
+    return (max(centre, size - centre) + _CLAMP_MARGIN * size) / focal
 
 
 def _tiles(centre: np.ndarray, radius: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """First tile and the one after the last, of each splat, along an axis; none beyond it."""
+    """Return first tile and end tile of each splat along an axis, clamped to the view."""
     count = -(-size // backend.TILE)
     first = np.clip(np.floor((centre - radius) / backend.TILE), 0, count)
     end = np.clip(np.floor((centre + radius) / backend.TILE) + 1, 0, count)
@@ -74,7 +74,7 @@ def _covered(
     right: np.ndarray,
     size: tuple[int, int],
 ) -> np.ndarray:
-    """Tiles covered by any of the rectangles: corner counts, then cumulative sums."""
+    """Return the tiles covered by any rectangle: corner counts, then cumulative sums."""
     rows, columns = (-(-n // backend.TILE) for n in size)
     counts = np.zeros((rows + 1) * (columns + 1), np.int64)
     corners = ((top, left, 1), (bottom, right, 1), (top, right, -1), (bottom, left, -1))

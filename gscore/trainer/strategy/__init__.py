@@ -12,6 +12,6 @@ __all__ = ["Change", "DrawnView", "Policy", "all_within", "make_strategy"]
 def make_strategy(
     config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = all_within
 ) -> Policy:
-    """The strategy that `config` names; splats are added where `may_grow` says so."""
+    """Create the strategy of `config`; splats are added only where `may_grow` is true."""
     kinds = {Strategy.DEFAULT: DefaultStrategy, Strategy.MCMC: MCMCStrategy}
     return kinds[config.strategy](config, plan, extent=extent, may_grow=may_grow)

@@ -1,4 +1,4 @@
-"""Strategy interface: the policy that adds, moves and removes splats, as the loop calls it."""
+"""Strategy interface: the policy that adds, moves and removes splats between steps."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class Change:
     removed: int = 0
     moved: int = 0
     reset: bool = False
-    """Opacities were lowered."""
+    """Whether opacities were reset."""
 
     def __bool__(self) -> bool:
         return bool(self.added or self.removed or self.moved or self.reset)
@@ -30,9 +30,9 @@ class DrawnView:
     step: int
     """Number of the step, from 1."""
     radii: torch.Tensor
-    """[N] int32 px, 0 where a splat was not drawn."""
+    """[N] int32 px, 0 for splats that were not drawn."""
     v_means2d: torch.Tensor
-    """[N, 2] float32, gradient of the loss in projected positions, per px."""
+    """[N, 2] float32, gradient of the loss in projected means, per px."""
     width: int
     """px."""
     height: int
@@ -40,11 +40,11 @@ class DrawnView:
 
 
 Within = Callable[[torch.Tensor], torch.Tensor]
-"""[N] bool: the `means` [N, 3], training frame, in an allowed volume."""
+"""Test of `means`, [N, 3] in the training frame, against an allowed volume: returns [N] bool."""
 
 
 def all_within(means: torch.Tensor) -> torch.Tensor:
-    """[N] bool, all true: no limit."""
+    """Return [N] bool, all true: no limit."""
     return torch.ones(len(means), dtype=torch.bool, device="cpu")
 
 
@@ -63,12 +63,12 @@ class Policy(Protocol):
         ...
 
     def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
-        """Add a view to `rows`, the counters of `start`."""
+        """Add the statistics of a view to `rows`, the counters of `start`."""
         ...
 
     def after_step(
         self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
     ) -> Change:
-        """Change the model after the optimizer's step `step` with learning rate `means_lr` of the
-        means; no splats are added beyond `cap`."""
+        """Densify and prune after the optimizer's step `step` with learning rate `means_lr` of the
+        means; the model grows to at most `cap` splats."""
         ...

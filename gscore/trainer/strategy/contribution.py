@@ -12,12 +12,12 @@ from ..photos.image_pyramid import SizedView
 
 
 class Weights(NamedTuple):
-    """The blending weights of the splats in one view, summed over pixels; good until the next."""
+    """Blending weights of the splats in one view, summed over pixels; valid until the next view."""
 
     kept: torch.Tensor
-    """[N] float32, px: over the pixels that the mask shows, as far as it does."""
+    """[N] float32, px: sum over pixels, weighted by the mask."""
     whole: torch.Tensor
-    """[N] float32, px: over all pixels."""
+    """[N] float32, px: sum over all pixels."""
 
 
 def weights_by_view(
@@ -30,16 +30,15 @@ def weights_by_view(
     scratch: Mapping[str, torch.Tensor],
     threads: int = 0,
 ) -> Iterator[Weights]:
-    """With how much weight each splat was blended in each view: one channel of
-    `raster.weights.blending_weights` is summed over the pixels that masks show, another over all.
+    """Yield the blending weights of the splats in each view (`raster.weights.blending_weights`).
 
     Args:
-        painter: What it drew last is lost.
-        params: The splats, raw, as in `Model.params`; their SH coefficients are not read.
-        shown: Views to look at.
-        antialias: As in the training.
-        masks_hide: Pixels count as kept as far as masks show them; else all do.
-        scratch: Tensors of the shapes of `params` by name, which are overwritten; not those of SH.
+        rasterizer: Its last rendered view becomes invalid.
+        params: Raw parameters, as in `Model.params`; SH coefficients are not read.
+        shown: Views.
+        antialias: As in training.
+        masks_hide: Whether `kept` is weighted by masks.
+        scratch: Tensors with the shapes of `params` by name, overwritten except those of SH.
         threads: 0: all cores; the result does not depend on it.
     """
     for view, _, mask, _, _ in shown:
@@ -52,10 +51,10 @@ def weights_by_view(
 
 
 def max_contribution(weights: Iterable[Weights], count: int) -> torch.Tensor:
-    """[N] float32, px: what each of `count` splats adds to the view in which it adds most.
+    """Return the largest `kept` weight of each of `count` splats over all views, [N] float32, px.
 
-    A splat that one view needs is needed; the sum over all views would favour the background, which
-    all show. Of half of the splats pruned that cost 0.1 to 0.2 dB more on plush.
+    The maximum keeps splats that a single view needs; the sum would favour the background, which
+    all views show. Pruning half of the splats by the sum cost 0.1 to 0.2 dB more on plush.
     """
     most = zeros(count)
     for kept, _ in weights:
@@ -64,9 +63,9 @@ def max_contribution(weights: Iterable[Weights], count: int) -> torch.Tensor:
 
 
 def mostly_masked(weights: Iterable[Weights], count: int, *, share: float) -> torch.Tensor:
-    """[N] bool: which of `count` splats have less than `share` of their weight where masks show it.
+    """Return [N] bool: splats with less than `share` of their weight in unmasked pixels.
 
-    No photo says what these should look like, and they veil what other photos show.
+    No photo constrains their colours, and they occlude splats in other photos.
     """
     kept, whole = zeros(count), zeros(count)
     for of_kept, of_whole in weights:
@@ -76,7 +75,7 @@ def mostly_masked(weights: Iterable[Weights], count: int, *, share: float) -> to
 
 
 def lowest_rows(weights: torch.Tensor, count: int) -> torch.Tensor:
-    """[N] bool: the `count` smallest of `weights` [N]; of equal ones, those that come first."""
+    """Return [N] bool: the `count` smallest of `weights`, [N]; ties in order of the rows."""
     out = zeros(len(weights), dtype=torch.bool)
     out[torch.sort(weights, stable=True).indices[:count]] = True
     return out

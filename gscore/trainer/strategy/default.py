@@ -19,10 +19,10 @@ RESET_OPACITY = 0.01
 
 
 class DefaultStrategy:
-    """Doubles splats whose projected positions are pulled hard, removes transparent and huge ones.
+    """Clones or splits splats with large screen-space gradients, prunes transparent and huge ones.
 
-    The pull is the mean over the views that drew the splat of |dL / d position| in normalised
-    image coordinates (2 per image side). Under a cap the splats that are pulled hardest go first.
+    The criterion is |dL / d mean2d| in normalised image coordinates (2 per image side), averaged
+    over the views that drew the splat. Under a cap, splats with the largest gradients come first.
     """
 
     def __init__(self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within) -> None:
@@ -41,9 +41,9 @@ class DefaultStrategy:
     def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
         if view.step > self._plan.refine_stop:
             return
-        pull, seen = rows["pull"], rows["seen"]
+        sums, views = rows["pull"], rows["seen"]
         scale, threads = (0.5 * view.width, 0.5 * view.height), self._config.threads
-        add_screen_gradients(pull, seen, view.v_means2d, view.radii, scale, threads=threads)
+        add_screen_gradients(sums, views, view.v_means2d, view.radii, scale, threads=threads)
 
     def after_step(
         self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
@@ -58,20 +58,21 @@ class DefaultStrategy:
 
     def _refine(self, model: Model, step: int, cap: int, generator: torch.Generator) -> Change:
         before = len(model)
-        pull = model.rows["pull"] / model.rows["seen"].clamp_min(1)
-        doomed = self._to_prune(model.params, step)
-        grow = (pull >= self._plan.grow_grad) & ~doomed & self._may_grow(model.params["means"])
-        room = cap - before + int(doomed.sum())
-        grow = _strongest(grow, pull, max(room, 0))
+        gradients = model.rows["pull"] / model.rows["seen"].clamp_min(1)
+        pruned = self._to_prune(model.params, step)
+        grow = gradients >= self._plan.grow_grad
+        grow &= ~pruned & self._may_grow(model.params["means"])
+        room = cap - before + int(pruned.sum())
+        grow = _strongest(grow, gradients, max(room, 0))
         new, replaced = self._doubled(model, grow, generator)
         healthy = (~self._to_prune(new, step)).nonzero().flatten()
         new = {name: rows[healthy] for name, rows in new.items()}
 
-        keep = ~doomed
+        keep = ~pruned
         keep[replaced] = False
         kept = keep.nonzero().flatten()
         kept = kept[row_ops.by_place(model.params["means"][kept])]
-        if len(kept) + len(healthy) == 0:  # everything would go: a blank model cannot recover
+        if len(kept) + len(healthy) == 0:  # an empty model cannot recover
             return Change()
         row_ops.edit(model, keep=kept, append=new)
         self.start(model)
@@ -80,7 +81,7 @@ class DefaultStrategy:
     def _doubled(
         self, model: Model, grow: torch.Tensor, generator: torch.Generator
     ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """What the rows `grow`, [N] bool, are doubled by, and which of them, [M], it replaces."""
+        """Return the new splats for the rows `grow`, [N] bool, and the rows, [M], they replace."""
         if self._config.doubling is Doubling.LONG_AXIS:
             rows = grow.nonzero().flatten()
             return row_ops.halve(model, rows), rows
@@ -92,13 +93,14 @@ class DefaultStrategy:
         ), divide
 
     def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
-        """[N] bool: too transparent, too large once opacities have been reset, or not a splat."""
+        """Return [N] bool: splats that are too transparent, too large after the first opacity
+        reset, or have a zero quaternion."""
         config, opacities = self._config, params["opacities"]
-        doomed = ~(opacities >= row_ops.logit(max(config.prune_opacity, 1e-6)))  # NaN goes too
+        pruned = ~(opacities >= row_ops.logit(max(config.prune_opacity, 1e-6)))  # NaN too
         if self._plan.reset_every and step > self._plan.reset_every:
             size = params["scales"].amax(dim=1)
-            doomed |= size > _log(config.prune_scale * self._extent)
-        return doomed | (params["quats"].square().sum(dim=1) < 1e-8)
+            pruned |= size > _log(config.prune_scale * self._extent)
+        return pruned | (params["quats"].square().sum(dim=1) < 1e-8)
 
 
 def _log(value: float) -> float:
@@ -106,7 +108,8 @@ def _log(value: float) -> float:
 
 
 def _strongest(mask: torch.Tensor, score: torch.Tensor, count: int) -> torch.Tensor:
-    """`mask` [N] with at most `count` entries left, those with the largest score; ties by row."""
+    """Return `mask`, [N], with at most `count` entries left: those with the largest score; ties in
+    order of the rows."""
     chosen = mask.nonzero().flatten()
     if len(chosen) <= count:
         return mask

@@ -1,8 +1,8 @@
 """Free space around cameras: splats in it are removed.
 
-Splats close before one camera hide little from it and everything from a camera beside it; training
-makes them, because they explain one photo each, and as a wall for cameras across the room. Points
-of structure from motion say how far away the first surface is.
+A training puts splats close to cameras, because each fits a single photo or serves as a wall for
+cameras across the room. They occlude other cameras nearby. SfM points give the distance of the
+first surface.
 """
 
 import numpy as np
@@ -12,28 +12,26 @@ from ...raster.memory import zeros
 from ..model.nearest_points import NearestPoints
 
 _NEAREST = 10
-"""Rank of the nearest point whose distance is that to the first surface: single points are often
-wrong."""
+"""The distance of this many-th nearest point is that of the first surface, because single points
+are often wrong."""
 _FEWEST_POINTS = 500
-"""Fewest points for free space: sparser ones do not show that the space between them is empty."""
+"""Least points for free space: fewer do not show that the space between them is empty."""
 _PRODUCTS = 1 << 19
 """Distances computed per block."""
 
 
 class FreeSpace:
-    """Balls around cameras, stored as float64, since a ball may be small compared to its distance
-    from the origin."""
+    """Balls around cameras, in float64 because a ball may be small and far from the origin."""
 
     def __init__(
         self, centers: np.ndarray, surfaces: NearestPoints | None, *, share: float
     ) -> None:
-        """Measure the balls.
+        """Compute the balls.
 
         Args:
-            centers: [C, 3] float64 positions of cameras, in any unit.
-            surfaces: Points of them, in that unit. None or fewer than 500 tell nothing: then there
-                are no balls.
-            share: Radius of a ball as a share of the distance of its camera from the tenth nearest
+            centers: [C, 3] float64 positions of cameras, any unit.
+            surfaces: Surface points, same unit. None or fewer than 500: no balls.
+            share: Radius of a ball relative to the distance of its camera from the tenth nearest
                 point.
         """
         if share <= 0 or surfaces is None or len(surfaces) < _FEWEST_POINTS:
@@ -46,7 +44,7 @@ class FreeSpace:
         self._rest = torch.from_numpy(np.square(centers).sum(axis=1) - radii**2)
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: the `means` [N, 3] in a ball."""
+        """Return [N] bool: `means`, [N, 3], in a ball."""
         inside = zeros(len(means), dtype=torch.bool)
         balls = len(self._rest)
         if balls == 0:

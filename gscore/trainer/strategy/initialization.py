@@ -1,4 +1,4 @@
-"""Initialization of a run: the first splats, and the free space around the cameras."""
+"""Initialization of a run: initial splats, and the free space around cameras."""
 
 from dataclasses import replace
 
@@ -26,20 +26,19 @@ def initial_splats(
     start: Splats | None,
     count: int,
 ) -> tuple[Splats, FreeSpace]:
-    """What to begin with in the training world, and the space that stays empty there.
+    """Create the initial splats and the free space around cameras, in the training frame.
 
-    Both look at the same neighbours of points, which take more memory than a model where points are
-    many.
+    Both use the same k-d tree of the points, which for many points is larger than a model.
 
     Args:
         config: The options.
-        photos: What is trained on.
-        frame: The training world.
-        plan: Of one model.
-        cameras: Those of `photos`, training world.
+        photos: The capture.
+        frame: The training frame.
+        plan: Plan of one model.
+        cameras: Cameras of `photos`, training frame.
         cloud: Points, COLMAP world.
-        start: Splats to go on with, COLMAP world; None: one a point, and a sky where it is asked.
-        count: How many points have to be looked at.
+        start: Start splats, COLMAP world; None: one splat per point, and `sky` if enabled.
+        count: Approximate number of queries of the tree.
 
     Raises:
         ConfigError: `start` has more splats than the config allows.

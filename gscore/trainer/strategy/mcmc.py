@@ -13,13 +13,13 @@ from .base import Change, DrawnView, Within
 
 GATE_SHARPNESS = 100.0
 GATE_OPACITY = 0.005
-"""Noise fades out around this opacity: sigmoid(-sharpness (opacity - GATE_OPACITY))."""
+"""Opacity around which noise fades out: sigmoid(-sharpness (opacity - GATE_OPACITY))."""
 NOISE_MAX_OPACITY = 0.1
-"""More opaque splats get no noise at all; the gate would leave them less than 1e-4 of it."""
+"""Opacity from which splats get no noise; the gate would leave less than 1e-4 of it."""
 
 
 class MCMCStrategy:
-    """Keeps the number of splats on a fixed course and moves those that are not needed."""
+    """Grows the model on a fixed schedule, relocates dead splats and adds noise to faint ones."""
 
     def __init__(self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within) -> None:
         self._config = config
@@ -31,7 +31,7 @@ class MCMCStrategy:
         pass
 
     def shape_gradients(self, model: Model) -> None:
-        """Gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
+        """Add the gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
         if len(model) == 0:
             return
         scales, grads = model.params["scales"], model.grads
@@ -70,7 +70,7 @@ class MCMCStrategy:
         return Change(added=added, moved=moved)
 
     def _add_noise(self, model: Model, means_lr: float, generator: torch.Generator) -> None:
-        """Move faint splats at random, along their own shape: covariance @ normal noise."""
+        """Move faint splats by covariance @ normal noise."""
         weight = self._config.mcmc_noise * means_lr
         opacities = model.params["opacities"]
         faint = (opacities < row_ops.logit(NOISE_MAX_OPACITY)).nonzero().flatten()

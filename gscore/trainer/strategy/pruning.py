@@ -15,29 +15,29 @@ from . import row_ops
 from .contribution import Weights, lowest_rows, max_contribution, mostly_masked, weights_by_view
 
 _CROWD = 0.2
-"""Share of all splats in a free space above which the space is not considered free."""
+"""Share of all splats in a free space above which it is not considered free."""
 
 
 class Space(Protocol):
     """A free space."""
 
     def holds(self, means: torch.Tensor) -> torch.Tensor:
-        """[N] bool: the `means` [N, 3], training frame, in it."""
+        """Return [N] bool: `means`, [N, 3] in the training frame, in the space."""
         ...
 
 
 class Emptied:
-    """A free space that is kept empty, unless so many splats are in it that it cannot be free."""
+    """A free space whose splats are removed, unless too many are in it at once."""
 
     def __init__(self, space: Space | None) -> None:
         self._space = space
         self.count = 0
-        """Splats removed from it so far."""
+        """Number of splats removed so far."""
         self.crowded = False
-        """Too many splats were in it at once, so it is no longer emptied."""
+        """Whether too many splats were in it at once, so that it is no longer emptied."""
 
     def due(self, means: torch.Tensor) -> torch.Tensor | None:
-        """[N] bool: the splats to remove; None: none."""
+        """Return the splats to remove, [N] bool; None: none."""
         if self._space is None or self.crowded:
             return None
         inside = self._space.holds(means)
@@ -55,7 +55,7 @@ class Emptied:
 
 
 class Pruner:
-    """Pruning of splats in free space, of masked splats, and of those with least contribution.
+    """Prunes splats in free space, masked splats, and splats with the least contribution.
 
     Each method removes the splats that are due after a step and returns their number.
     """
@@ -70,9 +70,16 @@ class Pruner:
         masks_hide: bool,
         guided: Space | None = None,
     ) -> None:
-        """`shown` returns the training views at the size of the last step; `masks_hide`: masks
-        exclude pixels from the loss; `guided`: free space of a guide mesh. The last picture of
-        `rasterizer` becomes invalid."""
+        """Create a pruner.
+
+        Args:
+            config: The options.
+            free_space: Free space around cameras.
+            rasterizer: Its last rendered view becomes invalid.
+            shown: Returns the training views at the size of the last step.
+            masks_hide: Whether masks exclude pixels from the loss.
+            guided: Free space of a guide mesh.
+        """
         self._config = config
         self._rasterizer = rasterizer
         self._shown = shown
@@ -90,11 +97,11 @@ class Pruner:
         for space in (self.around, self.guided):
             rows = space.due(model.params["means"])
             if rows is not None:
-                self._take_out(model, rows)
+                self._remove(model, rows)
         return before - len(model)
 
     def prune_masked(self, model: Model, plan: Plan, step: int) -> int:
-        """Remove splats that masks hide."""
+        """Remove splats whose weight is mostly in masked pixels."""
         share = self._config.hidden_share
         if share == 0 or not self._masks_hide or not plan.prunes_masked_at(step):
             return 0
@@ -102,18 +109,16 @@ class Pruner:
         count = int(hidden.sum())
         if count == 0 or count == len(model):
             return 0
-        self._take_out(model, hidden)
+        self._remove(model, hidden)
         return count
 
     def prune_least(self, model: Model, plan: Plan, step: int, *, pruned: int) -> int:
-        """Remove splats with least contribution, when the plan has fewer splats; `pruned`: number
-        removed this way before."""
+        """Remove the splats with the least contribution if the plan has fewer splats; `pruned`:
+        number of those removed before."""
         count = plan.surplus_at(step, len(model), pruned)
         if count == 0:
             return 0
-        self._take_out(
-            model, lowest_rows(max_contribution(self._weights(model), len(model)), count)
-        )
+        self._remove(model, lowest_rows(max_contribution(self._weights(model), len(model)), count))
         return count
 
     def state(self) -> dict[str, int | bool]:
@@ -126,7 +131,7 @@ class Pruner:
         }
 
     def restore(self, state: dict[str, int | bool]) -> None:
-        """Restore the values that `state` returned; other keys are ignored.
+        """Restore the values of `state`; other keys are ignored.
 
         Raises:
             ValueError, KeyError: they are invalid.
@@ -145,7 +150,7 @@ class Pruner:
             threads=self._config.threads,
         )
 
-    def _take_out(self, model: Model, rows: torch.Tensor) -> None:
-        """Remove splats, [N] bool, from the model; frees the rasterizer's memory first."""
+    def _remove(self, model: Model, rows: torch.Tensor) -> None:
+        """Remove the splats `rows`, [N] bool, after freeing the rasterizer's memory."""
         self._rasterizer.release()
         row_ops.edit(model, keep=(~rows).nonzero().flatten())

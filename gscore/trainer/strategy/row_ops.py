@@ -13,13 +13,12 @@ from ..host.random import gaussian, uniform
 from ..model.model import Model
 
 SPLIT_COUNT = 2
-"""Splats that replace one that is split (Kerbl et al. 2023, section 5.2)."""
+"""Number of splats that replace a split one (Kerbl et al. 2023, section 5.2)."""
 SPLIT_SHRINK = 1.6
 """Divisor of their scales."""
 HALF_OFFSET, HALF_LENGTH, HALF_WIDTH, HALF_OPACITY = 0.7, 0.5, 0.85, 0.6
-"""Of the halves of a splat: distance from its centre and length along the longest axis, width
-along the others, and opacity, in its own (the factors are those of Deng et al. 2024; the distance
-was measured)."""
+"""Halves of a splat relative to it: distance from its centre and length along the longest axis,
+width along the others, and opacity (factors of Deng et al. 2024; the distance was measured)."""
 MAX_COPIES = 51
 """Most copies of one splat that a relocation accounts for (Kheradmand et al. 2024)."""
 
@@ -35,12 +34,12 @@ def edit(
     keep: torch.Tensor | None = None,
     append: Mapping[str, torch.Tensor] | None = None,
 ) -> None:
-    """Keep some rows and append others, in parameters, Adam moments and counters alike.
+    """Keep some rows and append others in parameters, Adam moments and counters.
 
     Args:
         model: Changed in place.
-        keep: [M] int64 rows that stay, in their new order; None: all.
-        append: Parameters of A new rows; their moments and counters start at zero.
+        keep: [M] int64 rows to keep, in their new order; None: all.
+        append: Parameters of A new rows, whose moments and counters are zero.
     """
     n = len(model)
     kept = n if keep is None else len(keep)
@@ -64,10 +63,11 @@ def edit(
 
 
 def by_place(means: torch.Tensor) -> torch.Tensor:
-    """[M] int64: rows in the order of a Morton curve through `means` [M, 3], so that splats that a
-    view shows together lie together in memory; equal places keep their order.
+    """Return rows, [M] int64, in Morton order of `means`, [M, 3], so that neighbouring splats are
+    close in memory; splats in one cell keep their order.
 
-    The curve has 1024 cells a side, and those beyond the middle 98 % lie in its outermost ones.
+    The grid has 1024 cells per side over the middle 98 % of each axis; splats beyond are clamped
+    to the outermost cells.
     """
     points = np.nan_to_num(means.numpy().astype(np.float64))
     if len(points) == 0:
@@ -83,20 +83,21 @@ _CELLS = 1024
 
 
 def _spread(x: np.ndarray) -> np.ndarray:
-    """Numbers below 1024 with two zero bits after each of theirs."""
+    """Insert two zero bits after each bit of numbers below 1024."""
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         x = (x | x << shift) & mask
     return x
 
 
 def duplicate(model: Model, index: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Parameters of copies of the rows `index` [M]."""
+    """Return copies of the parameters of the rows `index`, [M]."""
     model.sync()
     return {name: p[index] for name, p in model.params.items()}
 
 
 def split(model: Model, index: torch.Tensor, generator: torch.Generator) -> dict[str, torch.Tensor]:
-    """Parameters of the splats that replace the rows `index` [M]: drawn from them, smaller by 1.6.
+    """Return the parameters of the splats that replace the rows `index`, [M], in a split: drawn
+    from their Gaussians, with scales divided by 1.6.
 
     Returns:
         SPLIT_COUNT * M rows.
@@ -112,9 +113,9 @@ def split(model: Model, index: torch.Tensor, generator: torch.Generator) -> dict
 
 
 def halve(model: Model, index: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Parameters of the two halves of each of the rows `index` [M], side by side along its longest
-    axis: what they show together is close to what the splat showed, so that nothing has to be
-    learnt again (Deng et al. 2024, Efficient Density Control for 3D Gaussian Splatting).
+    """Return the parameters of two halves of each row `index`, [M], next to each other along its
+    longest axis. Together they render close to the splat, so that little must be trained again
+    (Deng et al. 2024, Efficient Density Control for 3D Gaussian Splatting).
 
     Returns:
         SPLIT_COUNT * M rows.
@@ -132,7 +133,7 @@ def halve(model: Model, index: torch.Tensor) -> dict[str, torch.Tensor]:
 
 
 def join(*parts: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Rows of several dictionaries, one after the other."""
+    """Concatenate the rows of several dictionaries of parameters."""
     return {name: torch.cat([part[name] for part in parts]) for name in PARAMETERS}
 
 
@@ -146,14 +147,14 @@ def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
 
 
 def reset_opacities(model: Model, ceiling: float) -> None:
-    """Lower all opacities to at most `ceiling` and forget their moments."""
+    """Lower all opacities to at most `ceiling` and clear their moments."""
     model.params["opacities"].clamp_(max=logit(ceiling))
     for moment in model.moments("opacities"):
         moment.zero_()
 
 
 def widen_sh(model: Model, degree: int) -> None:
-    """Store SH coefficients up to `degree`; the new ones and their moments are zero."""
+    """Extend SH coefficients to `degree`; new ones and their moments are zero."""
     missing = SH_REST_BY_DEGREE[degree] - model.params["shN"].shape[1]
     if missing <= 0:
         return
@@ -170,7 +171,7 @@ def relocate(
     within: torch.Tensor | None = None,
     min_opacity: float,
 ) -> int:
-    """Move dead splats onto live ones, drawn by opacity, without changing the picture.
+    """Move dead splats onto live ones, drawn by opacity, without changing the rendered image.
 
     A splat that ends up as n copies of itself gets the opacity and scale of equation 9 of
     Kheradmand et al. 2024.
@@ -179,11 +180,11 @@ def relocate(
         model: Changed in place.
         dead: [N] bool.
         generator: Source of the draw.
-        within: [N] bool, those onto which others may be moved; None: all.
-        min_opacity: No opacity falls below this.
+        within: [N] bool, allowed targets; None: all.
+        min_opacity: Lower bound of the new opacities.
 
     Returns:
-        Number of splats that were moved; 0 if none is dead, or none is alive within.
+        Number of moved splats; 0 if none is dead, or no live one is `within`.
     """
     targets = dead.nonzero().flatten()
     alive = (~dead if within is None else ~dead & within).nonzero().flatten()
@@ -194,8 +195,8 @@ def relocate(
     _share(model, chosen, min_opacity)
     for name, p in model.params.items():
         p[targets] = p[chosen]
-        for forgotten in (*model.moments(name), model.grads[name]):
-            forgotten[targets] = 0
+        for cleared in (*model.moments(name), model.grads[name]):
+            cleared[targets] = 0
     for counter in model.rows.values():
         counter[targets] = 0
     return len(targets)
@@ -209,20 +210,20 @@ def grow(
     within: torch.Tensor | None = None,
     min_opacity: float,
 ) -> int:
-    """Add `count` copies of splats drawn by opacity, without changing the picture.
+    """Add `count` copies of splats drawn by opacity, without changing the rendered image.
 
     Args:
         model: Changed in place.
-        count: How many.
+        count: Number of copies.
         generator: Source of the draw.
-        within: [N] bool, those that may be copied; None: all.
-        min_opacity: No opacity falls below this.
+        within: [N] bool, splats that may be copied; None: all.
+        min_opacity: Lower bound of the new opacities.
 
     Returns:
-        Number of splats that were added; 0 where none may be copied.
+        Number of added splats; 0 if none may be copied.
     """
-    everyone = torch.arange(len(model), dtype=torch.int64, device="cpu")
-    among = everyone if within is None else everyone[within]
+    rows = torch.arange(len(model), dtype=torch.int64, device="cpu")
+    among = rows if within is None else rows[within]
     if count <= 0 or len(among) == 0:
         return 0
     chosen = among[_draw(model, among, count, generator)]
@@ -234,7 +235,7 @@ def grow(
 def shared_opacity_scale(
     opacity: np.ndarray, scale: np.ndarray, copies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Opacity and scale that n copies in one place need to look like one (equation 9).
+    """Return the opacity and scale with which n coinciding copies render like one (equation 9).
 
     With o' = 1 - (1 - o)^(1/n) the scale is divided by
     sum_{i=1..n} sum_{k=0..i-1} C(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1) / o; the inner sums over i
@@ -264,10 +265,10 @@ _BINOMIALS = np.array(
 def _draw(
     model: Model, among: torch.Tensor, count: int, generator: torch.Generator
 ) -> torch.Tensor:
-    """[count] positions in `among`, drawn with replacement by opacity.
+    """Draw [count] positions in `among` by opacity, with replacement.
 
-    Inverse of the cumulative sum in float64: unlike torch.multinomial it knows no limit of 2^24
-    categories, and one thread adds it up, so the draw does not depend on the number of threads.
+    Inverts the cumulative sum in float64: unlike torch.multinomial it has no limit of 2^24
+    categories, and it is summed in one thread, so the draw does not depend on their number.
     """
     weights = _sigmoid(model.params["opacities"][among].numpy().astype(np.float64))
     weights = np.where(np.isfinite(weights), weights, 0)
@@ -280,7 +281,7 @@ def _draw(
 
 
 def _share(model: Model, chosen: torch.Tensor, min_opacity: float) -> None:
-    """Give the rows `chosen` (with repetitions) what they need to stand there once more each."""
+    """Reduce opacity and scale of the rows `chosen` for one more copy per occurrence."""
     rows, repeats = torch.unique(chosen, return_counts=True)
     opacities, scales = model.params["opacities"], model.params["scales"]
     opacity = _sigmoid(opacities[rows].numpy().astype(np.float64))

@@ -162,7 +162,7 @@ def test_the_run_goes_on_from_the_checkpoint_before_a_damaged_one(
         (True, False),
         (False, True),
     ]
-    assert all("going on from step 10" in message for message in told)
+    assert all("continuing from step 10" in message for message in told)
     assert (tmp_path / "point_cloud.ply").read_bytes() == expected
     assert len(list((tmp_path / "checkpoints").glob("*.damaged"))) == 2
     for path in folder.checkpoints():

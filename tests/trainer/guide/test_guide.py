@@ -295,9 +295,9 @@ def test_pixels_are_trusted_as_points_around_them_say() -> None:
 
 
 UNSEEN = {
-    "behind": ([[0, 9, 0], [1, 9, 0], [0, 9, 1]], "beside all that they see"),
-    "far": ([[900, 900, 900], [901, 900, 900], [900, 901, 900]], "sees the mesh, which lies"),
-    "a line": ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "none of 6 training photos sees the mesh"),
+    "behind": ([[0, 9, 0], [1, 9, 0], [0, 9, 1]], "outside all their frames"),
+    "far": ([[900, 900, 900], [901, 900, 900], [900, 901, 900]], "shows the mesh, which is"),
+    "a line": ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "none of 6 training photos shows the mesh"),
 }
 
 
@@ -359,7 +359,7 @@ def test_a_run_says_what_guides_it_and_goes_on(
         )
     line = ["train", str(capture), "-o", str(tmp_path / "cli"), "--iterations", "4"]
     assert main([*line, "--guide-weight", "2", "--max-splats", "200"]) == 0
-    assert "--guide-weight (of --guide-surface alone)" in capsys.readouterr().err
+    assert "--guide-weight (only with --guide-surface)" in capsys.readouterr().err
 
 
 def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mesh: Path) -> None:

@@ -72,7 +72,7 @@ def test_points_that_are_not_finite_are_left_out() -> None:
     points[1] = np.nan
     points[2] = np.inf
     assert len(splats_from_points(cloud(points), **OPTIONS)) == 2
-    with pytest.raises(DatasetError, match="no 3D points to start from"):
+    with pytest.raises(DatasetError, match="no finite 3D points to start from"):
         splats_from_points(cloud(points[1:3]), **OPTIONS)
 
 

@@ -79,7 +79,7 @@ def test_a_region_without_points_is_refused(capture: Path) -> None:
     direction = dataset.scene.cameras.viewmats[0][2, :3]
     far = np.eye(4)
     far[:3, 3] = 100 * direction
-    with pytest.raises(DatasetError, match="points of the capture lies in the region"):
+    with pytest.raises(DatasetError, match="points of the capture is in the region"):
         RegionPhotos(dataset, RegionBox(far), near=0.01, narrow=True)
     assert RegionPhotos(dataset, RegionBox(far), near=0.01).train
 
@@ -97,7 +97,7 @@ def test_another_region_does_not_go_on(
     longer = replace(config, iterations=50, region=tmp_path / "r.json")
     assert train(longer, source, tmp_path / "out", resume=True).steps == 50
     write_region(tmp_path / "r.json", BOX * [[2], [2], [2], [1]])
-    with pytest.raises(ConfigError, match="another region"):
+    with pytest.raises(ConfigError, match="its region or its frozen"):
         train(replace(config, iterations=60), source, tmp_path / "out", resume=True)
 
 
