@@ -64,7 +64,7 @@ _EXAMPLES = {
     "merge": "Example: gscore merge runs -o city.ply",
     "info": "Example: gscore info photos/",
 }
-"""At the end of a verb's help."""
+"""Last line of a verb's help."""
 _DISK_ERRORS = {
     errno.ENOSPC: "the disk is full; free some space or choose another output",
     errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
@@ -99,7 +99,7 @@ def _main(arguments: list[str], interrupt: Interrupt) -> int:
         hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
         return _complain("gscore", f"there is no verb {quoted(verb)}; {hint}")
     if not _is_here(verb):
-        hint = "the gscore of the Blender extension does without; pip install gscore brings it."
+        hint = "the Blender extension leaves it out; pip install gscore adds it."
         return _complain("gscore", f"`gscore {verb}` is not part of this installation; {hint}")
     return _guarded(f"gscore {verb}", verb, rest, interrupt)
 
@@ -140,7 +140,7 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
 
 
 def _check_working_folder() -> None:
-    """Check that the working folder exists: libraries loaded later end the process otherwise.
+    """Check that the working folder exists, because libraries loaded later exit without it.
 
     Raises:
         ConfigError: the folder was removed, or access is denied.
@@ -169,7 +169,7 @@ def _failure(prog: str, error: BaseException) -> int:
 
 
 def _is_here(verb: str) -> bool:
-    """Whether the code of a verb is installed: the Blender extension leaves some out."""
+    """Whether a verb is installed; the Blender extension leaves some out."""
     return find_spec(f".{verb}", __package__) is not None
 
 

@@ -21,7 +21,7 @@ Lead = Callable[[argparse.Namespace, "ProcessGroup | None"], int]
 
 
 def source_of(args: argparse.Namespace) -> Path | None:
-    """The capture that was given to `gscore train`."""
+    """The capture given to `gscore train`."""
     return args.source or args.source_option
 
 
@@ -32,11 +32,11 @@ def wants_blocks(args: argparse.Namespace) -> bool:
 
 
 def train_blocks(args: argparse.Namespace, lead: Lead) -> int:
-    """Train the block that was named, by all ranks together where there are many; else all blocks
-    in turn, each by one rank. Returns the exit code.
+    """Train the named block, on all ranks together; without a name all blocks in turn, each on one
+    rank. Returns the exit code.
 
     Raises:
-        ConfigError: there is no such block, or its run is there already.
+        ConfigError: there is no such block, or its run exists already.
         DatasetError: there are no blocks.
     """
     if args.block is None:
@@ -93,14 +93,14 @@ def _all_in_turn(
 
 
 def _found(args: argparse.Namespace, wanted: Sequence[int] | None = None) -> list[int]:
-    """The blocks to train, all of them where none is named; checked to be there."""
+    """Indices of the blocks to train, checked to exist; all if none is named."""
     source = source_of(args)
     if source is None:
         raise ConfigError("No blocks were given: `gscore train BLOCKS --block 0 -o RUNS`.")
     records = block_records(source)
     if not records:
         raise DatasetError(
-            f"{brief(source)} holds no blocks; give the folder that gscore split has written."
+            f"{brief(source)} contains no blocks; give the output folder of gscore split."
         )
     count = next(iter(records.values())).count
     wanted = range(count) if wanted is None else wanted
@@ -108,12 +108,12 @@ def _found(args: argparse.Namespace, wanted: Sequence[int] | None = None) -> lis
         if not 0 <= index < count:
             raise ConfigError(
                 f"There is no block {index} in {brief(source)}: its {count_words(count, 'block')} "
-                f"count from 0 to {count - 1}."
+                f"have the numbers 0 to {count - 1}."
             )
         if index not in records:
             raise DatasetError(
                 f"Block {index} of {count} is not in {brief(source)}. Copy {block_name(index)} "
-                "there, or train those that are there one by one with --block."
+                "there, or train the existing ones individually with --block."
             )
     return list(wanted)
 
@@ -122,9 +122,9 @@ def _check_room(args: argparse.Namespace, blocks: Sequence[int], *, resume: bool
     begun = [name for name in map(block_name, blocks) if results_in(args.output / name)]
     if begun and not (resume or args.overwrite):
         raise ConfigError(
-            f"{brief(args.output)} holds runs on {count_words(len(begun), 'block')}, the first in "
-            f"{begun[0]}; go on with --resume, which keeps those that are complete, replace them "
-            "with --overwrite, or choose another folder."
+            f"{brief(args.output)} contains runs on {count_words(len(begun), 'block')}, the first "
+            f"in {begun[0]}; continue with --resume, which keeps completed ones, replace them with "
+            "--overwrite, or choose another folder."
         )
 
 
@@ -139,7 +139,7 @@ def _one(args: argparse.Namespace, index: int, *, resume: bool) -> argparse.Name
         "output": output,
         "block": None,
         "resume": goes_on,
-        # A run that was killed before its first checkpoint has nothing to go on from.
+        # A run that was killed before its first checkpoint cannot be continued.
         "overwrite": (args.overwrite or resume) and not goes_on,
     }
     return argparse.Namespace(**vars(args) | changed)

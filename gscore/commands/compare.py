@@ -36,10 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of a run, or the output of gscore eval",
     )
     parser.add_argument(
-        "second", metavar="RUN_B", type=Path, help="another one on the same capture"
+        "second", metavar="RUN_B", type=Path, help="another run on the same capture"
     )
     parser.add_argument(
-        "-o", "--output", type=Path, default=Path("compare.html"), help="the page (compare.html)"
+        "-o", "--output", type=Path, default=Path("compare.html"), help="page (compare.html)"
     )
     parser.add_argument(
         "-s",
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_output(output: Path, *, overwrite: bool) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"{brief(output)}: the comparison is a page; give a name with .html.")
+        raise ConfigError(f"{brief(output)}: the output is a page; give a name with .html.")
     check_folder(output.parent)
     check_replaced([output], overwrite=overwrite)
 
@@ -97,42 +97,42 @@ def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
 
 def _opened(folder: Path) -> ModelArgument:
     if not folder.is_dir():
-        raise ConfigError(f"{brief(folder)} is no folder; two runs are compared, by their folders.")
-    # An evaluation in a folder of its own names the splats that it measured.
+        raise ConfigError(f"{brief(folder)} is not a folder; give the folders of two runs.")
+    # The metrics.json of an evaluation in another folder states the measured splats.
     measured = None if (folder / "config.json").is_file() else read_metrics(folder).get("model")
     model = open_model(Path(measured) if measured else folder)
     if model.data is None or model.run is None:
         raise ConfigError(
-            f"{brief(folder)} holds no config.json, so it is not known what was trained there; "
-            "give the folder that gscore train wrote."
+            f"{brief(folder)} contains no config.json with the options of a training; give the "
+            "output folder of gscore train."
         )
     return model
 
 
 def _data_config(models: list[ModelArgument], source: Path | None) -> DataConfig:
-    """How the first run read the capture that both were trained on."""
+    """Data options of the first run, for the capture of both."""
     first, second = (model.data for model in models if model.data is not None)
     if source is not None:
         return replace(first, source=source)
     if first.source.resolve() != second.source.resolve():
         raise ConfigError(
             f"{brief(str(models[0].run))} was trained on {brief(first.source)}, "
-            f"{brief(str(models[1].run))} on {brief(second.source)}: runs of one capture are "
-            "compared. Where both are the same photos, say with -s where they are."
+            f"{brief(str(models[1].run))} on {brief(second.source)}; give runs on one capture. If "
+            "both contain the same photos, give their folder with -s."
         )
     if not first.source.exists():
         raise DatasetError(
-            f"The capture {brief(first.source)}, on which both runs were trained, is not there any "
-            "more; say with -s SOURCE where it is now."
+            f"The capture of both runs, {brief(first.source)}, no longer exists; give its current "
+            "folder with -s SOURCE."
         )
     return first
 
 
 def _labels(folders: tuple[Path, Path]) -> tuple[str, str]:
-    """The shortest ends of both paths that differ."""
+    """Shortest suffixes of both paths that differ."""
     parts = [folder.resolve().parts for folder in folders]
     if parts[0] == parts[1]:
-        raise ConfigError(f"{brief(folders[0])} is given twice; a run does not differ from itself.")
+        raise ConfigError(f"{brief(folders[0])} is given twice; give two different runs.")
     for count in range(1, max(map(len, parts)) + 1):
         first, second = ("/".join(each[-count:]) for each in parts)
         if first != second:
@@ -160,23 +160,23 @@ def _pictures(
     threads: int,
     status: Status,
 ) -> list[PairPictures]:
-    """Photo and both renders of the views that get pictures, small."""
-    seen = [(model, model.world_of(dataset.scene.cameras)) for model in models]
+    """Thumbnails of the photo and both renders, of the views that get pictures."""
+    drawn = [(model, model.world_of(dataset.scene.cameras)) for model in models]
     places = {name: i for i, name in enumerate(dataset.names)}
     count = len(comparison.pairs)
     names = [pair.name for i, pair in enumerate(comparison.pairs) if has_pictures(i, count)]
     missing = [name for name in names if name not in places]
     if missing:
         raise DatasetError(
-            f"The capture {dataset.source} holds no view {brief(missing[0])}, on which both runs "
-            "were scored; say with -s where the capture is that they were trained on."
+            f"The capture {dataset.source} has no view {brief(missing[0])}, which both runs were "
+            "measured on; give their capture with -s."
         )
-    told = Counted(status, len(names), "view")
+    progress = Counted(status, len(names), "view")
     budget = budget_each(min(count, MAX_VIEWS))
     found = []
     for done, name in enumerate(names, start=1):
         index = places[name]
-        renders = [_rendered(model, cameras, index, threads) for model, cameras in seen]
+        renders = [_rendered(model, cameras, index, threads) for model, cameras in drawn]
         photo, _ = target_picture(
             dataset.image(index), dataset.mask(index), dataset.mask_mode, models[0].background
         )
@@ -185,7 +185,7 @@ def _pictures(
         found.append(PairPictures(
             name=name, width=width, height=height, first=uris[0], second=uris[1], photo=uris[2]
         ))  # fmt: skip
-        told(done, name)
+        progress(done, name)
     return found
 
 
@@ -196,11 +196,11 @@ def _rendered(model: ModelArgument, cameras: Cameras, index: int, threads: int) 
 def _summary(comparison: RunComparison, output: Path) -> str:
     first, second = (run.label for run in comparison.runs)
     views, names = count_words(len(comparison.pairs), "view"), names_of(comparison)
-    lines = [f"{views} that both {first} and {second} were scored on:"]
+    lines = [f"{views} measured in both {first} and {second}:"]
     for key, (a, b) in comparison.means.items():
         digits = 2 if key == "psnr" else 4
         lines.append(f"  {names[key]:5} {a:.{digits}f} and {b:.{digits}f} ({b - a:+.{digits}f})")
     for run, names in zip(comparison.runs, comparison.only_in, strict=True):
         if names:
-            lines.append(f"  {count_words(len(names), 'view')} only {run.label} was scored on")
+            lines.append(f"  {count_words(len(names), 'view')} measured only in {run.label}")
     return "\n".join([*lines, f"Page: {output}"])

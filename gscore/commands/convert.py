@@ -33,11 +33,11 @@ from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
 _EXACT = "ply"
-"""The format that holds splats to the bit."""
+"""The lossless format."""
 _VISIBLE = 30.0
 """PSNR between pictures, dB, below which missing splats are clearly visible."""
 _MARK = "gscore convert"
-"""A comment of files that have room for it: they may be replaced."""
+"""Comment in formats with comments; such files may be replaced."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,7 +61,7 @@ def _request(args: argparse.Namespace) -> EditRequest:
     given = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.matrix is not None:
         given["matrix"] = _read_matrix(args.matrix)
-    frustum = range(len(args.frustum or ()))  # which cameras these are is found once they are read
+    frustum = range(len(args.frustum or ()))  # resolved to cameras once these are read
     if args.clean and args.gap is not None:
         given.setdefault("min_cluster", USUAL.min_cluster)
     return EditRequest(**given, frustum=tuple(frustum))
@@ -81,7 +81,7 @@ def _check_output(args: argparse.Namespace) -> None:
 
 
 def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> dict[str, Any]:
-    """Do it; the facts for `--json`."""
+    """Convert; returns the facts for `--json`."""
     status.show(["Reading the splats"])
     models = [_open(path, args) for path in (args.input, *args.merge)]
     models = [model.about(models[0].origin) for model in models]
@@ -103,15 +103,15 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
     written = write(args.output, edited.splats)
     after = edited.kept
     if written.format != _EXACT and not request.moves:
-        after = read_splats(args.output)  # with what the format itself costs
+        after = read_splats(args.output)  # includes the loss of the format itself
     lost = None
     if views is not None and after is not edited.cropped:
         lost = picture_loss(edited.cropped, after, views, args.views, status)
         thinned = request.count is not None or request.size is not None
         if thinned and lost.psnr is not None and lost.psnr < _VISIBLE:
             edited.notes.append(
-                f"The pictures show that splats are missing ({lost.psnr:.1f} dB). If the photos "
-                f"are at hand, a training with --max-splats {len(edited.splats)} looks better."
+                f"Missing splats are visible in the pictures ({lost.psnr:.1f} dB). If you have the "
+                f"photos, a training with --max-splats {len(edited.splats)} looks better."
             )
     if args.picture is not None:
         status.show(["Rendering the picture"])
@@ -120,21 +120,21 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
 
 
 def _open(path: Path, args: argparse.Namespace) -> ModelArgument:
-    """A model; of levels of detail the one that is asked for, in the box if there is one.
+    """Read a model; from a file of levels of detail the requested level, within the box if given.
 
     Raises:
-        ConfigError: a level is asked for of a model without levels.
+        ConfigError: a level was requested from a model without levels.
     """
     if is_lod_file(path):
         box = None if args.box is None or args.outside else np.array(args.box).reshape(2, 3)
         if box is not None and (box[0] >= box[1]).any():
-            box = None  # the crop says what is wrong with it
+            box = None  # the crop reports the error
         to_unit = None if box is None else box_matrix(box[0], box[1])
         found = read_lod(path, args.level or 0, to_unit=to_unit)
         return ModelArgument(file=found, run=None, data=None, train=None)
-    find_splats(path)  # what is not there has no levels either
+    find_splats(path)  # reports a missing file before the missing levels
     if args.level is not None:
-        raise ConfigError(f"--level is for levels of detail, and {brief(path)} has none.")
+        raise ConfigError(f"--level needs levels of detail, and {brief(path)} has none.")
     return open_model(path)
 
 
@@ -144,7 +144,7 @@ def _check_not_read(args: argparse.Namespace, models: list[ModelArgument]) -> No
         read = {model.path} if model.file.format == LOD_FORMAT else files_of(model.path)
         if any(a.exists() and b.exists() and a.samefile(b) for a in made for b in read):
             raise ConfigError(
-                f"{brief(args.output)} is what is read; choose another output, so that it stays."
+                f"{brief(args.output)} is an input file; choose another output to keep it."
             )
 
 
@@ -167,7 +167,7 @@ def _has_cameras(model: ModelArgument) -> bool:
 def _with_views(
     request: EditRequest, args: argparse.Namespace, views: EditViews | None, count: int
 ) -> EditRequest:
-    """The request with what depends on cameras."""
+    """The request with the edits that depend on cameras."""
     if request.frustum and views is not None:
         names = views.cameras.names
         frustum = tuple(view_index(view, names) for view in args.frustum)
@@ -179,8 +179,8 @@ _Write = Callable[[Path, Splats], WrittenFile]
 
 
 def _writer(models: list[ModelArgument], request: EditRequest, spz_version: int) -> _Write:
-    """Writes splats in the format of a file's name, with the axis that the first model states as
-    up where they were not moved, and its near plane where it states one."""
+    """Function that writes splats in the format of a file's name. It keeps the stated up axis of
+    the first model, unless the splats were moved, and its stated near plane."""
     given, comments = models[0].file.comments, [_MARK]
     if not request.moves and (up := stated_up(given)):
         comments.append(f"{UP_NOTE}{up}")
@@ -201,7 +201,7 @@ def _writer(models: list[ModelArgument], request: EditRequest, spz_version: int)
 
 
 def _bytes_of(splats: Splats, name: str, write: _Write) -> int:
-    """Size of a file of these splats, which is written and thrown away: codings differ."""
+    """File size of these splats, measured by writing a temporary file, since codecs differ."""
     with tempfile.TemporaryDirectory() as folder:
         return write(Path(folder) / name, splats).storage_bytes
 
@@ -218,16 +218,16 @@ def _write_picture(
 
 
 def _pictured(args: argparse.Namespace, views: EditViews | None) -> int:
-    """Which camera the picture is of.
+    """Index of the camera of the picture.
 
     Raises:
-        ConfigError: it was named, and is not known.
+        ConfigError: the named view is unknown.
     """
     if args.picture_view is None:
         return 0 if views is None else len(views.cameras.names) // 2
     if views is None:
         raise ConfigError(
-            "No cameras are known, so none can be chosen by name; say with -s where they are."
+            "There are no cameras to select by name; give their capture or cameras.json with -s."
         )
     return view_index(args.picture_view, views.cameras.names)
 
@@ -241,17 +241,17 @@ def _facts(
     warnings = [sentence for model in models for sentence in model.warnings]
     if len({model.antialias for model in models}) > 1:
         warnings.append(
-            "Some of the joined splats were trained with antialiasing and some were not; all are "
-            f"marked as those of {models[0].path}."
+            "Some of the merged splats were trained with antialiasing and some without; all are "
+            f"marked like those of {models[0].path}."
         )
     given = [model.path.resolve() for model in models]
     warnings += [
-        f"{brief(path)} is given {given.count(path)} times, so its splats lie over each other."
+        f"{brief(path)} is given {given.count(path)} times, so its splats are duplicated."
         for path in dict.fromkeys(given)
         if given.count(path) > 1
     ]
     if args.spz_version != SPZ_VERSION and written.format != "spz":
-        warnings.append("--spz-version does nothing: what is written is no .spz.")
+        warnings.append("--spz-version has no effect: the output is not an .spz.")
     return {
         "input": [str(model.path) for model in models],
         "output": str(args.output),
@@ -292,17 +292,17 @@ def _summary(facts: dict[str, Any]) -> str:
 def _error_words(lost: dict[str, Any]) -> str:
     views = count_words(lost["views"], "view")
     if lost["psnr"] is None:
-        return f"  pictures of {views} are equal to the bit"
-    equal = f", {lost['unchanged']} more are equal to the bit" if lost["unchanged"] else ""
+        return f"  pictures of {views} are bit-identical"
+    equal = f", {lost['unchanged']} more are bit-identical" if lost["unchanged"] else ""
     changed = lost["views"] - lost["unchanged"]
     return (
-        f"  pictures against those before: {lost['psnr']:.2f} dB in {changed} of {views}{equal}; "
+        f"  pictures compared to before: {lost['psnr']:.2f} dB in {changed} of {views}{equal}; "
         f"worst {lost['worst_psnr']:.2f} dB, {lost['worst']}"
     )
 
 
 def _read_matrix(path: Path) -> np.ndarray:
-    """[4, 4] float64 of a text of 16 numbers; commas and brackets are passed over."""
+    """[4, 4] float64 from a text of 16 numbers; commas and brackets are ignored."""
     text = read_bytes(path).decode("utf-8", "replace")
     words = text.translate(dict.fromkeys(map(ord, ",;[]()"), " ")).split()
     try:
@@ -311,7 +311,7 @@ def _read_matrix(path: Path) -> np.ndarray:
         values = []
     if len(values) != 16:
         raise ConfigError(
-            f"{brief(path)} holds no matrix: 16 numbers were expected, row by row, such as "
+            f"{brief(path)} contains no matrix: expected 16 numbers, row by row, such as "
             "1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 1."
         )
     return np.array(values).reshape(4, 4)

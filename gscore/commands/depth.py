@@ -1,4 +1,4 @@
-"""`gscore depth`: depth maps of a capture, predicted, aligned with its points, and shown."""
+"""`gscore depth`: prediction of depth maps, alignment with a capture's points, contact sheet."""
 
 import argparse
 
@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> int:
     if args.list_models:
         return list_models(args)
     if args.source is None:
-        raise ConfigError("Say which capture: gscore depth CAPTURE --model NETWORK.")
+        raise ConfigError("Give a capture: gscore depth CAPTURE --model NETWORK.")
     if args.download and (args.model is None or known(args.model) is None):
         raise ConfigError(f"--download needs a --model with a name: {', '.join(network_names())}.")
     if args.input_size < 0:
@@ -28,10 +28,10 @@ def run(args: argparse.Namespace) -> int:
     if args.method == "stereo":
         _check_stereo(args)
     elif args.method == "network" and args.model is None:
-        raise ConfigError(f"--method network takes a network: --model FILE.onnx. {WHERE}.")
-    told = StopMessage()
+        raise ConfigError(f"--method network needs a network: --model FILE.onnx. {WHERE}.")
+    message = StopMessage()
     result, code = run_job(
-        args, lambda show, control: make_maps(args, show, control, told), stopped=told
+        args, lambda show, control: make_maps(args, show, control, message), stopped=message
     )
     if result is None:
         return code
@@ -52,6 +52,6 @@ def _check_stereo(args: argparse.Namespace) -> None:
     }
     for flag in (flag for flag, is_given in given.items() if is_given):
         raise ConfigError(
-            f"--method stereo and {flag} exclude each other: its maps are made without a network, "
-            "and have the scale of the capture."
+            f"--method stereo and {flag} exclude each other: stereo uses no network, and its maps "
+            "have the scale of the capture."
         )

@@ -41,8 +41,8 @@ class _Part:
     needed: bool
     """Whether training needs it."""
     offered: bool = True
-    """Whether the install command includes it when it is missing: few users need the packages with
-    an extra of their own, and bpy fits one Python version only."""
+    """Whether the install command includes it if missing: few users need the packages with an extra
+    of their own, and bpy supports one Python version only."""
 
 
 _PARTS = (
@@ -150,7 +150,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     """Render one splat with each instruction set and compare it with the closed form.
 
     Returns:
-        Per instruction set the largest absolute error of colour and alpha, and milliseconds.
+        For each instruction set the largest absolute error of colour and alpha, and milliseconds.
     """
     from ..raster import backend
     from ..raster.api import render
@@ -172,7 +172,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     alpha[alpha < 1 / 255] = 0.0
     # At the cutoff rounding decides between 1/255 and zero; that is not an error.
     certain = np.abs(alpha * 255 - 1) > 1e-3
-    wanted = alpha[..., None] * color + (1 - alpha[..., None]) * background
+    expected = alpha[..., None] * color + (1 - alpha[..., None]) * background
     before, results = backend.isa(), {}
     try:
         for isa in isas:
@@ -181,7 +181,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
             picture = render(splats, K, np.eye(4), size, size, background=tuple(background))
             milliseconds = (time.perf_counter() - began) * 1000
             error = max(
-                np.abs(picture.rgb - wanted)[certain].max(),
+                np.abs(picture.rgb - expected)[certain].max(),
                 np.abs(picture.alpha - alpha)[certain].max(),
             )
             results[isa] = {"error": float(error), "milliseconds": round(milliseconds, 3)}
@@ -219,7 +219,7 @@ def _text(facts: dict[str, Any]) -> str:
         rows.append((name, f"{state}  ({part['use']})"))
     lines = [f"{label:12} {value}" for label, value in rows]
     if facts["install"]:
-        lines.append(f"To install what is missing: {facts['install']}")
+        lines.append(f"To install missing packages: {facts['install']}")
     if facts["can_train"]:
         lines.append("This machine can train.")
     else:

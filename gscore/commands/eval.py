@@ -42,9 +42,7 @@ _STOPPED = "Stopped; nothing was written."
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     add_model_argument(parser)
-    parser.add_argument(
-        "-s", "--source", type=Path, help="capture; default: the one of the training"
-    )
+    parser.add_argument("-s", "--source", type=Path, help="capture; default: that of the training")
     parser.add_argument(
         "-o",
         "--output",
@@ -60,13 +58,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lpips",
         type=Path,
         metavar="NETWORK",
-        help="LPIPS network (perceptual distance): an ONNX file, or alex, vgg or squeeze of the "
-        "package lpips; without it, not measured",
+        help="LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze of the "
+        "package lpips; default: not measured",
     )
     parser.add_argument(
         "--lpips-download",
         action="store_true",
-        help="download the weights of a network named by --lpips if torch's cache lacks them",
+        help="download the weights of a named --lpips network if torch's cache lacks them",
     )
     parser.add_argument(
         "--overwrite",
@@ -77,8 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--error-map",
         type=Path,
         metavar="FILE",
-        help="also write the splats coloured by their error, for any viewer: black for low "
-        "errors against the photos, pale yellow for high ones",
+        help="also write the splats coloured by their error against the photos, for any viewer: "
+        "from black (low) to pale yellow (high)",
     )
     add_threads_option(parser)
     parser.add_argument(
@@ -107,14 +105,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[dict[str, Any], Path]:
-    _say(show, "Reading the splats")
+    _show_phase(show, "Reading the splats")
     lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads, download=args.lpips_download)
     model = open_model(model_path(args))
     output = args.output or model.run
     if output is None:
         raise ConfigError(
-            f"{model.path} lies in no run's folder; say with -o where to write metrics.json"
-            + ("." if args.source else ", and with -s which capture to measure it on.")
+            f"{model.path} is not in the folder of a run; give a folder for metrics.json with -o"
+            + ("." if args.source else " and the capture with -s.")
         )
     check_folder(output)
     config = _data_config(args, model)
@@ -123,24 +121,24 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         format_to_write(args.error_map)
         if args.error_map.resolve() == model.path.resolve():
             raise ConfigError(
-                f"{args.error_map} is the model itself; name another file for the map."
+                f"{args.error_map} is the model itself; give another file for the map."
             )
         check_replaced([args.error_map], overwrite=args.overwrite)
-    _say(show, f"Reading the capture {config.source}")
+    _show_phase(show, f"Reading the capture {config.source}")
     dataset = load_dataset(config)
     cameras = model.world_of(dataset.scene.cameras)
-    told: list[str] = []
+    notes: list[str] = []
     if model.data is not None and config.source.resolve() == model.data.source.resolve():
-        dataset, told = _of_region(dataset, model)
+        dataset, notes = _of_region(dataset, model)
     split, indices = _indices(args.split, dataset)
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
         raise ConfigError(
-            f"{output} holds the metrics of held-out views; say with -o where those of the "
-            f"{'training' if split == 'train' else 'other'} views go."
+            f"{output} contains the metrics of held-out views; give a folder with -o for those of "
+            f"the {'training' if split == 'train' else 'other'} views."
         )
     course = _of_the_training(model)
     problem = metrics_problem(output) if output == model.run else ""
-    warnings = [*told, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
+    warnings = [*notes, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
     warnings += [problem] if problem else []
     warnings += [
         *_stopped(model, course),
@@ -192,7 +190,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     )
     link_page(output)
     for sentence in warnings:
-        if args.quiet and not args.events:  # of which only progress is left out
+        if args.quiet and not args.events:  # --quiet hides only progress
             print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
         else:
             show(Warn(message=sentence))
@@ -201,7 +199,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     return content | mapped, output
 
 
-def _say(show: Show, what: str) -> None:
+def _show_phase(show: Show, what: str) -> None:
     show(EvalProgress(done=0, total=0, view=what, eta_s=float("nan")))
 
 
@@ -222,8 +220,7 @@ def _write_map(path: Path, model: ModelArgument, errors: SplatErrors) -> dict[st
 
 
 class _Views:
-    """Takes each view: keeps its pictures, finds whose errors they are, and says what it is
-    worth."""
+    """Callback for each view: stores pictures, accumulates errors of splats, shows progress."""
 
     def __init__(
         self,
@@ -265,13 +262,13 @@ class _Views:
 
 
 def _stopped(model: ModelArgument, course: Course) -> list[str]:
-    """A sentence on a training that was stopped before its last step."""
-    asked = 0 if model.train is None or model.train.time_budget else model.train.iterations
-    words = stopped_words({"reason": course.reason, "steps": course.steps}, asked)
+    """A sentence if the training was stopped before its last step."""
+    requested = 0 if model.train is None or model.train.time_budget else model.train.iterations
+    words = stopped_words({"reason": course.reason, "steps": course.steps}, requested)
     if not words or model.run is None:
         return []
     again = as_typed("train", "-o", model.run, "--resume")
-    return [f"The training was {words}, so these figures are of a part of it; {again} goes on."]
+    return [f"The training was {words}, so these figures are preliminary; continue with: {again}"]
 
 
 def _doubts(
@@ -281,13 +278,13 @@ def _doubts(
     found = []
     if model.data is None and dataset.test and asked != "all":
         found.append(
-            "It is not known which views this model was trained on; the test views are held out "
-            "only if it was trained with the same split."
+            "The training views of this model are unknown; the test views are held out only if it "
+            "was trained with the same split."
         )
     if split != "test" and course.exposure and course.exposure.get("learnt"):
         found.append(
-            "The training compared each photo with a picture exposed as it is; here pictures are "
-            "neutral, so PSNR is lower than in its report where exposures differ."
+            "The training compared each photo with a picture of the same exposure; here pictures "
+            "have the mean exposure, so PSNR is lower than in its report where exposures differ."
         )
     return found
 
@@ -295,41 +292,39 @@ def _doubts(
 def _check_output(
     output: Path, config: DataConfig, model: ModelArgument, *, overwrite: bool
 ) -> None:
-    """Raise where metrics.json and report.html would mix with or replace something else's."""
+    """Raise if metrics.json and report.html would replace files of another run or program."""
     check_output_path(output, config)
     if model.run is not None and output.resolve() == model.run.resolve():
         return
     if (output / "config.json").is_file():
         raise ConfigError(
-            f"{output} is the folder of another run, whose metrics.json tells what that reached; "
-            "choose another output."
+            f"{output} is the folder of another run with its own metrics.json; choose another "
+            "output."
         )
     check_replaced((output / "metrics.json", output / "report.html"), overwrite=overwrite)
 
 
 def _data_config(args: argparse.Namespace, model: ModelArgument) -> DataConfig:
-    """How the run read its capture, changed by what was given; a bare PLY needs `-s`."""
+    """Data options of the run, overridden by the command line; a PLY alone needs `-s`."""
     if model.data is not None:
         config = model.data
         if args.source is not None:
             config = DataConfig(
                 source=args.source, resolution=config.resolution, max_width=config.max_width
             )
-            # Another capture: the names and folders of the old one mean nothing there. Where the
-            # old one is gone, this is it in another place.
+            # Names and folders of the old capture do not apply to another one. If the old one no
+            # longer exists, it was moved here.
             if args.source.resolve() == model.data.source.resolve():
                 config = model.data
             elif not model.data.source.exists():
                 config = replace(model.data, source=args.source)
         elif not config.source.exists():
             raise DatasetError(
-                f"The capture {config.source}, on which {model.run} was trained, is not there any "
-                "more; say with -s SOURCE where it is now."
+                f"The capture of {model.run}, {config.source}, no longer exists; give its current "
+                "folder with -s SOURCE."
             )
     elif args.source is None:
-        raise ConfigError(
-            f"{model.path} does not say what it was trained on; give the capture with -s SOURCE."
-        )
+        raise ConfigError(f"The capture of {model.path} is unknown; give it with -s SOURCE.")
     else:
         config = DataConfig(source=args.source, eval=True)
     return with_data_options(config, args)
@@ -339,8 +334,8 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     """Name and indices of the views to measure."""
     if split == "test" and not dataset.test:
         raise DatasetError(
-            "The run held no views out, so there is no test split; choose another with --split, or "
-            "name test views with --hold-out."
+            "The run has no held-out views; choose another --split, or select test views with "
+            "--hold-out."
         )
     if split == "test" or (split is None and dataset.test):
         return "test", dataset.test
@@ -350,8 +345,8 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
 
 
 def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[str]]:
-    """The capture as far as it sees the region that the run trained, with its masks, and sentences
-    about it; all of it where the run trained all."""
+    """The capture limited to the trained region of the run, with masks of it, and sentences for
+    the user; unchanged if the run trained everything."""
     config = model.train
     if config is None or config.region is None:
         return dataset, []
@@ -367,20 +362,20 @@ def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[st
 
 
 def _of_the_training(model: ModelArgument) -> Course:
-    """How the training went and why it ended, from the metrics.json that it wrote."""
+    """Course and end of the training, from its metrics.json."""
     if model.run is None or model.path != model.run / "point_cloud.ply":
         return Course()
     return Course.of_file(read_metrics(model.run))
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:
-    held = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
-    views = count_words(len(metrics["views"]), held)
+    kind = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
+    views = count_words(len(metrics["views"]), kind)
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
     worth = quality_words(metrics) or f"no PSNR ({why})"
     text = f"{views}: {worth}{colour_words(metrics)}\n"
     text += f"Results: {output / 'metrics.json'}, {output / 'report.html'}"
     if "error_map" in metrics:
-        text += f"\nErrors on the splats: {metrics['error_map']}, brightest from "
-        text += f"{metrics['error_bright']:.3f} on"
+        text += f"\nError map: {metrics['error_map']}, brightest from an error of "
+        text += f"{metrics['error_bright']:.3f}"
     return text

@@ -1,4 +1,4 @@
-"""SfM before a training of plain photos or a video, with the cameras kept in the run's folder."""
+"""SfM before a training of photos without cameras or a video; cameras go into the run's folder."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,23 +29,23 @@ def with_cameras(
     check: Callable[[list[str] | None], None],
     threads: int,
 ) -> DataConfig:
-    """What to train on: as given, or the capture made of plain photos or a video.
+    """The data options as given, or for the capture found by SfM from photos or a video.
 
     Args:
         data: Its source may be a folder of photos without cameras, or a video.
-        output: Folder of the training; the capture goes into it, and is used again where it is made
-            of the same photos.
-        show: Told how far it is.
-        control: Asked whether to stop.
-        allowed: Whether cameras may be found at all.
-        check: Called before a search, which takes long, with the names of the photos, or None where
-            they are yet to be made: raises where the training cannot be.
-        threads: CPU threads; 0: one a core.
+        output: Folder of the training, for the capture; a capture of the same photos in it is
+            reused.
+        show: Receives progress events.
+        control: Polled for stop requests.
+        allowed: Whether SfM may run.
+        check: Called before SfM, which takes long, with the names of the photos, or None if they
+            do not exist yet; raises if the training is impossible.
+        threads: CPU threads; 0: all cores.
 
     Raises:
-        Cancelled: `control` said so; the same call goes on from there.
-        DatasetError: not `allowed`, no cameras can be found, or the folder above holds them.
-        ConfigError: the folder holds a capture of other photos.
+        Cancelled: `control` requested a stop; the same call continues from there.
+        DatasetError: not `allowed`, no cameras can be found, or the parent folder contains them.
+        ConfigError: the folder contains a capture of other photos.
         BackendError: pycolmap is missing or too old, or PyAV is missing.
         GsError: the video cannot be read, or the output cannot be written.
     """
@@ -54,10 +54,10 @@ def with_cameras(
     check_no_cameras_above(data.source)
     if not allowed:
         raise DatasetError(
-            f"Leave out --no-sfm to have cameras found. {describe_unsupported(data.source)}"
+            f"Leave out --no-sfm to find the cameras. {describe_unsupported(data.source)}"
         )
     capture = output / CAPTURE
-    # Masks are written as training reads them by itself, white where pixels count.
+    # Masks are written in the training's default form, white where pixels count.
     found = replace(data, source=capture, images="images", masks="", invert_masks=False)
     request = SearchRequest(
         photos=data.source,
@@ -75,18 +75,18 @@ def with_cameras(
             find_cameras(photos, on_event=show, control=control)
         return found
     if is_video(data.source):
-        extract_frames(frames_request(request), on_event=show, control=control)  # finds them there
+        extract_frames(frames_request(request), on_event=show, control=control)  # reuses frames
         request = of_frames(request)
     elif is_staged(request, [data.source]):
-        request = stage_photos(request, [data.source], on_event=show, control=control)  # and these
+        request = stage_photos(request, [data.source], on_event=show, control=control)  # reuses
     if not same_photos(capture, photos_of(request)):
         raise ConfigError(
-            f"{capture} holds the cameras of other photos than those in {data.source}. Choose "
-            "another output folder, or remove that one to find them anew."
+            f"{capture} contains the cameras of other photos than those in {data.source}. Choose "
+            "another output folder, or remove that one to find the cameras again."
         )
     return found
 
 
 def is_finding(output: Path) -> bool:
-    """Whether a search for cameras in the folder of a training was stopped."""
+    """Whether the folder of a training contains an unfinished SfM."""
     return (output / f".{CAPTURE}.sfm").is_dir()

@@ -49,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
     """Choose and write the frames, and print a summary."""
     if args.video.is_dir():
         raise DatasetError(
-            f"{args.video} is a folder; gscore frames takes a video. If it holds photos, give it "
-            "to gscore train."
+            f"{args.video} is a folder; gscore frames reads a video. If it contains photos, use "
+            "gscore train."
         )
     request = ExtractRequest(
         video=args.video, output=args.output, frames=args.frames, format=args.format

@@ -121,15 +121,15 @@ def _model_facts(model: ModelArgument) -> dict[str, Any]:
 
 
 def _statistics(splats: Splats) -> dict[str, Any]:
-    """Where the splats are, and how large and opaque; of finite values, in float64."""
+    """Statistics of positions, sizes and opacities, float64."""
     means = splats.means.astype(np.float64)
-    # Exponents of any float32, 3e38 too, as far as float64 takes them and their quotients.
+    # Clipped so that exponentials and their quotients fit float64.
     logs = np.clip(splats.scales.astype(np.float64), -_EXPONENT, _EXPONENT)
     opacity, scales = sigmoid(splats.opacities), np.exp(logs)
     largest, smallest = scales.max(axis=1), scales.min(axis=1)
     return {
         "bounds": [means.min(axis=0).tolist(), means.max(axis=0).tolist()],
-        # A few far splats make the bounds say nothing about where the scene is.
+        # A few far splats make the plain bounds useless.
         "bounds_of_98_percent": np.quantile(means, (0.01, 0.99), axis=0).tolist(),
         "quantiles": list(_QUANTILES),
         "opacity": np.quantile(opacity, _QUANTILES).tolist(),
@@ -167,7 +167,7 @@ def _run_facts(folder: Path) -> dict[str, Any]:
 
 
 def _unfinished(folder: Path, metrics: dict[str, Any]) -> str:
-    """How far a run is that has steps left to take, or results to write; empty: it has none."""
+    """Progress of an unfinished run; empty: finished."""
     run = read_run(folder)
     if run is None:
         return ""
@@ -177,7 +177,7 @@ def _unfinished(folder: Path, metrics: dict[str, Any]) -> str:
 
 
 def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
-    from ..datasets import load_dataset  # needs Pillow to look into the photos
+    from ..datasets import load_dataset  # needs Pillow to read photos
 
     config = with_data_options(DataConfig(source=path, resolution=1), args)
     dataset = load_dataset(config)
@@ -215,7 +215,7 @@ def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _colmap_facts(found: CaptureFacts) -> dict[str, Any] | None:
-    """What COLMAP wrote, before undistortion; None for other captures."""
+    """The COLMAP model before undistortion; None for other captures."""
     if found.kind != "COLMAP":
         return None
     return {
@@ -228,7 +228,7 @@ def _colmap_facts(found: CaptureFacts) -> dict[str, Any] | None:
 
 
 def _cameras_of(found: CaptureFacts) -> dict[str, Any] | None:
-    """Which program's file the cameras are from; None where a COLMAP model or a video has them."""
+    """Program and file of the cameras; None for a COLMAP model or a video."""
     if found.kind in ("COLMAP", "video") or found.model is None:
         return None
     return {"format": found.kind, "path": str(found.model), "cameras": found.cameras}
@@ -259,7 +259,7 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
         return lines
     low, high = facts["bounds_of_98_percent"]
     lines += [
-        f"  98 % of them lie within {_point(low)} and {_point(high)}",
+        f"  98 % of them between {_point(low)} and {_point(high)}",
         f"  bounds             {_point(facts['bounds'][0])} and {_point(facts['bounds'][1])}",
         "                     " + "".join(f"{f'{q:.0%}':>10}" for q in _QUANTILES),
     ]
@@ -284,10 +284,12 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     count = facts["checkpoints"]
     if facts["in_training"]:
         by = f", by process {facts['process']}" if facts["process"] else ""
-        lines.append(f"  in training now{by}; what lies here is of before, or not complete yet")
+        lines.append(f"  in training now{by}; files here are older or incomplete")
     elif unfinished := facts["unfinished"]:
         hint = (
-            f"; go on with: {as_typed('train', '-o', facts['path'], '--resume')}" if count else ""
+            f"; continue with: {as_typed('train', '-o', facts['path'], '--resume')}"
+            if count
+            else ""
         )
         lines.append(f"  {unfinished}{hint}")
     lines.append(f"  {count_words(count, 'checkpoint')}")
@@ -310,7 +312,7 @@ def _sequence_text(facts: dict[str, Any]) -> list[str]:
             f"{count_words(entry.get('steps'), 'step')} in {took}{quality}"
         )
     if len(frames) != total:
-        lines.append(f"  go on with: {as_typed('sequence', '-o', facts['path'], '--resume')}")
+        lines.append(f"  continue with: {as_typed('sequence', '-o', facts['path'], '--resume')}")
     return lines
 
 
@@ -330,7 +332,7 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
         f"{size_words(facts['decoded_bytes'])} of photos in memory",
     ]
     if block := facts.get("block"):
-        lines.append(f"  block {block['index']} of {block['count']}, which count from 0")
+        lines.append(f"  block {block['index']} of {block['count']}, numbered from 0")
     if other := facts["cameras_of"]:
         kinds = ", ".join(f"{n} {kind}" for kind, n in other["cameras"].items())
         lines.append(f"  {other['format']} {other['path']}: cameras {kinds}")

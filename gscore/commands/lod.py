@@ -51,16 +51,16 @@ def run(args: argparse.Namespace) -> int:
     """Build and measure the levels, and print a summary of each."""
     if args.output.suffix.lower() != LOD_ENDING:
         raise ConfigError(
-            f"{brief(args.output)}: levels of detail are a file whose name ends in {LOD_ENDING}; "
-            f"give such a name with -o."
+            f"{brief(args.output)}: the output is a {LOD_ENDING} file; give a name that ends in "
+            f"{LOD_ENDING} with -o."
         )
     check_folder(args.output.parent)
     check_replaced([args.output], overwrite=args.overwrite)
     model = find_splats(args.model)
     if is_lod_file(model):
         raise ConfigError(
-            f"{brief(model)} holds levels of detail already. Give the file of splats that it was "
-            f"made of, or write that with gscore convert."
+            f"{brief(model)} contains levels of detail already. Give the original splat file, or "
+            f"write it with gscore convert."
         )
     _check_not_the_model(args.output, model)
     facts = _facts_of(model)
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lod_facts(path: Path, index: LodIndex) -> dict[str, Any]:
-    """What a file of levels of detail holds, for JSON."""
+    """Content of a file of levels of detail, as JSON values."""
     finest = index.levels[0]
     return {
         "kind": "levels of detail",
@@ -110,13 +110,13 @@ def lod_facts(path: Path, index: LodIndex) -> dict[str, Any]:
 
 
 def lod_text(facts: dict[str, Any]) -> list[str]:
-    """The same for people."""
+    """The same as lines of text."""
     marks = ", trained with antialiasing" if facts["antialias"] else ""
     lines = [
         f"{facts['path']}: {count_words(facts['splats'], 'splat')} with "
         f"{count_words(len(facts['levels']), 'level')} of detail, SH degree {facts['sh_degree']}, "
         f"{size_words(facts['storage_bytes'])}{marks}",
-        f"  {'level':>5}{'splats':>13}{'chunks':>9}{'error':>10}  pictures from where that is 1 px",
+        f"  {'level':>5}{'splats':>13}{'chunks':>9}{'error':>10}  pictures at an error of 1 px",
     ]
     for number_of, level in enumerate(facts["levels"]):
         worth = "exact" if not number_of else "not measured"
@@ -145,6 +145,4 @@ def _facts_of(model: Path) -> LodFacts:
 
 def _check_not_the_model(output: Path, model: Path) -> None:
     if any(output.exists() and output.samefile(read) for read in files_of(model)):
-        raise ConfigError(
-            f"{brief(output)} is what is read; choose another output, so that it stays."
-        )
+        raise ConfigError(f"{brief(output)} is the input file; choose another output to keep it.")

@@ -22,7 +22,7 @@ from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
 _FREE = ("seed", "threads", "cache_mb", "checkpoint_seconds", "preview_seconds", "snapshot_every")
-"""Options that may differ from block to block without a word."""
+"""Options that may differ between blocks without a warning."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -116,78 +116,79 @@ def _runs(given: list[Path]) -> list[Path]:
             found.append(path)
             continue
         if not path.is_dir():
-            raise ConfigError(f"{brief(path)} is no folder; give the runs by their folders.")
+            raise ConfigError(f"{brief(path)} is not a folder; give the folders of the runs.")
         inside = sorted(folder.parent for folder in path.glob("*/config.json"))
         if not inside:
-            raise DatasetError(f"{brief(path)} is no run, and there are none in it.")
+            raise DatasetError(f"{brief(path)} is not a run and contains none.")
         found += inside
     return found
 
 
 def _record(run: Path, blocks: Path | None) -> BlockRecord:
-    """Which block a run was trained on: what it remembers, else what is where it was trained.
+    """The block of a run: the one recorded in the run, else the one in its training folder.
 
     Raises:
-        ConfigError: the block in that place is another one by now.
+        ConfigError: that folder contains a block of another split.
     """
     source = load_config(run / "config.json")[0].source
-    place = source if blocks is None else blocks / source.name
-    record, remembered = read_block(place), read_block(run, RUN_BLOCK)
-    if record is not None and remembered is not None and not record.is_cell_of(remembered):
+    folder = source if blocks is None else blocks / source.name
+    current, recorded = read_block(folder), read_block(run, RUN_BLOCK)
+    if current is not None and recorded is not None and not current.is_cell_of(recorded):
         raise ConfigError(
-            f"{brief(run)} was trained on block {remembered.index} of {remembered.count} of "
-            f"another split than the one in {brief(place)} now. Train the new blocks, or move them "
-            "away to merge the runs by the cells that they remember."
+            f"{brief(run)} was trained on block {recorded.index} of {recorded.count} of "
+            f"another split than the one in {brief(folder)} now. Train the new blocks, or move "
+            "them away to merge the runs by their recorded cells."
         )
-    if (known := remembered or record) is not None:
+    if (known := recorded or current) is not None:
         return known
-    if not place.is_dir():
+    if not folder.is_dir():
         raise DatasetError(
-            f"{brief(run)} was trained on {brief(place)}, which is not there. Say with --blocks "
-            "where the folder of the blocks is."
+            f"{brief(run)} was trained on {brief(folder)}, which no longer exists. Give the folder "
+            "of the blocks with --blocks."
         )
     raise ConfigError(
-        f"{brief(run)} was trained on {brief(place)}, which is no block: there is no "
-        f"{BLOCK_RECORD}. Only runs on what `gscore split` wrote can be merged."
+        f"{brief(run)} was trained on {brief(folder)}, which is not a block: it has no "
+        f"{BLOCK_RECORD}. Only runs on blocks of `gscore split` can be merged."
     )
 
 
 def _unsure(path: Path) -> Iterator[str]:
-    """A sentence about a run that does not remember its block."""
+    """A sentence if a run does not record its block."""
     if not (path / RUN_BLOCK).is_file():
         yield (
-            f"{brief(path)} does not remember its block (no {RUN_BLOCK}), so the one in the folder "
-            "that it was trained on is taken for it. Where that was split again since, train anew."
+            f"{brief(path)} does not record its block (no {RUN_BLOCK}), so the current one in its "
+            "training folder is used. If that was split again since, train again."
         )
 
 
 def _check_outside_runs(output: Path) -> None:
-    """Raise ConfigError where a file would go into the folder of a run."""
+    """Raise ConfigError if the output is in the folder of a run."""
     inside = next(filter(is_run, output.resolve().parents), None)
     if inside is not None:
         raise ConfigError(
-            f"{brief(output)} is in the folder of a training, {brief(inside)}, where it could "
-            "replace results of that. Choose a place outside of it."
+            f"{brief(output)} is in the folder of a training, {brief(inside)}, whose results it "
+            "could replace. Choose an output outside."
         )
 
 
 def _stopped(path: Path) -> Iterator[str]:
-    """A sentence about a run that was stopped before its last step.
+    """A sentence if a run was stopped before its last step.
 
     Raises:
-        ConfigError: it was killed, and there are no splats of it.
+        ConfigError: it was killed and has no splats.
     """
     run = read_run(path)
     if run is not None and run.splats is None:
         raise ConfigError(
-            f"{brief(path)} has not ended: {count_words(run.steps, 'step')} are kept, and no "
-            f"splats. Go on with: {as_typed('train', '-o', path, '--resume')}"
+            f"{brief(path)} has not ended: it has a checkpoint after "
+            f"{count_words(run.steps, 'step')}, but no splats. Continue with: "
+            f"{as_typed('train', '-o', path, '--resume')}"
         )
     reason = str(read_metrics(path).get("reason") or FINISHED)
     if run is not None and reason not in ENDED:
         yield (
             f"{brief(path)} was stopped after {count_words(run.steps, 'step')} ({reason}). To "
-            f"train it to its end: {as_typed('train', '-o', path, '--resume')}; then merge again."
+            f"complete it: {as_typed('train', '-o', path, '--resume')}; then merge again."
         )
 
 
@@ -195,7 +196,7 @@ def _compare(runs: list[Path], models: list[ModelArgument]) -> list[str]:
     """Sentences on options in which runs differ.
 
     Raises:
-        ConfigError: splats of these runs cannot be drawn together.
+        ConfigError: splats of these runs cannot be rendered together.
     """
     warnings = [sentence for model in models for sentence in model.warnings]
     first = models[0]
@@ -203,7 +204,7 @@ def _compare(runs: list[Path], models: list[ModelArgument]) -> list[str]:
         if model.antialias != first.antialias:
             raise ConfigError(
                 f"{brief(runs[0])} and {brief(path)} differ in --antialias, so their splats cannot "
-                "be drawn together. Train one of them anew."
+                "be rendered together. Train one of them again."
             )
         changed = [*_changed(first.train, model.train), *_changed(first.data, model.data)]
         if changed:

@@ -14,7 +14,7 @@ from ..quoting import brief, quoted
 from .terminal.status import wrapped
 
 _REQUIRED = "the following arguments are required: "
-"""Beginning of argparse's message; the names of each argument follow, separated by slashes."""
+"""Prefix of argparse's message; the names of an argument follow, separated by slashes."""
 _NEGATIVE = re.compile(r"-\.?\d")
 """Beginning of a negative number."""
 _MEANT = {
@@ -23,11 +23,11 @@ _MEANT = {
     **dict.fromkeys(("default", "medium", "mid", "standard"), "normal"),
     **dict.fromkeys(("best", "full", "quality", "slow", "ultra"), "high"),
 }
-"""Choices by the names that other programs use."""
+"""Choices by their names in other programs."""
 
 
 def sentence(text: str) -> str:
-    """The text with a capital and a full stop."""
+    """The text as a sentence, capitalised and with a full stop."""
     return f"{text[0].upper()}{text[1:]}."
 
 
@@ -54,7 +54,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
-        """End with the sentence and exit code 2."""
+        """Exit with the message and code 2."""
         if message.startswith(_REQUIRED):
             names = message.removeprefix(_REQUIRED).split(", ")
             message = f"missing: {', '.join(name.split('/')[0] for name in names)}"
@@ -63,7 +63,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, wrapped(text, sys.stderr) + "\n")
 
     def format_help(self) -> str:
-        """The help; its usage line names only the required arguments, as all options follow."""
+        """The help, with only the required arguments in the usage line."""
         whole, self.usage = self.usage, self._short_usage()
         try:
             return super().format_help()
@@ -121,8 +121,8 @@ class Parser(argparse.ArgumentParser):
         )
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        """As in argparse, but an error for missing values: there, `--x=--` ends in a traceback,
-        and an empty path means the current folder."""
+        """As in argparse, but with an error for missing values: in argparse `--x=--` raises a
+        traceback, and an empty path is the current folder."""
         empty = action.type is Path and any(text == "" for text in arg_strings)
         if empty or (action.option_strings and arg_strings == ["--"]):
             given = "nothing" if empty else "'--'"
@@ -139,7 +139,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """The known name nearest to `word`; empty if none is near."""
+    """The known name most similar to `word`; empty if none is."""
     word = word.lower()
     longer = [name for name in known if len(word) > 2 and name.startswith(word)]
     if len(longer) == 1:

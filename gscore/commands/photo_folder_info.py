@@ -18,7 +18,7 @@ from ..text_format import count_words, number, time_words
 
 
 def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
-    """What photos are, for JSON; of each only the header is read.
+    """Facts on photos as JSON values, from their headers.
 
     Raises:
         DatasetError: a photo cannot be read.
@@ -52,26 +52,26 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
 
 
 def photos_text(facts: dict[str, Any]) -> list[str]:
-    """What photos are, for people."""
+    """The facts as lines of text."""
     sizes = ", ".join(f"{count} of {size}" for size, count in facts["sizes"].items())
     cameras = count_words(facts["cameras"], "camera and lens", "cameras and lenses")
     lines = [
         f"{facts['path']}: {count_words(facts['photos'], 'photo')} without cameras",
-        f"  sizes: {sizes}; {cameras} by what EXIF says",
+        f"  sizes: {sizes}; {cameras} according to EXIF",
     ]
     if facts["unread"]:
         left_out = count_words(len(facts["unread"]), "photo")
-        lines.append(f"  {left_out} of kinds that are not read: {listing(facts['unread'], 3)}")
+        lines.append(f"  {left_out} of unsupported formats: {listing(facts['unread'], 3)}")
     if not facts["enough"]:
         least = count_words(LEAST, "photo")
-        return [*lines, f"  at least {least} that overlap are needed, 30 or more are good"]
+        return [*lines, f"  at least {least} with overlap are needed, better 30 or more"]
     if facts["next"] is None:
         return lines
     about = time_words(float(f"{facts['sfm_seconds']:.1g}"))
     return [
         *lines,
-        f"  finding their cameras compares {number(facts['pairs'])} pairs and takes about {about} "
-        "here",
+        f"  finding their cameras matches {number(facts['pairs'])} pairs and takes about {about} "
+        "on this machine",
         f"Next: {facts['next']}",
     ]
 

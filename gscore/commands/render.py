@@ -33,7 +33,7 @@ from .terminal.status import Counted, Status, wrapped
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 _WRITTEN = (".mp4", ".png")
-"""Endings of one file; all else is a folder of pictures."""
+"""Endings of single-file outputs; any other output is a folder of pictures."""
 _PICTURES = (
     *(".avi", ".bmp", ".exr", ".gif", ".heic", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".mpg"),
     *(".ogv", ".svg", ".tga", ".tif", ".tiff", ".webm", ".webp"),
@@ -44,9 +44,9 @@ _SCENES = (
     *(".usd", ".usda", ".usdc", ".usdz"),
 )
 _OTHER_FORMATS = frozenset((*_PICTURES, *_TEXTS, *_SCENES))
-"""Endings that show that a file was meant, not a folder."""
+"""Endings that mean a file instead of a folder."""
 _DEPTH_STEPS = 60_000
-"""16-bit values given to the depths of the first picture; the rest is for deeper ones."""
+"""16-bit values for the depth range of the first picture; the rest is for larger depths."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,25 +81,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--path",
         metavar="{orbit,spline,FILE}",
-        help="camera path: an orbit, a spline through all cameras in order, or a file: a "
-        "cameras.json, nerfstudio's camera_path.json, a transforms.json (spline with "
-        "--view, --all or --test, else orbit)",
+        help="camera path: an orbit, a spline through all cameras in order, or a file: "
+        "cameras.json, nerfstudio's camera_path.json or transforms.json (a video without "
+        "chosen views: orbit)",
     )
     group.add_argument(
         "--frames",
         type=int,
-        help="number of pictures along the path (8 seconds; spline: more with many cameras)",
+        help="number of pictures along the path (8 s; spline: longer with many cameras)",
     )
     group.add_argument(
-        "--fps", type=float, help=f"pictures a second (as the path's file says, else {FPS:g})"
+        "--fps", type=float, help=f"pictures per second (as in the path's file, else {FPS:g})"
     )
     group.add_argument(
         "-r",
         "--resolution",
         type=float,
         default=-1,
-        help="2, 4, 8: divisor of the photos' size; larger: width in pixels; -1: size of the "
-        "cameras, for a run that of its training (-1)",
+        help="divisor 2, 4 or 8 of the photos' size, or width in pixels; -1: size of the "
+        "cameras, in a run that of its training (-1)",
     )
     group = parser.add_argument_group("picture")
     group.add_argument(
@@ -169,7 +169,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _is_file(output: Path) -> bool:
-    """Whether that is one file, not a folder of pictures."""
+    """Whether the output is a single file instead of a folder."""
     return output.suffix.lower() in _WRITTEN
 
 
@@ -178,7 +178,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     status.show(["Reading the splats"])
     model = _open(args)
     if not model.count:
-        raise ConfigError(f"{brief(str(model.path))} holds no splats, so there is nothing to draw.")
+        raise ConfigError(f"{brief(str(model.path))} contains no splats to render.")
     for data in (None, *_captures(args, model)):
         if _is_file(args.output):
             check_separate(args.output.parent, data)
@@ -220,16 +220,16 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
 
 
 def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
-    """The model; of levels of detail, how coarse it may be.
+    """Open the model, with the tolerance of levels of detail if it has them.
 
     Raises:
-        ConfigError: that was said of a model without levels.
+        ConfigError: options of levels of detail for a model without levels.
     """
     path = model_path(args)
     if not is_lod_file(path):
         if args.lod_px is not None or args.lod_splats is not None:
             raise ConfigError(
-                f"--lod-px and --lod-splats are for levels of detail, and {path} has none. Make "
+                f"--lod-px and --lod-splats need levels of detail, and {path} has none. Build "
                 "them first: "
                 + as_typed("lod", path, "-o", Path(path.name).with_suffix(LOD_ENDING))
             )
@@ -246,13 +246,13 @@ def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
 def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
     count = count_words(result["pictures"], "picture")
     size = f"{result['width']} x {result['height']} px"
-    text = f"Wrote {args.output}: {count}, {size}, rendered at {result['fps']:.1f} a second."
+    text = f"Wrote {args.output}: {count}, {size}, rendered at {result['fps']:.1f} per second."
     others = _older(args.output, result)
-    return f"{text}\nFiles that were there before stay: {others}" if others else text
+    return f"{text}\nOther files in the folder are kept: {others}" if others else text
 
 
 def _captures(args: argparse.Namespace, model: ModelArgument | LodArgument) -> list[DataConfig]:
-    """The captures whose photos the pictures must not replace, which have the same names."""
+    """Captures whose photos the pictures must not replace, since they have the same names."""
     given = [] if args.cameras is None else [DataConfig(source=args.cameras)]
     return given + ([] if model.data is None else [model.data])
 
@@ -265,7 +265,7 @@ def _older(output: Path, result: dict[str, Any]) -> str:
 
 
 class _Work:
-    """Renders the shots one after the other, times it and shows progress."""
+    """Iterator that renders the shots in order, times them and shows progress."""
 
     def __init__(
         self,
@@ -280,27 +280,27 @@ class _Work:
 
     @property
     def fps(self) -> float:
-        """One over the median time of a picture; files and video are not in it."""
+        """Inverse of the median rendering time of a picture, without encoding and files."""
         return 1.0 / float(np.median(self._seconds)) if self._seconds else math.nan
 
     def __iter__(self) -> Iterator[Rendered]:
         shots = self.shots
-        told = Counted(self._status, len(shots.names), "picture")
+        progress = Counted(self._status, len(shots.names), "picture")
         for i, name in enumerate(shots.names):
             began = time.perf_counter()
             size = int(shots.widths[i]), int(shots.heights[i])
             rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
             self._seconds.append(time.perf_counter() - began)
             yield rendered
-            told(i + 1, name)
+            progress(i + 1, name)
 
 
 def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
     is_file = args.output.suffix.lower() == ".png"
     if is_file and len(work.shots.names) > 1:
         raise ConfigError(
-            f"{args.output} is one picture, but {count_words(len(work.shots.names), 'view')} are "
-            "chosen; give a folder with -o, or one view with --view."
+            f"{args.output} is a single picture, but {count_words(len(work.shots.names), 'view')} "
+            "are selected; give a folder with -o, or one view with --view."
         )
     stems = [args.output.with_suffix("")] if is_file else []
     stems = stems or [
@@ -328,12 +328,12 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
 
 
 def _check_stills(pictures: list[Path], depths: list[Path], *, overwrite: bool) -> None:
-    """ConfigError unless these files may be written; `depths` are empty or one a picture."""
+    """Raise ConfigError unless these files may be written; `depths` has one per picture or none."""
     files = list(pictures)
     for picture, depth in zip(pictures, depths, strict=bool(depths)):
-        # An .npy cannot say who made it: it is whose its picture is.
-        is_told = depth.suffix == ".npy" and picture.is_file() and is_ours(picture)
-        files += [] if is_told else [depth]
+        # An .npy has no mark; it counts as ours if its picture is.
+        is_known = depth.suffix == ".npy" and picture.is_file() and is_ours(picture)
+        files += [] if is_known else [depth]
     check_replaced(files, overwrite=overwrite)
 
 
@@ -342,16 +342,16 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     suffix = args.output.suffix.lower()
     if suffix in _OTHER_FORMATS and not args.output.is_dir():
         raise ConfigError(
-            f"{args.output}: {suffix} files are not written; give a .png, an .mp4 or a folder."
+            f"{args.output}: {suffix} is not supported; give a .png, an .mp4 or a folder."
         )
     if is_video and (args.transparent or args.depth):
-        raise ConfigError("An MP4 holds neither transparency nor depth; give a folder with -o.")
+        raise ConfigError("An MP4 has neither transparency nor depth; give a folder with -o.")
     views = args.view or args.all or args.test
     if args.frames is not None and not args.path and (views or not is_video):
-        raise ConfigError("--frames belongs to --path orbit or --path spline.")
+        raise ConfigError("--frames needs --path orbit or --path spline.")
     if args.path and args.path not in PATHS and (args.frames is not None or args.cameras):
         raise ConfigError(
-            f"--path {args.path} says where the camera is in each picture: leave out --frames and "
+            f"--path {args.path} defines the camera of each picture: leave out --frames and "
             f"--cameras."
         )
     if args.fps is not None and not 0 < args.fps <= 1000:
@@ -359,14 +359,14 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     if args.transparent and args.background is not None:
         raise ConfigError("Give either --transparent or --background.")
     if is_video:
-        need_video()  # say so before the work, not after it
+        need_video()  # fail before the work instead of after it
 
 
 def _check_one_size(shots: Cameras) -> None:
     sizes = {(int(w), int(h)) for w, h in zip(shots.widths, shots.heights, strict=True)}
     if len(sizes) > 1:
         raise ConfigError(
-            f"The views have {len(sizes)} sizes, a video has one; give a width with -r, choose "
+            f"The views have {len(sizes)} sizes, but a video has one; give a width with -r, select "
             "views with --view, or use --path."
         )
 

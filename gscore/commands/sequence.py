@@ -1,4 +1,4 @@
-"""`gscore sequence`: training of a multi-view video, each frame from the splats of the last one."""
+"""`gscore sequence`: training of a multi-view video, each frame from the previous splats."""
 
 import argparse
 import sys
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 _ONE_FRAME = {
     "block": ("--block", "the frames of a sequence are not cut into blocks"),
-    "rig": ("--rig", "the cameras of the first frame are taken for all, unless --no-fixed-rig"),
-    "start_checkpoint": ("--start-checkpoint", "go on with --resume, or use --start-splats"),
+    "rig": ("--rig", "all frames use the cameras of the first, unless --no-fixed-rig"),
+    "start_checkpoint": ("--start-checkpoint", "continue with --resume, or use --start-splats"),
 }
-"""Options of `gscore train` that concern one frame only, or none."""
+"""Options of `gscore train` that do not apply to a sequence."""
 _SELDOM = ("port", "no_sfm")
-"""Those that matter less here than what a sequence has besides; `gscore options` lists them."""
+"""Options hidden here to keep the help short; `gscore options` lists them."""
 _FRAME = "train only the keyframe interval of this frame, for job arrays; all share one output"
 
 
@@ -121,18 +121,18 @@ def _asked(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") ->
 
     for name, (option, instead) in _ONE_FRAME.items():
         if getattr(args, name) is not None:
-            raise ConfigError(f"{option} is for one training: {instead}.")
+            raise ConfigError(f"{option} is for a single training: {instead}.")
     if team and args.frame is not None:
-        raise ConfigError("--frame is for one process; torchrun gives out all frames in turn.")
+        raise ConfigError("--frame is for one process; torchrun distributes all frames.")
     check_output_path(args.output)
     check_folder(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
     others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
     if others and not args.events:
-        show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
+        show(Warn(message=f"{args.output} contains other files, which are kept: {others}"))
     stored = read_options(args.output) if args.resume else None
     given = passed_options(SequenceOptions, args)
-    # The number of a frame would be an option of each frame too.
+    # Without `frame`, which would also be an option of each frame.
     own = argparse.Namespace(**vars(args) | {"frame": None})
     data, config = train_command.configs_with_messages(own, show)
     return _Asked(
@@ -156,5 +156,5 @@ def _summary(result: "SequenceResult") -> str:
     output = result.output
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":
-        lines.append(f"To go on: {as_typed('sequence', '-o', result.output, '--resume')}")
+        lines.append(f"To continue: {as_typed('sequence', '-o', result.output, '--resume')}")
     return "\n".join(lines)

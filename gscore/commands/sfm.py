@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         type=Path,
         nargs="+",
-        help="folder of photos, with sub-folders; or videos, whose sharp frames are written to "
-        "images in CAPTURE first, one folder per video if there are several",
+        help="folder of photos, with sub-folders; or videos, whose sharp frames are first written "
+        "to CAPTURE/images, in one folder per video if there are several",
     )
     parser.add_argument(
         "-o",
@@ -33,23 +33,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="CAPTURE",
-        help="output capture: a new folder, with links to the photos, or the folder whose images"
-        " are the photos, which receives only the cameras",
+        help="output capture: a new folder that links to the photos, or the parent of the photo "
+        "folder `images`, which receives only the cameras",
     )
     parser.add_argument(
         "--matching",
         choices=MATCHERS,
         default="auto",
-        help="pairs of photos to match: exhaustive, all pairs; sequential, neighbours by name "
-        "and some distant ones; auto: exhaustive up to 120 photos, else sequential, "
-        "retrieval and GPS neighbours (auto)",
+        help="photo pairs to match: exhaustive: all; sequential: neighbours by name and some "
+        "distant ones; auto: exhaustive up to 120 photos, else sequential, retrieval and GPS "
+        "neighbours (auto)",
     )
     parser.add_argument(
         "--mapper",
         choices=MAPPERS,
         default="auto",
-        help="global: all poses at once; incremental: one photo after the other; auto: global, "
-        "then incremental if many photos remain without a pose (auto)",
+        help="global: all poses together; incremental: photo by photo; auto: global, then "
+        "incremental if many photos remain without a pose (auto)",
     )
     parser.add_argument(
         "--camera-model",
@@ -106,13 +106,13 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.frames and not any(map(is_video, args.source)):
         names = " and ".join(map(brief, args.source))
-        raise ConfigError(f"--frames is for videos; {names} is none.")
+        raise ConfigError(f"--frames is for videos; {names} is not a video.")
     check_output_path(request.output)
     check_folder(request.output)
     found, code = run_job(
         args,
         lambda show, control: _find(request, args, show, control),
-        stopped=lambda: "Stopped; the same command goes on where this one ended.",
+        stopped=lambda: "Stopped; the same command continues from here.",
     )
     if found is None:
         return code

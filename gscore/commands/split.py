@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=MARGIN,
         metavar="SHARE",
-        help=f"margin around the cell of a block for its photos, as a share of its extent "
-        f"({MARGIN:g})",
+        help=f"margin around the cell of a block when its photos are selected, as a share of its "
+        f"extent ({MARGIN:g})",
     )
     parser.add_argument(
         "--share",
@@ -105,8 +105,8 @@ def _lines(cut: Cut, output: Path) -> list[str]:
     whole = len(cut.views)
     if min(len(block.views) for block in cut.blocks) > 0.9 * whole:
         lines.append(
-            "Nearly every photo shows every block, so blocks save splats and no photos: this "
-            "capture goes around one thing. A higher --share leaves more out."
+            "Nearly every photo shows every block, so blocks save splats but no photos: this "
+            "capture goes around one subject. A higher --share leaves out more photos."
         )
     lines.append(
         f"Next: {as_typed('train', output, '-o', 'RUNS')}, or on many machines with "

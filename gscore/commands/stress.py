@@ -1,4 +1,4 @@
-"""`gscore stress`: numerical errors of the library on this machine against its definition."""
+"""`gscore stress`: numerical errors of the native library on this machine."""
 
 import argparse
 import sys
@@ -24,12 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--full",
         action="store_true",
-        help="also run the long versions: five minutes to half an hour",
+        help="also run the long tests: five minutes to half an hour",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, print, and return 1 if a test failed."""
+    """Run the tests, print them, and return 1 if one failed."""
     before = backend.isa()
     isas = backend.available_isas() if args.isa == "all" else [args.isa or before]
     backend.set_isa(isas[0])

@@ -1,4 +1,4 @@
-"""A training that torchrun starts many times: rank 0 trains as ever, the others follow it."""
+"""Training under torchrun: rank 0 runs the command, the others work for it."""
 
 import argparse
 import os
@@ -25,11 +25,11 @@ _OWN = {
 def train_distributed(
     args: argparse.Namespace, lead: Callable[[argparse.Namespace, "ProcessGroup | None"], int]
 ) -> int:
-    """Be the rank that the environment says; returns the exit code.
+    """Run as the rank of the environment; returns the exit code.
 
     Args:
-        args: Of `gscore train`.
-        lead: Trains, as rank 0 of a team or alone.
+        args: Arguments of `gscore train`.
+        lead: Trains, as rank 0 of a process group or alone.
     """
     from ..trainer.distributed.process_group import (
         ProcessGroup,
@@ -53,11 +53,11 @@ def train_distributed(
 def train_in_turn(
     args: argparse.Namespace, work: Callable[[argparse.Namespace, "ProcessGroup | None"], int]
 ) -> int:
-    """Take part in work of which each rank does whole pieces; returns the exit code.
+    """Share work whose pieces each run on one rank; returns the exit code.
 
     Args:
-        args: Of `gscore sequence`.
-        work: Does what this rank gets of it; `args` of all ranks but the first say nothing.
+        args: Arguments of `gscore sequence`.
+        work: Does the pieces of this rank; `args` of ranks other than 0 are quiet.
     """
     from ..trainer.distributed.process_group import (
         ProcessGroup,
@@ -84,12 +84,12 @@ def train_in_turn(
             return 2
         except GsError:
             if team.told and not team.is_rank0:
-                return 2  # rank 0 has said why
+                return 2  # rank 0 printed the reason
             raise
 
 
 def agent() -> str:
-    """The torchrun that started this process; it outlives those that it starts again."""
+    """Identifier of the torchrun that started this process; the same after its restarts."""
     return f"{platform.node()} {os.getppid()}\n" if under_torchrun() else ""
 
 
@@ -116,7 +116,7 @@ def _lead(
     except BaseException:
         _part(team, failed=True)
         raise
-    # torchrun starts a rank again that was stopped; it waits for ranks that say they have finished.
+    # torchrun restarts a rank that was stopped, and waits for ranks that report their end.
     _part(team, failed=code != 0)
     return code
 
@@ -127,11 +127,11 @@ def _part(team: "ProcessGroup", *, failed: bool) -> None:
     try:
         team.shutdown(failed=failed)
     except RankLostError:
-        return  # whoever is gone needs not be told
+        return  # a lost rank needs no message
 
 
 def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
-    """Signals are for rank 0 to act on: they are sent to all."""
+    """Run as a worker of rank 0, ignoring signals: all ranks receive them, and rank 0 reacts."""
     from ..trainer.distributed.process_group import RankLostError
     from ..trainer.worker_rank import run_worker
 

@@ -35,13 +35,13 @@ from .terminal.status import wrapped
 from .terminal.torchrun_launch import under_torchrun
 from .torchrun import agent, train_distributed
 
-if TYPE_CHECKING:  # torch, which training imports, takes seconds to load: --help need not wait
+if TYPE_CHECKING:  # training imports torch, which takes seconds to load and would delay --help
     from ..trainer.distributed.process_group import ProcessGroup
     from ..trainer.files.run_result import TrainResult
 
 _HOW = {
     FINISHED: "Finished",
-    TARGET: "Reached the PSNR asked for",
+    TARGET: "Reached the target PSNR",
     CONVERGED: "Converged (the PSNR no longer rose)",
 }
 
@@ -138,20 +138,20 @@ def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
 
 
 def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
-    """The options: of a preset, a file or the run that goes on, then those given one by one."""
+    """The options of a preset, a config file or the resumed run, overridden by the given ones."""
     source = args.source or args.source_option
     if args.source and args.source_option and args.source != args.source_option:
         raise ConfigError(f"Two captures were given: {args.source} and {args.source_option}.")
     if args.config and args.preset:
-        raise ConfigError("Give either --preset or --config: a config file holds all options.")
+        raise ConfigError("Give either --preset or --config: a config file contains all options.")
     stored = args.config
     if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
         if not stored.is_file():
             from ..trainer.files.run_folder import check_free
 
-            check_free(args.output)  # a run that has only just begun has written nothing yet
-            raise ConfigError(f"{args.output} holds no run to resume; leave --resume out.")
+            check_free(args.output)  # a run that has just begun has written nothing yet
+            raise ConfigError(f"{args.output} contains no run to resume; leave out --resume.")
     if args.preset and stored:
         source = options_of_run(stored)[0].source
         data, config = PRESETS[args.preset](source)
@@ -167,21 +167,21 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     config = replace(config, **_given(args))
     if args.iterations is not None and config.time_budget > 0:
         raise ConfigError(
-            f"A time budget ({config.time_budget:g} s) finds the number of steps itself; leave "
-            "--iterations out, or give --time-budget 0."
+            f"A time budget ({config.time_budget:g} s) determines the number of steps; leave out "
+            "--iterations, or give --time-budget 0."
         )
     return data, config
 
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """The options given one by one; a number among them that photos may limit is meant."""
+    """The given options; an explicit number lifts its limit by the photos."""
     given = passed_options(TrainConfig, args)
     return {LIFTED_BY[name]: 0 for name in LIFTED_BY.keys() & given.keys()} | given
 
 
 def configs_with_messages(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:
-    """As `configs`, with a warning about options that do nothing in this run."""
-    given = argparse.Namespace(**vars(args))  # `configs` fills some in
+    """As `configs`, with a warning about options without effect in this run."""
+    given = argparse.Namespace(**vars(args))  # `configs` sets some
     data, config = configs(args)
     if idle := unused_options(given, data, config):
         show(Warn(message=idle, code="no_effect"))
@@ -195,18 +195,18 @@ def _train(
     from ..trainer.files.run_folder import check_writable
     from ..trainer.run import train
 
-    check_output_path(args.output, data)  # of / or the capture nobody wants to hear what is in it
+    check_output_path(args.output, data)  # before listing files: not those of / or the capture
     check_folder(args.output)
     check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
     others = first_few(others_in_run(args.output))
     if others and not args.events:
-        show(Warn(message=f"{args.output} holds other files too; they stay: {others}"))
+        show(Warn(message=f"{args.output} contains other files, which are kept: {others}"))
     data = with_cameras(
         data,
         args.output,
         show,
         control,
-        # One of many must not: the others need the cameras too.
+        # Not on a single rank of several: the others need the cameras too.
         allowed=not (args.no_sfm or team),
         check=lambda names: _check_given(args, config, data, names),
         threads=config.threads,
@@ -239,7 +239,7 @@ def _check_given(
 
 def _stopped(args: argparse.Namespace) -> str:
     if is_finding(args.output):
-        return "Stopped while cameras were found; the same command goes on where this one ended."
+        return "Stopped while finding cameras; the same command continues from here."
     return STOPPED
 
 
@@ -249,7 +249,7 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
         return _nothing_to_do(result)
     how = _HOW.get(result.reason, f"Stopped ({result.reason})")
     if result.reason == FINISHED and config.time_budget:
-        how = "The time was used up"
+        how = "Used the time budget"
     lines = [
         f"{how} after {count_words(result.steps, 'step')}, {result.train_seconds:.1f} s of "
         f"training: {count_words(len(result.splats), 'splat')}."
@@ -259,19 +259,19 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
         worth += colour_words(metrics) if has_exposure_correction(metrics) else ""
         lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
-        lines.append(f"The {config.target_psnr:g} dB asked for were not reached.")
+        lines.append(f"The target of {config.target_psnr:g} dB was not reached.")
     if ranks := metrics.get("ranks"):
         sent, waited = ranks["sent_bytes_per_batch"], ranks["waited_seconds_per_batch"]
         lines.append(
-            f"{ranks['count']} ranks: a batch took {size_words(max(sent))} from rank to rank, and "
-            f"{min(waited):.3f} to {max(waited):.3f} s of waiting and sending."
+            f"{ranks['count']} ranks: each batch sent {size_words(max(sent))} between ranks, and "
+            f"took {min(waited):.3f} to {max(waited):.3f} s of waiting and sending."
         )
     output = result.output
     lines.append(f"Results: {output / 'point_cloud.ply'}, {output / 'report.html'}")
     if result.reason not in ENDED:
-        lines.append(f"To go on: {as_typed('train', '-o', output, '--resume')}")
+        lines.append(f"To continue: {as_typed('train', '-o', output, '--resume')}")
     made = "orbit.mp4" if find_spec("av") else "pictures"
-    lines.append(f"To look at it: {as_typed('render', output, '-o', output / made)}")
+    lines.append(f"To render it: {as_typed('render', output, '-o', output / made)}")
     return "\n".join(lines)
 
 
@@ -279,6 +279,6 @@ def _nothing_to_do(result: "TrainResult") -> str:
     how = _HOW[result.reason]
     return (
         f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
-        f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to go "
-        f"on, or measure it again with: {as_typed('eval', result.output)}"
+        f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to "
+        f"continue, or measure it again with: {as_typed('eval', result.output)}"
     )

@@ -9,11 +9,11 @@ from ..video.source import opened_video
 
 
 def video_facts(path: Path) -> dict[str, Any]:
-    """For JSON; the first frames alone are decoded.
+    """Facts on a video as JSON values; only the first frames are decoded.
 
     Raises:
         BackendError: PyAV is not installed.
-        GsError: it is no video, damaged, encrypted or of a codec that is not there.
+        GsError: not a video, damaged, encrypted or of an unsupported codec.
     """
     with opened_video(path) as video:
         facts = video.facts
@@ -39,7 +39,7 @@ def video_facts(path: Path) -> dict[str, Any]:
 
 
 def video_text(facts: dict[str, Any]) -> list[str]:
-    """For people."""
+    """The facts as lines of text."""
     known = [count_words(facts["frames"], "frame")] if facts["frames"] else []
     known += [time_words(facts["seconds"])] if facts["seconds"] else []
     known += [f"{facts['width']} x {facts['height']} px", facts["codec"]]
@@ -47,6 +47,6 @@ def video_text(facts: dict[str, Any]) -> list[str]:
     known += ["interlaced"] if facts["interlaced"] else []
     return [
         f"{facts['path']}: a video, {', '.join(known)}",
-        "  sharp frames are taken as photos, 30 to 300 of them, and their cameras found",
+        "  training extracts 30 to 300 sharp frames as photos and finds their cameras",
         f"Next: {facts['next']}",
     ]

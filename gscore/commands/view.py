@@ -21,14 +21,14 @@ from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
 _MANY = 1_500_000
-"""Splats that an integrated graphics card hardly moves thirty times a second."""
+"""Splats beyond which integrated graphics cards draw fewer than 30 frames per second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     add_model_argument(parser)
     parser.add_argument(
-        "-o", "--output", type=Path, help=f"the page, an .html; default: {PAGE} of the run"
+        "-o", "--output", type=Path, help=f"page, an .html file; default: {PAGE} of the run"
     )
     parser.add_argument(
         "-s",
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cameras",
         dest="source",
         type=Path,
-        help="capture folder, or a cameras.json, which has no photos; default: the run's",
+        help="capture folder, or a cameras.json, without photos; default: the run's",
     )
     parser.add_argument(
         "--photos",
@@ -71,14 +71,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _output(args: argparse.Namespace, model: ModelArgument) -> Path:
-    """Where the page goes, if it may be written there."""
+    """Path of the page, checked to be writable."""
     if args.photos < 0:
         raise ConfigError(f"--photos must be at least 0, got {quoted(args.photos)}.")
     if args.output is None and model.run is None:
-        raise ConfigError(f"{model.path} lies in no run's folder; say with -o where the page goes.")
+        raise ConfigError(f"{model.path} is not in the folder of a run; give a page with -o.")
     output: Path = args.output or model.run / PAGE  # pyright: ignore
     if output.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"{output}: a page is written; give a name that ends in .html.")
+        raise ConfigError(f"{output}: the output is a page; give a name that ends in .html.")
     if output.name == "report.html":
         raise ConfigError(f"{output} is the name of a run's report; give another one.")
     check_folder(output.parent)
@@ -98,21 +98,19 @@ def _write(
     status.show(["Packing the splats"])
     packed = pack(model.splats)
     if not packed.head["count"]:
-        raise ConfigError(
-            f"{model.path} holds no splat that can be seen, so there is no page of it."
-        )
-    status.show(["Measuring what the packing costs"])
+        raise ConfigError(f"{model.path} contains no visible splats to show.")
+    status.show(["Measuring the packing error"])
     cost = difference(model, packed, views, threads=args.threads)
     warnings = [*model.warnings, *views.warnings]
     if model.splats.sh_degree > PAGE_DEGREE:
         warnings.append(
-            f"A page shows colours of SH degree {PAGE_DEGREE} at most; what depends on the "
-            f"direction beyond it is lost."
+            f"A page supports SH degree {PAGE_DEGREE}; view-dependent colour of higher degrees is "
+            f"lost."
         )
     if packed.head["count"] > _MANY:
         warnings.append(
-            f"{number(packed.head['count'])} splats move slowly on a laptop; gscore convert "
-            f"--count {_MANY} thins them first."
+            f"{number(packed.head['count'])} splats are slow on a laptop; reduce them first with "
+            f"gscore convert --count {_MANY}."
         )
     for sentence in warnings:
         status.clear()
@@ -152,7 +150,7 @@ def _page(title: str, model: ModelArgument, packed: Any, views: PageViews) -> Pa
 
 
 def _title(model: ModelArgument) -> str:
-    """Of the capture where it is known, else of the file."""
+    """Default title: name of the capture if known, else of the file."""
     if model.data is not None and model.data.source.name:
         return model.data.source.name
     plain = model.path.name == "point_cloud.ply" and model.path.parent.name
@@ -163,8 +161,8 @@ def _check_splats(model: ModelArgument) -> None:
     degree = min(model.splats.sh_degree, PAGE_DEGREE)
     if len(model.splats) > (most := most_splats(degree)):
         raise ConfigError(
-            f"{model.path} holds {number(len(model.splats))} splats of SH degree {degree}; a page "
-            f"takes at most {number(most)}. Thin them first: gscore convert IN OUT --count {_MANY}."
+            f"{model.path} has {number(len(model.splats))} splats of SH degree {degree}; a page "
+            f"supports {number(most)}. Reduce them first: gscore convert IN OUT --count {_MANY}."
         )
 
 
@@ -178,7 +176,6 @@ def _summary(result: dict[str, Any]) -> str:
     )
     if result["packing_psnr"] is not None:
         text += (
-            f"\nPictures of the packed splats are {result['packing_psnr']:.1f} dB from those "
-            "of the originals."
+            f"\nPSNR of the packed splats against the originals: {result['packing_psnr']:.1f} dB."
         )
-    return f"{text}\nOpen it in a browser, or send it: it needs nothing else."
+    return f"{text}\nOpen it in a browser, or share it: the page is self-contained."

@@ -1,5 +1,4 @@
-"""Camera plan of the report: positions of cameras, coloured by their PSNR, and points, from above
-and from the side."""
+"""Camera plan of the report: cameras coloured by PSNR, and points, from above and from the side."""
 
 import html
 from collections import defaultdict
@@ -19,17 +18,17 @@ from ..text_format import count_words
 from ..upright import up_of
 
 _SIDE = 420
-"""Sides of a picture in its own units; the page scales it."""
+"""Width and height of a picture in its own units; the page scales it."""
 MOST_POINTS = 3000
-"""Points drawn, evenly chosen."""
+"""Maximum number of drawn points, evenly sampled."""
 _MARGIN = 18.0
 _MOST_CAMERAS = 1000
 _INNER = (0.02, 0.98)
-"""Quantiles of the points that the picture has room for: a few far ones would shrink the rest."""
+"""Quantiles of the points within the picture: a few far ones would shrink the rest."""
 _SHADES = 6
 """Steps of each colour channel."""
 _WORST_TO_BEST = ("#b2182b", "#e8884f", "#a9a9a9", "#5f9fd0", "#1f5fb0")
-"""Of the scored views' PSNR, evenly apart; read by those who see no green too."""
+"""Colours of the measured views' PSNR at equal steps; suitable for colour-blind readers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +36,9 @@ class CamerasSection:
     """Contents of the camera section of the report."""
 
     found: Mapping[str, Any] | None
-    """The record of the search, sfm.json; None: somebody else found the cameras."""
+    """The SfM record, sfm.json; None: the cameras are from another program."""
     scene: Scene
-    """Of the training."""
+    """Scene of the training."""
 
 
 def cameras_section(source: Path, scene: Scene) -> CamerasSection:
@@ -57,7 +56,7 @@ def cameras_section(source: Path, scene: Scene) -> CamerasSection:
 
 
 def made_of(section: CamerasSection) -> str | None:
-    """What the photos' folder or the video is called; None where no record says."""
+    """Name of the photo folder or video; None if no record states it."""
     path = section.found.get(MADE_OF) if section.found is not None else None
     if not isinstance(path, str) or not (name := Path(path).name):
         return None
@@ -66,11 +65,11 @@ def made_of(section: CamerasSection) -> str | None:
 
 
 def cameras_html(section: CamerasSection, worths: Mapping[str, float | None]) -> str:
-    """The section: what the search found, two pictures, and what their colours mean.
+    """The section: result of SfM, two pictures, and the legend of their colours.
 
     Args:
         section: Cameras and points.
-        worths: PSNR of the scored views by name, dB; None: identical or nothing to score.
+        worths: PSNR of the measured views by name, dB; None: identical or nothing to measure.
     """
     if not len(section.scene.cameras):
         return ""
@@ -90,41 +89,40 @@ def cameras_html(section: CamerasSection, worths: Mapping[str, float | None]) ->
 
 @dataclass(frozen=True)
 class _Scale:
-    """Colours of the scored views."""
+    """Colour scale of the measured views."""
 
     low: float
     high: float
 
     @classmethod
     def of(cls, worths: Sequence[float]) -> "_Scale | None":
-        """From the worst to the best; None where nothing was scored."""
+        """Scale from the worst to the best; None if nothing was measured."""
         return cls(min(worths), max(worths)) if worths else None
 
     def color(self, worth: float) -> str:
-        """The colour nearest to where a PSNR lies between both."""
+        """The nearest colour of a PSNR."""
         share = (worth - self.low) / (self.high - self.low) if self.high > self.low else 1.0
         return _WORST_TO_BEST[round(share * (len(_WORST_TO_BEST) - 1))]
 
     def legend(self) -> str:
-        """The range in figures."""
+        """Legend with both ends."""
         stops = "".join(f'<i class="step" style="background:{c}"></i>' for c in _WORST_TO_BEST)
         return (
             f'<div class="scale"><span>{self.low:.1f} dB</span><span>{stops}</span>'
-            f"<span>{self.high:.1f} dB</span><em>PSNR of the scored views; cameras without a "
-            "number are drawn hollow</em></div>"
+            f"<span>{self.high:.1f} dB</span><em>PSNR of the measured views; other cameras are "
+            "drawn hollow</em></div>"
         )
 
 
 def plan_axes(scene: Scene) -> np.ndarray:
-    """[3, 3] float64, unit rows: to the right, away and up in a plan of the scene.
+    """[3, 3] float64, unit rows: right, away and up in a plan of the scene.
 
-    Up is as the capture states it, else as the cameras tell; to the right is where the cameras'
-    places spread most.
+    Up is as in `up_of`; right is the direction of the largest spread of the cameras.
     """
     centers = np.asarray(scene.cameras.centers, np.float64)
     spread = np.linalg.svd(centers - centers.mean(axis=0), full_matrices=True)[2]
     up = up_of(scene.cameras)
-    # Of the directions of spread, the one that is most level: never up itself.
+    # The most horizontal of the directions of spread, never up itself.
     level = spread - np.outer(spread @ up, up)
     lengths = np.linalg.norm(level, axis=1)
     right = level[0] / lengths[0] if lengths[0] > 0.3 else level[1] / lengths[1]
@@ -132,7 +130,7 @@ def plan_axes(scene: Scene) -> np.ndarray:
 
 
 def _words(found: Mapping[str, Any]) -> str:
-    """One line on how good they are; what the record lacks is left out."""
+    """One line on the SfM result, without fields that the record lacks."""
     parts = []
     count, photos = found.get("registered"), found.get("photos")
     if isinstance(count, int) and isinstance(photos, int):
@@ -154,8 +152,8 @@ def _svg(
     worths: Mapping[str, float | None],
     scale: _Scale | None,
 ) -> str:
-    """One picture: points in their colours, cameras as wedges that open where they look, the
-    scored ones above the others."""
+    """One picture: points in their colours, cameras as wedges that open in viewing direction, the
+    measured ones on top."""
     cameras, points = scene.cameras, scene.points
     usable = np.isfinite(points.points).all(axis=1)
     every = max(1, -(-int(usable.sum()) // MOST_POINTS))
@@ -190,7 +188,7 @@ def _svg(
 
 
 def _dots(places: np.ndarray, colors: np.ndarray) -> str:
-    """Points as one path for each shade."""
+    """Points as one path per shade."""
     step = 256 // _SHADES
     shades = np.minimum(np.asarray(colors, np.int64) // step * step + step // 2, 255)
     groups: dict[tuple[int, ...], list[str]] = defaultdict(list)
@@ -203,7 +201,7 @@ def _dots(places: np.ndarray, colors: np.ndarray) -> str:
 
 
 def _drawn(names: Sequence[str], worths: Mapping[str, float | None]) -> list[int]:
-    """Indices of the cameras that are drawn, those with a number last and all of them."""
+    """Indices of the drawn cameras: a sample of those without a PSNR, then all with one."""
     others = [i for i, name in enumerate(names) if worths.get(name) is None]
     scored = [i for i, name in enumerate(names) if worths.get(name) is not None]
     return others[:: max(1, -(-len(others) // _MOST_CAMERAS))] + scored
@@ -212,7 +210,7 @@ def _drawn(names: Sequence[str], worths: Mapping[str, float | None]) -> list[int
 def _wedge(
     at: np.ndarray, look: np.ndarray, name: str, worth: float | None, scale: _Scale | None
 ) -> str:
-    """A triangle that opens to where a camera looks; shorter where that is at the reader."""
+    """A triangle that opens in the viewing direction, shortened by projection."""
     side = np.array([-look[1], look[0]])
     length = float(np.linalg.norm(look))
     side = side / length if length > 1e-6 else np.array([1.0, 0.0])

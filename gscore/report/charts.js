@@ -1,4 +1,4 @@
-// What all pages with curves have: switches, the axis of curves, values under the mouse.
+// Common to all pages with curves: switches, the axis of curves, values under the mouse.
 "use strict";
 
 function press(button) {

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-# sRGB at equal steps; lightness rises evenly, so that the map also reads in grey.
+# sRGB at equal steps; lightness increases evenly, so that the map also works in grey.
 _STOPS = np.array(
     [
         [0, 0, 4],

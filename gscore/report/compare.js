@@ -1,4 +1,4 @@
-// Comforts of the comparison: sliders, what lies on their sides, the order of views.
+// Interaction of the comparison: sliders, the pictures on their sides, the order of views.
 
 for (const slider of document.querySelectorAll(".slider")) {
   const range = slider.querySelector("input");

@@ -17,7 +17,7 @@ _AXES = (("step", "steps"), ("elapsed_s", "s"))
 
 @dataclass(frozen=True, kw_only=True)
 class PairPictures:
-    """Thumbnails of a view, of one size, as data URIs."""
+    """Thumbnails of a view with equal sizes, as data URIs."""
 
     name: str
     width: int
@@ -34,9 +34,9 @@ def write_comparison(
 
     Args:
         path: The HTML file.
-        comparison: What it tells.
-        pictures: Of all pairs or some.
-        title: Usually the capture's name.
+        comparison: Content of the page.
+        pictures: Pictures of all pairs or some.
+        title: Usually the name of the capture.
 
     Raises:
         GsError: the file cannot be written.
@@ -47,7 +47,7 @@ def write_comparison(
 def comparison_html(
     comparison: RunComparison, pictures: Sequence[PairPictures], *, title: str
 ) -> str:
-    """The page itself."""
+    """The page as HTML."""
     body = "".join(
         (
             _head(comparison, title),
@@ -69,7 +69,7 @@ def comparison_html(
 
 
 def names_of(comparison: RunComparison) -> dict[str, str]:
-    """Labels of the numbers of a comparison."""
+    """Labels of the metrics of a comparison."""
     return {"psnr": comparison.psnr_name, "ssim": "SSIM", "lpips": "LPIPS"}
 
 
@@ -86,8 +86,8 @@ def _head(comparison: RunComparison, title: str) -> str:
     )
     views = count_words(len(comparison.pairs), "view")
     return (
-        f'<header><h1>{html.escape(title)}</h1><p class="sub">Two runs compared on {views} that '
-        f"both were scored on</p>{rows}</header>\n"
+        f'<header><h1>{html.escape(title)}</h1><p class="sub">Two runs compared on {views} '
+        f"measured in both</p>{rows}</header>\n"
     )
 
 
@@ -104,8 +104,8 @@ def _means_table(comparison: RunComparison) -> str:
             rows.append(f"<tr><th>{name}</th>{cells}<td>{_ratio(*values)}</td></tr>")
     first, second = _labels(comparison)
     return (
-        '<section><h2>Numbers</h2><p class="hint">Means over the views that both runs were scored '
-        'on; green is better.</p><div class="wide"><table class="numbers"><thead><tr><th></th>'
+        '<section><h2>Numbers</h2><p class="hint">Means over the views measured in both runs; '
+        'green is better.</p><div class="wide"><table class="numbers"><thead><tr><th></th>'
         f"<th>{first}</th><th>{second}</th><th>difference</th></tr></thead><tbody>"
         f"{''.join(rows)}</tbody></table></div></section>\n"
     )
@@ -113,14 +113,14 @@ def _means_table(comparison: RunComparison) -> str:
 
 _WORK: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("splats", "Splats", number),
-    ("models", "Models shown as one", number),
+    ("models", "Merged models", number),
     ("storage_bytes", "Storage", size_words),
     ("steps", "Steps", number),
     ("train_seconds", "Training", time_words),
-    ("fps", "Rendering, pictures a second", lambda value: number_words(value, 1)),
+    ("fps", "Rendering, pictures per second", lambda value: number_words(value, 1)),
     ("peak_memory_bytes", "Peak memory", size_words),
 )
-"""Key in metrics.json, name, and how a value is written."""
+"""Key in metrics.json, name, and formatter."""
 
 
 def _ratio(first: float | None, second: float | None) -> str:
@@ -139,7 +139,7 @@ def _row(name: str, values: tuple[float, float], digits: int, *, better: int) ->
 
 
 def _change(values: tuple[float, float], digits: int, better: int) -> str:
-    """A cell with the second less the first, coloured where it is not nothing."""
+    """A cell with second minus first, coloured unless zero."""
     change = round(values[1] - values[0], digits)
     kind = "" if change == 0 else ' class="gain"' if change * better > 0 else ' class="loss"'
     return f"<td{kind}>{change:+.{digits}f}</td>"
@@ -150,7 +150,7 @@ def _curves(comparison: RunComparison) -> str:
         _figure(comparison, *what)
         for what in (
             ("PSNR of the training views (dB)", "history", "psnr", False, False),
-            ("PSNR of the scored views (dB)", "evals", "psnr", False, False),
+            ("PSNR of the measured views (dB)", "evals", "psnr", False, False),
             ("Loss", "history", "loss", True, False),
             ("Splats", "history", "splats", False, True),
         )
@@ -167,7 +167,7 @@ def _curves(comparison: RunComparison) -> str:
 def _figure(
     comparison: RunComparison, name: str, rows: str, key: str, log: bool, from_zero: bool
 ) -> str:
-    """Both curves over steps, and over seconds; nothing where neither run has one."""
+    """Both curves over steps, and over seconds; empty if neither run has one."""
     charts, keys = [], ""
     for axis, unit in _AXES:
         series = [
@@ -201,7 +201,7 @@ def _cards(comparison: RunComparison, pictures: Sequence[PairPictures]) -> str:
     )
     sides = switch(
         "sides",
-        "What lies left and right",
+        "Left and right picture",
         (
             ("first second", f"{first} | {second}"),
             ("photo first", f"photo | {first}"),
@@ -288,7 +288,7 @@ def _only_one(comparison: RunComparison) -> str:
             listed = html.escape("\n".join(names))
             views = count_words(len(names), "view")
             parts.append(
-                f"<details><summary>{views} only {html.escape(run.label)} was scored on</summary>"
+                f"<details><summary>{views} measured only in {html.escape(run.label)}</summary>"
                 f"<pre>{listed}</pre></details>"
             )
     return f'<section class="details">{"".join(parts)}</section>\n' if parts else ""

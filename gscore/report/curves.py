@@ -1,4 +1,4 @@
-"""Curves of a run as inline SVG, drawn here so that the report loads nothing."""
+"""Curves of a run as inline SVG, without external resources."""
 
 import html
 import json
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 WIDTH, HEIGHT = 430, 230
 """Size of a chart in its own units; the page scales it."""
 LEFT, RIGHT, TOP, BOTTOM = 46, 18, 14, 36
-"""Room around what is drawn, for the numbers at the axes."""
+"""Margins around the plot, for the numbers at the axes."""
 _LETTER = 6.5
-"""Width of a letter of the labels above a chart, with some room."""
+"""Width of a letter of the labels above a chart, with some margin."""
 _BUCKETS = 240
 _Scale = Callable[[float], float]
 _Point = tuple[float, float]
@@ -19,26 +19,26 @@ _Point = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One curve: many noisy points drawn as a line with its range, or few exact ones as dots."""
+    """One curve: many noisy points drawn as a line with a band, or few exact ones as dots."""
 
     label: str
-    """What it is, for the legend."""
+    """Name in the legend."""
     points: Sequence[tuple[float, float]]
     """(x, y), finite, x ascending."""
     dots: bool = False
-    """Draw a dot at every point: measurements, not samples of something noisy."""
+    """Draw a dot at every point, for measurements without noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """Something that happened at one place of the x axis."""
+    """An event at a value of the x axis."""
 
     x: float
     label: str
 
 
 def clean_points(pairs: Sequence[tuple[float | None, float | None]]) -> list[tuple[float, float]]:
-    """The pairs whose two values are finite numbers, sorted by x."""
+    """The pairs of finite numbers, sorted by x."""
     kept = [
         (float(x), float(y))
         for x, y in pairs
@@ -67,7 +67,7 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def short_number(value: float) -> str:
-    """A number as people write it: 1.2 M, 34 k, 0.05, 27.3."""
+    """A number as short text: 1.2 M, 34 k, 0.05, 27.3."""
     size = abs(value)
     if size >= 1e6:
         return f"{value / 1e6:.3g} M"
@@ -85,15 +85,15 @@ def line_chart(
     from_zero: bool = False,
     marks: Sequence[Mark] = (),
 ) -> str:
-    """One chart as an `<svg>` element; a sentence in its place if there is nothing to draw.
+    """One chart as an `<svg>` element; a sentence instead if there are too few points.
 
     Args:
         series: Curves over a common x axis.
-        label: What the chart shows, for screen readers.
-        x_unit: Written under the x axis.
+        label: Description of the chart, for screen readers.
+        x_unit: Unit under the x axis.
         log: Logarithmic y axis; points that are not positive are left out.
         from_zero: The y axis starts at 0.
-        marks: Drawn as vertical lines where they lie within the curves.
+        marks: Vertical lines, drawn if within the range of the curves.
     """
     drawn = [(s, [p for p in s.points if p[1] > 0] if log else list(s.points)) for s in series]
     every = [p for _, points in drawn for p in points]
@@ -137,7 +137,7 @@ def line_chart(
 
 
 def legend(series: Sequence[Series]) -> str:
-    """Names of several curves with their colours; nothing for a single one."""
+    """Names of several curves with their colours; empty for a single one."""
     if len(series) < 2:
         return ""
     items = (
@@ -153,7 +153,7 @@ _Bucket = tuple[float, float, float, float]
 def _y_range(
     drawn: Sequence[tuple[Series, list[_Point]]], *, log: bool, from_zero: bool
 ) -> tuple[float, float]:
-    """Limits of the y axis; single spikes of a noisy curve do not flatten the rest."""
+    """Limits of the y axis, without isolated spikes of noisy curves."""
     low, high = math.inf, -math.inf
     for one, points in drawn:
         values = sorted(y for _, y in points)
@@ -172,7 +172,7 @@ def _y_range(
 def axes(
     x_ticks: Sequence[float], y_ticks: Sequence[float], to_x: _Scale, to_y: _Scale, x_unit: str
 ) -> str:
-    """Lines and numbers of a chart, from values to places by `to_x` and `to_y`."""
+    """Lines and numbers of the axes; `to_x` and `to_y` map values to positions."""
     parts = []
     for y in y_ticks:
         at = f"{to_y(y):.1f}"
@@ -194,12 +194,12 @@ def axes(
 
 
 def chart_svg(label: str, parts: str, hover: Sequence[tuple[float, float, str]]) -> str:
-    """A whole `<svg>`.
+    """The complete `<svg>` element.
 
     Args:
-        label: What it shows, for screen readers.
-        parts: What is drawn.
-        hover: Places and the words that stand there under the mouse.
+        label: Description, for screen readers.
+        parts: SVG elements of the chart.
+        hover: Positions and the texts shown there under the mouse.
     """
     data = html.escape(json.dumps(hover, separators=(",", ":")), quote=True)
     return (
@@ -210,7 +210,7 @@ def chart_svg(label: str, parts: str, hover: Sequence[tuple[float, float, str]])
 
 
 def _marks(marks: Sequence[Mark], to_x: _Scale) -> str:
-    """A dashed line for each; labels that would lie on the one before are left out."""
+    """A dashed line for each mark; labels that overlap the previous one are left out."""
     parts, free = [], -math.inf
     for mark in sorted(marks, key=lambda m: m.x):
         at, base = to_x(mark.x), HEIGHT - BOTTOM
@@ -225,7 +225,7 @@ def _marks(marks: Sequence[Mark], to_x: _Scale) -> str:
 
 
 def _bucketed(points: list[_Point], x_low: float, x_high: float) -> list[_Bucket]:
-    """(x, mean, lowest, highest) of the points in equal stretches of x; at most `_BUCKETS`."""
+    """(x, mean, lowest, highest) of the points in equal intervals of x; at most `_BUCKETS`."""
     buckets: dict[int, list[_Point]] = {}
     for x, y in points:
         place = min(_BUCKETS - 1, int((x - x_low) / (x_high - x_low) * _BUCKETS))
@@ -248,9 +248,9 @@ def _line(points: list[_Point], to_x: _Scale, to_y: _Scale, number: int) -> str:
 def _band(buckets: list[_Bucket], to_x: _Scale, to_y: _Scale, number: int) -> str:
     if not any(high > low for _, _, low, high in buckets):
         return ""
-    there = [(x, high) for x, _, _, high in buckets]
-    back = [(x, low) for x, _, low, _ in reversed(buckets)]
-    return f'<path class="band s{number}" d="M{_path(there + back, to_x, to_y)}Z"/>'
+    upper = [(x, high) for x, _, _, high in buckets]
+    lower = [(x, low) for x, _, low, _ in reversed(buckets)]
+    return f'<path class="band s{number}" d="M{_path(upper + lower, to_x, to_y)}Z"/>'
 
 
 def _dots(points: list[_Point], to_x: _Scale, to_y: _Scale, number: int) -> str:

@@ -1,4 +1,4 @@
-"""Depth section of the report: fit of the maps, and rendered against given inverse depth."""
+"""Depth section of the report: fits of the maps, and rendered compared to prior inverse depth."""
 
 import html
 from collections.abc import Mapping, Sequence
@@ -14,15 +14,15 @@ from .pictures import data_uri, shrink, size_within
 PICTURE_WIDTH = 240
 """Longer side of a picture, pixels."""
 ERROR_WHITE = 0.25
-"""Relative difference that is drawn brightest."""
+"""Relative difference with the brightest colour."""
 PICTURE_KINDS = ("photo", "prior", "aligned prior", "rendered", "difference")
 _SURE = 0.5
-"""Confidence from which a pixel counts."""
+"""Minimum confidence of counted pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthViewPictures:
-    """One row of pictures, `data:` URIs by the names of PICTURE_KINDS; empty: does not exist."""
+    """One row of pictures, `data:` URIs by name in PICTURE_KINDS; missing kinds do not exist."""
 
     name: str
     width: int
@@ -36,20 +36,21 @@ class DepthSection:
     """Contents of the report."""
 
     why: str
-    """Whether depth was supervised and why."""
+    """Whether the depth loss was used, and why."""
     rows: Sequence[Mapping[str, Any]]
-    """A row a view: view, split, points, scale, offset, inliers, error, accepted, reason and, where
-    measured, depth_error."""
+    """One row per view: view, split, points, scale, offset, inliers, error, accepted, reason and,
+    if measured, depth_error."""
     views: Sequence[DepthViewPictures]
 
 
 def depth_errors(
     rendered: np.ndarray, alpha: np.ndarray, prior: np.ndarray, confidence: np.ndarray
 ) -> dict[str, float | None]:
-    """Mean relative difference of inverse depths where the prior is sure.
+    """Mean relative difference of inverse depths at confident pixels of the prior.
 
-    What is missing of a pixel's opacity counts as error, or haze before a surface could pass for
-    it. A pixel counts at most 1: a faint splat just before the camera has a huge inverse depth.
+    Missing opacity of a pixel counts as error, because haze in front of a surface could have the
+    same inverse depth. A pixel counts at most 1, because a faint splat right in front of the camera
+    has a huge inverse depth.
 
     Args:
         rendered: [H, W] accumulated inverse depth.
@@ -58,7 +59,7 @@ def depth_errors(
         confidence: [H, W] in [0, 1].
 
     Returns:
-        `depth_error`; None where nothing is known.
+        `depth_error`; None without confident pixels.
     """
     sure = (confidence >= _SURE) & (prior > 0)
     if not sure.any():
@@ -69,10 +70,10 @@ def depth_errors(
 
 @dataclass(kw_only=True)
 class DepthPictures:
-    """Collects the rows of pictures; keeps thumbnails only."""
+    """Collects rows of pictures as thumbnails."""
 
     count: int
-    """Rows that will come."""
+    """Expected number of rows."""
     views: list[DepthViewPictures] = field(default_factory=list)
 
     def add(
@@ -86,16 +87,16 @@ class DepthPictures:
         aligned: bool,
         numbers: Mapping[str, Any],
     ) -> None:
-        """Take one view.
+        """Add one view.
 
         Args:
-            name: Of the view.
+            name: Name of the view.
             photo: [H, W, 3] uint8.
             prior: [H, W] inverse depth in medians of the capture, or from 0 to 1 if not aligned.
             confidence: [H, W] in [0, 1].
             rendered: [H, W] accumulated inverse depth in medians of the capture.
             aligned: Whether the prior has the scale of the capture.
-            numbers: The view's row.
+            numbers: Row of the view.
         """
         height, width = photo.shape[:2]
         size = size_within(width, height, PICTURE_WIDTH)
@@ -123,8 +124,8 @@ def depth_html(section: DepthSection) -> str:
     cards = "".join(_card(view) for view in section.views)
     return (
         f'<section id="depth"><h2>Depth</h2><p class="hint">{html.escape(section.why)} Bright is '
-        f"near. Prior: as it came, stretched; aligned prior and render: one scale; difference: "
-        f"relative, {ERROR_WHITE:.0%} or more is brightest, black where the prior is not trusted."
+        f"near. Prior: original values, stretched; aligned prior and render: common scale; "
+        f"difference: relative, brightest from {ERROR_WHITE:.0%}, black without confidence."
         f"</p>{_table(section.rows)}{cards}</section>\n"
     )
 

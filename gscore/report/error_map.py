@@ -9,29 +9,29 @@ from ..splats import Splats
 from .colormap import colorize
 
 _BRIGHT_SHARE = 0.95
-"""Share of the splats with an error that are not yet of the brightest colour."""
+"""Quantile of the errors that has the brightest colour."""
 _UNSEEN = 0.35
 """Grey, sRGB, of splats without an error."""
 
 
 def brightest(errors: np.ndarray) -> float:
-    """The error from which on splats have the brightest colour; above 0.
+    """The smallest error with the brightest colour; above 0.
 
     Args:
-        errors: [N] float, NaN where there is none.
+        errors: [N] float, NaN: unknown.
     """
     known = errors[np.isfinite(errors)]
     return max(float(np.quantile(known, _BRIGHT_SHARE)), 1e-3) if len(known) else 1.0
 
 
 def error_map(splats: Splats, errors: np.ndarray, *, bright: float) -> Splats:
-    """The splats in the colours of their errors, from black for none to pale yellow for `bright`
-    and more; grey where there is none. The same from everywhere.
+    """The splats coloured by their errors, from black for 0 to pale yellow for `bright` and more,
+    grey for unknown errors; without view-dependent colour.
 
     Args:
-        splats: N of them.
-        errors: [N] float, NaN where there is none.
-        bright: As `brightest` finds it.
+        splats: N splats.
+        errors: [N] float, NaN: unknown.
+        bright: Result of `brightest`.
     """
     known = np.isfinite(errors)
     rgb = np.full((len(splats), 3), _UNSEEN)

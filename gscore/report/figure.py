@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from .curves import Series, log_ticks, nice_ticks, short_number
 
 _PLOT, _HEIGHT = 450, 400
-"""Right end of the axes, and the height of it all; the names of the curves come beside."""
+"""Right end of the axes, and total height; the legend is to the right."""
 _LEFT, _TOP, _BOTTOM = 62, 40, 48
 _LETTER = 7.2
 """Mean width of a letter, px."""
@@ -34,7 +34,7 @@ def figure(
 
     Args:
         series: Curves over a common x axis; `dots` marks each point.
-        title: Written above.
+        title: Text above the plot.
         x_label: Quantity and unit of the x axis.
         y_label: Quantity and unit of the y axis.
         log_x: Logarithmic x axis; points that are not positive are left out.
@@ -86,7 +86,7 @@ _Scale = Callable[[float], float]
 def _axis(
     values: Sequence[float], *, log: bool, start: float, end: float
 ) -> tuple[_Scale, list[float]]:
-    """From a value to a place between `start` and `end`, and the values to mark."""
+    """Map from values to positions between `start` and `end`, and the values of the ticks."""
     low, high = min(values), max(values)
     if log:
         spare = (high / low) ** 0.04 if high > low else 2.0

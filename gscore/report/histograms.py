@@ -12,29 +12,29 @@ from .curves import short_number as short
 
 _BINS = 48
 _INNER = (0.001, 0.999)
-"""Quantiles between which bins lie; what lies beyond counts in the first and the last."""
+"""Quantiles at the ends of the bins; values beyond count in the first and last bin."""
 _EXPONENT = 300.0
-"""Of scales, in float64: as far as their quotients go too."""
+"""Limit of log scales, so that exponentials and their quotients fit float64."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Histogram:
-    """How often a quantity has which values."""
+    """Histogram of a quantity."""
 
     name: str
     unit: str
-    """Under the axis."""
+    """Text under the axis."""
     edges: np.ndarray
-    """[B + 1] float64, rising."""
+    """[B + 1] float64, increasing."""
     counts: np.ndarray
     """[B] int64, splats."""
     median: float
     log: bool
-    """Bins are evenly apart in the logarithm."""
+    """Bins have equal widths in the logarithm."""
 
 
 def splat_histograms(parts: Iterable[Splats]) -> tuple[Histogram, ...]:
-    """Opacity, size and anisotropy of a model that comes in parts; none of an empty one."""
+    """Opacity, size and anisotropy of a model given in parts; empty for an empty model."""
     found: tuple[list[np.ndarray], ...] = ([], [], [])
     for splats in parts:
         logs = np.clip(splats.scales.astype(np.float64), -_EXPONENT, _EXPONENT)
@@ -49,12 +49,12 @@ def splat_histograms(parts: Iterable[Splats]) -> tuple[Histogram, ...]:
     return (
         _histogram("Opacity", "", opacity, even, log=False),
         _histogram("Size", "world units", size, sizes, log=True),
-        _histogram("Anisotropy", "longest axis by shortest", anisotropy, ratios, log=True),
+        _histogram("Anisotropy", "longest / shortest axis", anisotropy, ratios, log=True),
     )
 
 
 def histograms_html(histograms: Iterable[Histogram]) -> str:
-    """The section; nothing where there are none."""
+    """The section; empty without histograms."""
     plots = "".join(
         f'<figure class="plot"><h3>{h.name}{" <small>log scale</small>" if h.log else ""}</h3>'
         f'{_svg(h)}<p class="bars-note">median {short(h.median)}</p></figure>'
@@ -71,7 +71,7 @@ def histograms_html(histograms: Iterable[Histogram]) -> str:
 def _log_edges(values: np.ndarray, least: float = 0.0) -> np.ndarray:
     low, high = np.quantile(values, _INNER)
     low = least or low
-    if not high > low * 1.01:  # all alike
+    if not high > low * 1.01:  # all equal
         low, high = low / 2, high * 2
     return np.geomspace(low, high, _BINS + 1)
 
@@ -79,7 +79,7 @@ def _log_edges(values: np.ndarray, least: float = 0.0) -> np.ndarray:
 def _histogram(
     name: str, unit: str, values: np.ndarray, edges: np.ndarray, *, log: bool
 ) -> Histogram:
-    # Searched for, as numpy's own would not count what lies beyond the ends.
+    # `np.histogram` would not count values beyond the ends.
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     return Histogram(
         name=name,

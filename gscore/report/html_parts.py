@@ -7,19 +7,19 @@ from pathlib import Path
 from ..io.files import atomic_write
 
 AXES = (("step", "steps"), ("elapsed_s", "seconds"))
-"""The switch of curves: the key of a row that lies to the right, and its name."""
+"""Choices of the x axis: key of a row, and name."""
 
 
 def whole_page(
     title: str, body: str, *, styles: Sequence[str] = (), scripts: Sequence[str] = ()
 ) -> str:
-    """A page that stands alone.
+    """A self-contained page.
 
     Args:
-        title: Of the window.
+        title: Title of the window.
         body: HTML.
-        styles: Files beside this one, after report.css.
-        scripts: The same, after charts.js.
+        styles: CSS files in this folder, added after report.css.
+        scripts: Script files in this folder, added after charts.js.
     """
     css = "".join(map(_asset, ("report.css", *styles)))
     js = "".join(map(_asset, ("charts.js", *scripts)))
@@ -38,12 +38,12 @@ def write_html(path: Path, page: str) -> None:
     Raises:
         GsError: the file cannot be written.
     """
-    # Names of files may hold bytes that are no UTF-8.
+    # File names may contain bytes that are not UTF-8.
     atomic_write(path, page.encode("utf-8", "backslashreplace"))
 
 
 def warnings_html(sentences: Sequence[str]) -> str:
-    """A section with a list; nothing where there are none."""
+    """A section with a list of warnings; empty without any."""
     if not sentences:
         return ""
     items = "".join(f"<li>{html.escape(s)}</li>" for s in sentences)
@@ -51,12 +51,12 @@ def warnings_html(sentences: Sequence[str]) -> str:
 
 
 def switch(kind: str, label: str, choices: Sequence[tuple[str, str]]) -> str:
-    """Buttons of which one is pressed, the first at the beginning.
+    """Radio buttons, initially with the first one pressed.
 
     Args:
-        kind: What scripts know them by, `data-KIND`.
-        label: For screen readers.
-        choices: Value and words.
+        kind: Attribute for scripts, `data-KIND`.
+        label: Description for screen readers.
+        choices: Value and text.
     """
     buttons = "".join(
         f'<button data-{kind}="{html.escape(value, quote=True)}" '

@@ -1,4 +1,4 @@
-"""Report page, report.html: the results of a run in one file that loads nothing."""
+"""Report page, report.html: the results of a run in one self-contained file."""
 
 import html
 from collections.abc import Sequence
@@ -29,25 +29,25 @@ class Report:
     """Contents of a report; empty parts are left out."""
 
     title: str
-    """Usually the capture's name."""
+    """Usually the name of the capture."""
     metrics: dict[str, Any]
-    """The content of metrics.json, of this gscore or one before."""
+    """Content of metrics.json, of this or an older version."""
     views: Sequence[ViewPictures] = ()
     """From a `PictureCollector` given to `evaluate`."""
     warnings: Sequence[str] = ()
     """Sentences."""
     preset: str = ""
-    """How it was trained, in words."""
+    """Preset of the training, as text."""
     command: str = ""
-    """The same for a shell."""
+    """Shell command of the training."""
     depth_command: str = ""
-    """Shell command that makes depth maps for it."""
+    """Shell command that makes depth maps for the capture."""
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
     histograms: Sequence[Histogram] = ()
     """Of the splats."""
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Value by option by section."""
+    """Option values by section."""
 
 
 def write_report(path: Path, report: Report) -> None:
@@ -55,7 +55,7 @@ def write_report(path: Path, report: Report) -> None:
 
     Args:
         path: The HTML file.
-        report: What to show.
+        report: Content of the page.
 
     Raises:
         GsError: The file cannot be written.
@@ -64,7 +64,7 @@ def write_report(path: Path, report: Report) -> None:
 
 
 def report_html(report: Report) -> str:
-    """The page itself."""
+    """The page as HTML."""
     metrics, views, title = report.metrics, report.views, report.title
     body = "".join(
         (
@@ -88,7 +88,7 @@ def report_html(report: Report) -> str:
 
 
 def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
-    """Headline PSNR of each scored view, dB."""
+    """Headline PSNR of each measured view, dB."""
     return {view["name"]: headline_psnr(view) for view in metrics["views"]}
 
 
@@ -110,7 +110,7 @@ def _decided(metrics: dict[str, Any]) -> str:
 def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics: Any) -> str:
     if not history and len(evals) < 2:
         return ""
-    held_out = "held-out views" if metrics["split"] == "test" else "scored views"
+    held_out = "held-out views" if metrics["split"] == "test" else "measured views"
     boxes = []
     for name, key, log, from_zero in (
         (f"{psnr_name(metrics)} (dB)", "psnr", False, False),
@@ -135,25 +135,25 @@ def _curves(history: list[dict[str, Any]], evals: list[dict[str, Any]], metrics:
         scale = " <small>log scale</small>" if log else ""
         boxes.append(f'<figure class="plot"><h3>{name}{scale}</h3>{keys}{"".join(charts)}</figure>')
     axes = switch("axis", "Horizontal axis", AXES)
-    told = (
-        '<p class="hint">Dashed lines: photos became larger, to this share of their sides.</p>'
+    hint = (
+        '<p class="hint">Dashed lines: photos became larger, to this share of their size.</p>'
         if photo_marks(history, "step")
         else ""
     )
     if has_exposure_correction(metrics):
-        told += f'<p class="hint">{EXPOSED}</p>'
+        hint += f'<p class="hint">{EXPOSED}</p>'
     return (
         '<section id="curves" data-axis="step"><div class="bar"><h2>Training</h2>'
-        f'{axes}</div>{told}<div class="plots">{"".join(boxes)}</div></section>\n'
+        f'{axes}</div>{hint}<div class="plots">{"".join(boxes)}</div></section>\n'
     )
 
 
 def photo_marks(history: Sequence[dict[str, Any]], axis: str) -> list[Mark]:
-    """Where photos became larger, at the first step of the history with each size.
+    """Marks of increases of the photo size, at the first step of the history with each size.
 
     Args:
-        history: Rows of metrics.json; those of runs that did not note the sizes give no marks.
-        axis: The key that is drawn to the right.
+        history: Rows of metrics.json; runs without photo sizes give no marks.
+        axis: Key of the x axis.
     """
     marks = []
     for before, row in pairwise(history):
@@ -185,8 +185,8 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
     cards = "".join(_card(v, number, photo) for number, v in enumerate(pictured))
     return (
         f'<section><div class="bar"><h2>Views</h2>{order}</div>'
-        '<p class="hint"><span class="mouse">Hold the mouse on a render to see the photo. </span>'
-        f'Choose a picture to enlarge it.{note}</p>{scale}<div id="cards">{cards}</div></section>\n'
+        '<p class="hint"><span class="mouse">Hover over a render to show the photo. </span>'
+        f'Click a picture to enlarge it.{note}</p>{scale}<div id="cards">{cards}</div></section>\n'
         '<div id="viewer" hidden><div><button data-show="photo">photo</button>'
         '<button data-show="render">render</button><button data-show="error">error</button>'
         '<button data-go="-1" aria-label="Previous view">&uarr;</button>'
@@ -286,7 +286,7 @@ def _definitions(metrics: dict[str, Any]) -> str:
 def _definition(metrics: dict[str, Any], metric: NamedMetric) -> dict[str, str]:
     title, value = metric.title, metrics[metric.key]
     if value is None:
-        reason = metrics.get(f"{metric.key}_reason", "not known why")
+        reason = metrics.get(f"{metric.key}_reason", "reason unknown")
         return {title: f"not measured: {reason}"}
     words = metric.definition.format(net=metrics.get("lpips_net"))
     return {f"{title} {value:.{metric.digits + 1}f}": words}

@@ -1,13 +1,13 @@
-"""Page link: the place in report.html for the page with the splats, once one exists."""
+"""Page link: embeds view.html, the page with the splats, in report.html."""
 
 from pathlib import Path
 
 from ..io.files import atomic_write, read_bytes
 
 PAGE = "view.html"
-"""Name of the page that `gscore view` writes into the folder of a run."""
+"""Default page of `gscore view` in the folder of a run."""
 SEAM = "<!-- gscore view -->"
-"""In a report: here the page would be shown."""
+"""Placeholder for the page in a report."""
 _SHOWN = (
     f'{SEAM}<section id="page"><h2><a href="{PAGE}">Look around in 3D</a></h2>'
     "<details><summary>Show it here</summary>"
@@ -16,8 +16,8 @@ _SHOWN = (
 
 
 def link_page(folder: Path) -> bool:
-    """Show view.html in the report.html beside it; whether there is a report that has a place for
-    it.
+    """Embed view.html in the report.html of a folder; returns False if there is no report with a
+    placeholder.
 
     Raises:
         GsError: the report cannot be written.

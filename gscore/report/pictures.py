@@ -14,13 +14,13 @@ from .colormap import colorize
 MAX_WIDTH = 640
 """Widest thumbnail, pixels."""
 MAX_VIEWS = 60
-"""Views that get pictures; of more, this many at even distances. All get their numbers."""
+"""Maximum number of views with pictures, evenly spaced. All views have their numbers."""
 BYTES_IN_ALL = 7_000_000
 """Budget of all thumbnails of a report as base64 text."""
 BYTES_EACH = 120_000
-"""A thumbnail is never larger than this, however few there are."""
+"""Maximum size of a thumbnail."""
 ERROR_GAIN = 4.0
-"""Error pictures show this times the mean absolute difference of the channels; 1 = white."""
+"""Factor of error pictures: mean absolute difference of the channels times this; 1 = white."""
 _WIDTHS = (640, 512, 400, 320, 240, 160)
 _QUALITY = 82
 
@@ -37,17 +37,17 @@ class ViewPictures:
     """Size of the thumbnails, pixels; 0: this view has numbers only."""
     height: int = 0
     photo: str = ""
-    """`data:image/jpeg;base64,...` of the target: the photo as it was compared."""
+    """`data:image/jpeg;base64,...` of the target picture of the metrics."""
     render: str = ""
     error: str = ""
 
 
 @dataclass(kw_only=True)
 class PictureCollector:
-    """An `on_view` hook for `evaluate`: keeps thumbnails, never the pictures themselves."""
+    """An `on_view` hook for `evaluate` that keeps thumbnails of the pictures."""
 
     count: int
-    """Number of views that will come; decides which get pictures and how large."""
+    """Expected number of views; determines which get pictures, and their size."""
     views: list[ViewPictures] = field(default_factory=list)
     """Input of `write_report`, in the order of the views."""
 
@@ -59,8 +59,8 @@ class PictureCollector:
         weights: np.ndarray | None,
         numbers: dict[str, Any],
     ) -> None:
-        """Take the pictures of one view, [H, W, 3] float in [0, 1] each; `weights`, [H, W] uint8,
-        hides errors that do not count."""
+        """Add the pictures of one view, [H, W, 3] float in [0, 1] each; `weights`, [H, W] uint8,
+        masks the error."""
         if not has_pictures(place, self.count):
             self.views.append(ViewPictures(name=numbers["name"], numbers=numbers))
             return
@@ -86,12 +86,12 @@ class PictureCollector:
 def thumbnails(
     pictures: Sequence[np.ndarray], budget: int, *, colored: Sequence[int] = ()
 ) -> tuple[list[str], tuple[int, int]]:
-    """The largest of the usual widths at which all pictures of a view together fit their budget.
+    """Thumbnails of a view at the largest standard width that fits the budget.
 
     Args:
         pictures: [H, W, 3] float in [0, 1], of one size, or [H, W].
         budget: Bytes of one picture's JPEG, on average.
-        colored: Places of those that are [H, W] and shown in the colours of errors.
+        colored: Indices of [H, W] pictures to show in the error colormap.
 
     Returns:
         Data URIs; width and height, px.
@@ -101,7 +101,7 @@ def thumbnails(
     for widest in _WIDTHS:
         size = size_within(width, height, min(widest, MAX_WIDTH))
         small = [shrink(_bytes(picture), size) for picture in pictures]
-        # Errors are averaged first and coloured then: colours cannot be averaged.
+        # Errors are averaged before they are coloured, because colours cannot be averaged.
         small = [colorize(p / 255.0) if i in colored else p for i, p in enumerate(small)]
         encoded = [_jpeg(picture) for picture in small]
         if sum(map(len, encoded)) <= len(pictures) * budget:
@@ -110,14 +110,14 @@ def thumbnails(
 
 
 def budget_each(shown: int) -> int:
-    """Bytes of a JPEG where so many views show three pictures each; base64 adds a third."""
+    """JPEG bytes per picture for `shown` views of three pictures each; base64 adds a third."""
     return min(BYTES_EACH, BYTES_IN_ALL // (3 * shown)) * 3 // 4
 
 
 def has_pictures(place: int, count: int) -> bool:
-    """Whether the view at a place among `count` is shown: of many, `MAX_VIEWS` evenly apart."""
+    """Whether view `place` of `count` has pictures: all, or `MAX_VIEWS` evenly spaced ones."""
     shown = min(count, MAX_VIEWS)
-    # Exactly `shown` of `count` places satisfy this, the first among them.
+    # Exactly `shown` of `count` places satisfy this, including the first.
     return place * shown % count < shown
 
 

@@ -1,11 +1,11 @@
-"""Poses section of the report: how far pose refinement moved the cameras."""
+"""Poses section of the report: changes of the cameras by pose refinement."""
 
 import html
 from collections.abc import Mapping
 from typing import Any
 
 _MOST = 20
-"""Cameras that are listed, those that moved farthest."""
+"""Maximum number of listed cameras, those with the largest rotations."""
 
 
 def poses_html(poses: Mapping[str, Any]) -> str:
@@ -23,10 +23,10 @@ def poses_html(poses: Mapping[str, Any]) -> str:
         f'height="10" fill="currentColor"/></svg></td></tr>'
         for name, one in cameras[:_MOST]
     )
-    more = f" The {_MOST} of {len(cameras)} that turned most." if len(cameras) > _MOST else ""
+    more = f" Largest {_MOST} rotations of {len(cameras)}." if len(cameras) > _MOST else ""
     return (
-        f'<section id="poses"><h2>Cameras that were moved</h2><p class="hint">'
+        f'<section id="poses"><h2>Refined camera poses</h2><p class="hint">'
         f"{html.escape(poses['why'])}{more}</p>"
-        "<table><thead><tr><th>photo</th><th>turned, degrees</th><th>moved, of the extent</th>"
+        "<table><thead><tr><th>photo</th><th>rotation, degrees</th><th>move, of the extent</th>"
         f"<th></th></tr></thead><tbody>{rows}</tbody></table></section>\n"
     )

@@ -1,4 +1,4 @@
-// Comforts of report.html: the order of views, flipping and enlarging pictures.
+// Interaction of report.html: the order of views, flipping and enlarging pictures.
 
 for (const button of document.querySelectorAll("button[data-order]")) {
   button.addEventListener("click", () => {
@@ -14,7 +14,7 @@ for (const button of document.querySelectorAll("button[data-order]")) {
 for (const render of document.querySelectorAll("img.render")) {
   const own = render.src;
   const photo = render.closest(".triple").querySelector("img.photo").src;
-  // A finger enters a picture too, but leaves it only when it touches another.
+  // Touch enters a picture too, but leaves it only when it touches another.
   render.addEventListener("pointerenter", (event) => {
     if (event.pointerType === "mouse") render.src = photo;
   });

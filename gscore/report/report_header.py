@@ -12,29 +12,29 @@ from ..text_format import count_words, has_exposure_correction, number, size_wor
 TIMES = "\u00d7"
 _MASKED = "psnr_masked"
 FAR_ABOVE = 4.0
-"""Decibels by which training views exceed held-out ones where splats fit photos, not the scene.
-Previews of examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
+"""Gap of training and held-out PSNR, dB, above which splats overfit the photos. Previews of
+examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
 EXPOSED = (
-    "In training each photo is compared with a picture exposed as it is. All other figures, those "
-    "of <code>gscore eval</code> too, are of neutral pictures and lower where exposures differ."
+    "The training compares each photo with a picture of the same exposure. All other figures, also "
+    "of <code>gscore eval</code>, use the mean exposure and are lower where exposures differ."
 )
-"""HTML, for a run that has learnt exposures."""
+"""HTML, for a run with exposure compensation."""
 _HOW_ENDED = {
     FINISHED: "",
-    TARGET: "to the PSNR asked for",
+    TARGET: "to the target PSNR",
     CONVERGED: "until it converged",
     None: "",
 }
 
 
 def head_html(title: str, metrics: dict[str, Any], *, preset: str, command: str) -> str:
-    """Title, photos, machine and date; the command that does it again.
+    """Title, photos, machine and date; the command of the training.
 
     Args:
-        title: Usually the capture's name.
-        metrics: The content of metrics.json.
-        preset: Its name in words; may be empty.
-        command: For a shell; may be empty.
+        title: Usually the name of the capture.
+        metrics: Content of metrics.json.
+        preset: Preset as text; may be empty.
+        command: Shell command; may be empty.
     """
     machine = metrics["machine"]
     ran = f"{machine['cpu']}, {count_words(machine['threads'], 'thread')}, {machine['isa']}"
@@ -54,7 +54,7 @@ def _join(*parts: str) -> str:
 
 
 def _date(metrics: dict[str, Any]) -> str:
-    """Day and minute of the training's end where it is known."""
+    """Date and time of the training's end; empty if unknown."""
     try:
         return f"{datetime.fromisoformat(metrics['trained_at']):%Y-%m-%d %H:%M}"
     except (KeyError, TypeError, ValueError):
@@ -70,25 +70,25 @@ def _photos(metrics: dict[str, Any]) -> str:
 def _split_words(metrics: dict[str, Any]) -> str:
     count, split = len(metrics["views"]), metrics["split"]
     if not count:
-        return "no views scored: " + metrics.get("psnr_reason", "")
+        return "no views measured: " + metrics.get("psnr_reason", "")
     if split == "test":
-        return f"scored on {count_words(count, 'held-out view')}"
+        return f"measured on {count_words(count, 'held-out view')}"
     if split == "all":
         held_out = len(metrics["test_views"])
-        return f"scored on all {count_words(count, 'view')}, {held_out} of them held out"
-    return f"scored on {count_words(count, 'training view')} (not held out, so this is no test)"
+        return f"measured on all {count_words(count, 'view')}, {held_out} of them held out"
+    return f"measured on {count_words(count, 'training view')} (not held out, so not a test)"
 
 
 def _picture_size(metrics: dict[str, Any]) -> str:
     sizes = {(v["width"], v["height"]) for v in metrics["views"]}
     if len(sizes) != 1:
-        return "of several sizes" if sizes else ""
+        return "several sizes" if sizes else ""
     width, height = sizes.pop()
     return f"{width} {TIMES} {height} px"
 
 
 def tiles_html(metrics: dict[str, Any]) -> str:
-    """The numbers that there are, and a line on those that could not be measured."""
+    """Tiles of the metrics, and a line on those that could not be measured."""
     cells = "".join(
         f'<div class="tile"><dt>{name}</dt><dd>{value}<small>{f" {unit}" if unit else ""}</small>'
         f"</dd><p>{html.escape(note)}</p></div>"
@@ -110,7 +110,7 @@ _Tile = tuple[str, str, str, str]
 
 
 def _quality(metrics: dict[str, Any]) -> list[NamedMetric]:
-    """What tiles show, the PSNR that a model is judged by first."""
+    """Metrics in tiles, the headline PSNR first."""
     shown = [m for m in NAMED_METRICS if m.note and (m.key != _MASKED or _MASKED in metrics)]
     return sorted(shown, key=lambda metric: metric.key != _MASKED)
 
@@ -120,14 +120,14 @@ def _quality_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
         if metrics.get(key) is None:
             continue
         if key == "psnr" and _MASKED in metrics:
-            note = "masked-out pixels as equal"
+            note = "masked pixels count as equal"
         if key == "psnr" and metrics["mask_mode"] == "composite":
-            note = "of whole pictures, background too"
+            note = "of whole pictures, with background"
         yield title, f"{metrics[key]:.{digits}f}", unit, note.format(net=metrics.get("lpips_net"))
 
 
 def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
-    models = f"{metrics['models']} models as one" if "models" in metrics else ""
+    models = f"{metrics['models']} merged models" if "models" in metrics else ""
     note = _comma(f"SH degree {metrics['sh_degree']}", models)
     yield "Splats", number(metrics["splats"]), "", note
     if metrics["train_seconds"] is not None:
@@ -154,11 +154,11 @@ def _comma(*parts: str) -> str:
 
 
 def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
-    """A sentence where training views are far above held-out ones; else nothing.
+    """Explanation of a large gap between training and held-out views; else empty.
 
     Args:
-        metrics: The content of metrics.json.
-        depth_command: What would make depth maps, for a shell; may be empty.
+        metrics: Content of metrics.json.
+        depth_command: Shell command that makes depth maps; may be empty.
     """
     trained, held_out = _trained_psnr(metrics), headline_psnr(metrics)
     if metrics["split"] != "test" or trained is None or held_out is None:
@@ -171,24 +171,24 @@ def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
         return (
             '<section class="meaning"><h2>What this means</h2>'
             f"<p>Training views reach {trained:.1f} dB, held-out views {held_out:.1f} dB, and "
-            f"{matched:.1f} dB with their colours matched to the photos: these are exposed "
-            f"differently, and that is most of the gap.</p><p>{EXPOSED}</p></section>\n"
+            f"{matched:.1f} dB after colour correction: most of the gap is due to different "
+            f"exposures of the photos.</p><p>{EXPOSED}</p></section>\n"
         )
     maps = html.escape(depth_command or "gscore depth")
     return (
         '<section class="meaning"><h2>What this means</h2>'
         f"<p>Training views reach {trained:.1f} dB, held-out views {held_out:.1f} dB: "
-        f"{gap:.1f} dB less. The splats fit the photos better than the scene, so views between "
-        "the photos are worse than the photos suggest.</p>"
+        f"{gap:.1f} dB less. The splats overfit the training photos, so views between the photos "
+        "are worse than the training views.</p>"
         f"{f'<p>{EXPOSED}</p>' if has_exposure_correction(metrics) else ''}"
-        "<p>Photos from more places help most. With few photos, depth maps do "
+        "<p>Photos from more positions help most. With few photos, depth maps help "
         f"(<code>{maps}</code>, then train with <code>--depths depths</code>), and fewer splats "
-        "(<code>--max-splats</code>). If single views below are far worse than the others, look "
-        "at their cameras and photos first.</p></section>\n"
+        "(<code>--max-splats</code>). If single views below are far worse than the others, check "
+        "their cameras and photos first.</p></section>\n"
     )
 
 
 def _trained_psnr(metrics: dict[str, Any]) -> float | None:
-    """The PSNR of the training views over the last steps, dB."""
+    """PSNR of the training views in the last steps, dB."""
     rows = metrics.get("history") or []
     return rows[-1].get("psnr") if rows else None

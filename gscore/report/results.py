@@ -33,20 +33,20 @@ def write_results(
     """Write both files, each completely or not at all.
 
     Args:
-        folder: For the files.
-        metrics: What was measured.
-        data: The capture it was measured on.
-        run: Folder of the training, for the command that does it again; None: not known.
-        trained: Its options; None: not known.
-        resolved: What became of options that were left open; None: not known.
+        folder: Folder of the files.
+        metrics: The measurements.
+        data: The measured capture.
+        run: Folder of the training, for its command; None: not known.
+        trained: Options of the training; None: not known.
+        resolved: Values of automatic options; None: not known.
         views: Pictures for the report.
         warnings: Sentences for the report.
-        depth: What the report says of depth.
-        cameras: What it says of cameras.
-        histograms: What it says of the splats.
+        depth: Depth section of the report.
+        cameras: Camera section of the report.
+        histograms: Histograms of the splats.
 
     Returns:
-        The content of metrics.json.
+        Content of metrics.json.
 
     Raises:
         GsError: a file cannot be written.
@@ -56,7 +56,7 @@ def write_results(
     if trained is not None:
         config["train"] = to_dict(trained[1])
     if resolved is not None:
-        config["what was left open became"] = resolved
+        config["values of automatic options"] = resolved
     how = {}
     if trained is not None and run is not None:
         how = {"preset": preset_words(*trained)}
@@ -74,14 +74,14 @@ def write_results(
         **how,
     )
     write_report(folder / "report.html", report)
-    # The last file: by it a run that is to go on knows that everything is there.
+    # The last file: its existence shows to a resumed run that all others exist.
     write_metrics(folder / "metrics.json", content)
     return content
 
 
 def _title(source: Path, cameras: CamerasSection | None) -> str:
-    """The capture's name; that of the photos or the video where a training made it of them, for
-    then it is called as in every run."""
+    """Name of the capture; for a capture made in a training, whose name is the same in every run,
+    the name of its photos or video."""
     whole = source.resolve()
     if whole.name != CAPTURE or cameras is None:
         return whole.name

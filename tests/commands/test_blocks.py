@@ -109,10 +109,10 @@ def test_blocks_that_were_moved(gscore, blocks, tmp_path):
     for record in elsewhere.glob("*/trained_block.json"):
         record.unlink()
     code, _, err = gscore("merge", elsewhere, "-o", tmp_path / "a.ply")
-    assert code == 2 and "is not there. Say with --blocks where" in err
+    assert code == 2 and "no longer exists. Give the folder of the blocks" in err
     given = ("--blocks", blocks / "blocks")
     code, _, err = gscore("merge", elsewhere, "-o", tmp_path / "a.ply", *given)
-    assert code == 0 and "0 does not remember its block" in " ".join(err.split())
+    assert code == 0 and "0 does not record its block" in " ".join(err.split())
     gscore("merge", blocks / "runs", "-o", tmp_path / "b.ply")
     for name in ("a.ply", "c.ply"):
         assert (tmp_path / name).read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -162,9 +162,9 @@ def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
     for runs, words in (
         ([blocks / "runs/1"], "1 of 2 blocks is not there: 0. Train what is missing (gscore train"),
         ([blocks / "runs/1", blocks / "runs/1"], "on the same block, 1"),
-        ([trained], "which is no block"),
-        ([blocks / "blocks"], "is no run, and there are none in it"),
-        ([tmp_path / "nowhere"], "is no folder"),
+        ([trained], "which is not a block"),
+        ([blocks / "blocks"], "is not a run and contains none"),
+        ([tmp_path / "nowhere"], "is not a folder"),
     ):
         code, _, err = gscore("merge", *runs, "-o", out)
         assert code == 2 and words in " ".join(err.split()), err
@@ -193,9 +193,9 @@ def test_blocks_are_trained_in_turn_or_by_number(gscore, blocks, tmp_path):
     assert splats_in(runs) == {"block_1": alone["block_1"]}
     before = (runs / "block_1/point_cloud.ply").stat()
     for words, sentence in (
-        ([cut, *SHORT], "holds runs on 1 block, the first in block_1; go on with --resume"),
+        ([cut, *SHORT], "contains runs on 1 block, the first in block_1; continue with"),
         ([cut, *SHORT, "--block", 2], "There is no block 2 in"),
-        ([blocks / "runs", *SHORT, "--block", 0], "holds no blocks"),
+        ([blocks / "runs", *SHORT, "--block", 0], "contains no blocks"),
     ):
         code, _, err = gscore("train", *words, "-o", runs)
         assert code == 2 and sentence in " ".join(err.split()), err
@@ -217,7 +217,7 @@ def test_ranks_take_blocks_in_turn(blocks, tmp_path):
     assert {path.name for path in runs.iterdir()} == {"block_0", "block_1"}
     ranks = start(line, line)
     assert [rank.code for rank in ranks] == [2, 2]
-    assert "holds runs on 2 blocks" in " ".join(ranks[0].err.split())
+    assert "contains runs on 2 blocks" in " ".join(ranks[0].err.split())
     assert not ranks[1].err
 
 
@@ -231,13 +231,13 @@ def test_runs_that_did_not_end_are_told(gscore, blocks, tmp_path):
     assert code == 0 and "1 was stopped after 3 steps (interrupted)" in " ".join(err.split())
     (runs / "1/point_cloud.ply").unlink()
     code, _, err = gscore("merge", runs, "-o", tmp_path / "b.ply")
-    assert code == 2 and "has not ended: 3 steps are kept" in " ".join(err.split())
+    assert code == 2 and "has not ended: it has a checkpoint after 3 steps" in " ".join(err.split())
     assert not (tmp_path / "b.ply").exists()
 
 
 def test_info_says_which_block_it_is(gscore, blocks, capture):
     """Oracle: the record of the block; other captures say nothing of blocks."""
-    assert "block 1 of 2, which count from 0" in gscore("info", blocks / "blocks/block_1")[1]
+    assert "block 1 of 2, numbered from 0" in gscore("info", blocks / "blocks/block_1")[1]
     facts = json.loads(gscore("info", blocks / "blocks/block_1", "--json")[1])
     assert facts["block"] == {"index": 1, "count": 2}
     assert "block" not in json.loads(gscore("info", capture, "--json")[1])

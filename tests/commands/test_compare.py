@@ -44,7 +44,7 @@ def test_differences_are_those_of_both_metrics(gscore, two_runs, tmp_path):
         assert entry["psnr"] == [view["psnr"] for view in views]
     assert facts["options"] == {} and facts["only_in"] == [[], []]
     code, text, _ = gscore("compare", *two_runs, "-o", page)
-    assert code == 0 and "2 views that both run and other were scored on" in text
+    assert code == 0 and "2 views measured in both run and other" in text
 
 
 def test_a_run_that_was_stopped_is_named(gscore, two_runs, tmp_path):
@@ -82,18 +82,18 @@ def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
         return " ".join(err.split())
 
     assert "is given twice" in refused(first, first, "-o", page)
-    assert "is no folder" in refused(first, first / "point_cloud.ply", "-o", page)
+    assert "is not a folder" in refused(first, first / "point_cloud.ply", "-o", page)
     assert "give a name with .html" in refused(first, second, "-o", tmp_path / "c.png")
     data, train = load_config(second / "config.json")
     (second / "config.json").write_text(config_json(replace(data, source=tmp_path / "x"), train))
-    assert "runs of one capture are compared" in refused(first, second, "-o", page)
+    assert "give runs on one capture" in refused(first, second, "-o", page)
     assert gscore("compare", first, second, "-o", page, "-s", capture)[0] == 0
     page.unlink()
     (second / "config.json").write_text(config_json(data, train))
     (second / "metrics.json").unlink()
     assert f"gscore eval {second}" in refused(first, second, "-o", page)
     (second / "config.json").unlink()
-    assert "holds no config.json" in refused(first, second, "-o", page)
+    assert "contains no config.json" in refused(first, second, "-o", page)
 
 
 def test_unlike_measurements_become_alike(gscore, two_runs, tmp_path, monkeypatch):
@@ -124,5 +124,5 @@ def test_somebody_elses_page_stays(gscore, two_runs, tmp_path):
     page.write_text("mine")
     code, _, err = gscore("compare", *two_runs, "-o", page)
     assert code == 2 and "never do" not in err  # that is said of formats without comments
-    assert "says that gscore wrote it" in err and page.read_text() == "mine"
+    assert "without a mark of" in err and page.read_text() == "mine"
     assert gscore("compare", *two_runs, "-o", page, "--overwrite")[0] == 0

@@ -79,7 +79,7 @@ def test_the_whole_command_stands_there_once(gscore, monkeypatch):
     )
     code, out, _ = gscore("doctor")
     assert code == 2 and out.count("pip install") == 1
-    assert f"To install what is missing: {command}\n" in out
+    assert f"To install missing packages: {command}\n" in out
     _, out, _ = gscore("doctor", "--json")
     assert json.loads(out)["install"] == command
 

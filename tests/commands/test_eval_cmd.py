@@ -72,7 +72,7 @@ def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
     path.write_text(json.dumps(json.loads(path.read_text()) | left))
     assert gscore("eval", folder)[0] == 0
     page = (folder / "report.html").read_text()
-    for words in ("2031-02-03 04:05", "to the PSNR asked for", f"--iterations {STEPS}"):
+    for words in ("2031-02-03 04:05", "to the target PSNR", f"--iterations {STEPS}"):
         assert words in page
     assert f"gscore train {capture} -o {folder} --preset draft" in page
     assert "--overwrite" not in page and "steps-a-photo 0" not in page
@@ -109,7 +109,7 @@ def test_a_bare_ply(gscore, capture, splats, tmp_path):
     ply = tmp_path / "model.ply"
     write_splats(ply, replace(splats, sh0=splats.sh0 + np.float32(0.5)))
     code, out, err = gscore("eval", ply, "-s", capture, "-o", tmp_path / "e", "--json")
-    assert code == 0 and "not known which views" in err
+    assert code == 0 and "training views of this model are unknown" in err
     assert 15 < json.loads(out)["psnr"] < 35
     for split, count in (("train", 7), ("all", 9)):
         options = ("--split", split, "--quiet")
@@ -138,7 +138,7 @@ def test_neutral_pictures_are_told_of(gscore, run_folder, tmp_path):
     for split, told in (("train", True), ("test", False)):
         out = ("-o", tmp_path / split, "--quiet")
         code, _, err = gscore("eval", folder, "--split", split, *out)
-        assert code == 0 and ("here pictures are neutral" in err) is told
+        assert code == 0 and ("here pictures have the mean exposure" in err) is told
 
 
 def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):
@@ -160,7 +160,7 @@ def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
     write_splats(ply, splats)
     cases = [
         ((ply, "-s", capture), "with -o"),
-        ((ply, "-o", tmp_path / "e"), "give the capture with -s"),
+        ((ply, "-o", tmp_path / "e"), "is unknown; give it with -s"),
         ((ply, "-s", tmp_path / "no", "-o", tmp_path / "e"), "no"),
         ((ply, "-s", capture, "-o", ply / "e"), "is a file; a folder is needed"),
         ((capture / "images" / "a_0.png", "-s", capture, "-o", tmp_path / "e"), "single photo"),
@@ -183,7 +183,7 @@ def test_a_capture_that_moved(gscore, capture, run_folder, tmp_path):
     config["data"]["source"] = str(tmp_path / "gone")
     (folder / "config.json").write_text(json.dumps(config))
     code, _, err = gscore("eval", folder)
-    assert code == 2 and "gone" in err and "say with -s SOURCE where it is now" in err
+    assert code == 2 and "gone" in err and "give its current folder with -s SOURCE" in err
     code, out, _ = gscore("eval", folder, "-s", capture, "--quiet")
     assert code == 0 and out.startswith("2 test views: PSNR")
     assert f"{folder / 'metrics.json'}, {folder / 'report.html'}" in out
@@ -224,7 +224,7 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
     before = {p: p.read_bytes() for p in files}
     for place, words in (
         (other, "is the folder of another run"),
-        (theirs, f"{theirs / 'metrics.json'} is there already. Nothing in it says"),
+        (theirs, f"{theirs / 'metrics.json'} exists already, without a mark"),
         (capture, "is the capture itself"),
         (capture / "images", "is the folder of the photos"),
     ):

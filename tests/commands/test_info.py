@@ -152,9 +152,9 @@ def test_a_run_that_was_stopped(gscore, run_folder):
     (folder / "config.json").write_text(config_json(data, replace(train, iterations=3000)))
     words = f"stopped after {STEPS} of 3,000 steps"
     out = gscore("info", folder)[1]
-    assert f"{words}; go on with: gscore train -o {folder} --resume" in " ".join(out.split())
+    assert f"{words}; continue with: gscore train -o {folder} --resume" in " ".join(out.split())
     checkpoint_path(folder, 40).write_bytes(b"")
-    assert "its last checkpoint is after 40 of 3,000 steps; go on" in gscore("info", folder)[1]
+    assert "its last checkpoint is after 40 of 3,000 steps; continue" in gscore("info", folder)[1]
 
 
 def test_a_run_in_training(gscore, run_folder, tmp_path):

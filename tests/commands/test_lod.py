@@ -111,13 +111,13 @@ def refuses(gscore, sentence, *arguments):
 def test_what_cannot_work_is_refused(gscore, city, tmp_path):
     """Oracle: a sentence each, and no file."""
     run, new = tmp_path / "run", tmp_path / "new"
-    refuses(gscore, "whose name ends in .lod", "lod", run, "-o", tmp_path / "new.ply")
-    refuses(gscore, "holds levels of detail already", "lod", city, "-o", tmp_path / "new.lod")
+    refuses(gscore, "the output is a .lod file", "lod", run, "-o", tmp_path / "new.ply")
+    refuses(gscore, "contains levels of detail already", "lod", city, "-o", tmp_path / "new.lod")
     refuses(gscore, "no file or folder", "lod", tmp_path / "gone", "-o", tmp_path / "new.lod")
     refuses(gscore, "--lod-px must be 0 or more", "render", city, "-o", new, "--lod-px", -1)
     refuses(gscore, "--lod-px must be 0 or more", "render", city, "-o", new, "--lod-px", "nan")
     refuses(gscore, "--lod-splats", "render", city, "-o", new, "--lod-splats", 0)
-    refuses(gscore, "has none. Make them first", "render", run, "-o", new, "--lod-px", 1)
+    refuses(gscore, "has none. Build them first", "render", run, "-o", new, "--lod-px", 1)
     refuses(gscore, "has 2 levels", "convert", city, tmp_path / "new.ply", "--level", 2)
     refuses(gscore, "has none", "convert", run, tmp_path / "new.ply", "--level", 0)
     gone = ("convert", tmp_path / "gone.ply", tmp_path / "new.ply", "--level", 0)
@@ -134,7 +134,7 @@ def test_replaced_files(gscore, city, tmp_path):
     """Oracle: somebody else's file stays without --overwrite; its own are replaced."""
     run = tmp_path / "run"
     (tmp_path / "mine.lod").write_bytes(b"my notes")
-    refuses(gscore, "so it stays", "lod", run, "-o", tmp_path / "mine.lod")
+    refuses(gscore, "so it is kept", "lod", run, "-o", tmp_path / "mine.lod")
     assert (tmp_path / "mine.lod").read_bytes() == b"my notes"
     before = city.read_bytes()
     assert gscore("lod", run, "-o", city, "--quiet")[0] == 0

@@ -94,7 +94,7 @@ def test_tables_by_hand() -> None:
         "| soft | 21.50 | 21.50 | 22.50 | 22.50 | 0.9000 | 2.00 | 100 | 12.0 | "
         "20.50: 0.jpg, seed 0, offset 3 |",
         "",
-        "| against draft | capture | pairs | colour-corrected | 95 % | PSNR | SSIM | times as long "
+        "| against draft | capture | pairs | colour-corrected | 95 % | PSNR | SSIM | relative time "
         "|",
         "|---|---|---|---|---|---|---|---|",
         "| soft | plush | 3 | +0.50 | +0.50 to +0.50 | +0.50 | +0.0000 | 1.20 |",
@@ -203,12 +203,12 @@ def test_a_training_is_measured_like_an_evaluation() -> None:
         (["--offsets", "8"], "test_offset must be 0 to 7, less than test_every, got 8"),
         (["--offsets", "-1"], "--offsets must be at least 0, got -1"),
         (["--seeds", "-1"], "--seeds must be at least 0, got -1"),
-        (["--test-last", "2"], "from each of --offsets"),
+        (["--test-last", "2"], "selects test views by --offsets"),
         (["--compare", "mcmc"], "--compare takes NAME=CHANGES"),
         (["--compare", "draft=mcmc"], "two variants are called 'draft'"),
         (["--compare", "a=speed=1"], "--compare speed=1: there is no option 'speed'"),
-        (["--compare", "a=prune_share=0"], "--compare a changes nothing: it trains as draft does"),
-        (["--compare", "a=mcmc", "b=mcmc"], "--compare b changes nothing: it trains as a does"),
+        (["--compare", "a=prune_share=0"], "--compare a changes nothing: it is the same as draft"),
+        (["--compare", "a=mcmc", "b=mcmc"], "--compare b changes nothing: it is the same as a"),
         (["--compare", "a=preset=fast"], "--compare a: there is no preset 'fast'"),
         ([str(EXAMPLE)], "Two captures are called 'studio'"),
         (["--lpips", "none.onnx"], "none.onnx"),

@@ -90,7 +90,7 @@ def test_a_path_from_a_file(gscore, run_folder, tmp_path, splats, cameras):
     code, _, err = gscore(*given, "-o", tmp_path / "out", "--frames", "5")
     assert code == 2 and "leave out --frames and --cameras" in err
     code, _, err = gscore("render", folder, "--path", "orbti", "-o", tmp_path / "out")
-    assert code == 2 and "--path orbti: neither orbit nor spline, and there is no such file" in err
+    assert code == 2 and "--path orbti: neither orbit nor spline, nor an existing file" in err
 
 
 def test_transparency(gscore, run_folder, tmp_path, picture):
@@ -143,9 +143,9 @@ def test_older_files_are_told(gscore, run_folder, tmp_path):
     """Oracle: a depth map of a rendering before, which is no part of this one, and still there."""
     folder, out = run_folder(), tmp_path / "a"
     code, told, _ = gscore("render", folder, "-o", out, "--depth", "png", "--view", "4")
-    assert code == 0 and "were there before" not in told
+    assert code == 0 and "Other files" not in told
     code, told, _ = gscore("render", folder, "-o", out, "--view", "4")
-    assert code == 0 and "Files that were there before stay: a_4_depth.png" in told
+    assert code == 0 and "Other files in the folder are kept: a_4_depth.png" in told
     assert (out / "a_4_depth.png").is_file()
 
 
@@ -207,7 +207,7 @@ def test_a_video_goes_around_by_itself(gscore, run_folder, tmp_path, monkeypatch
     folder, path = run_folder(), tmp_path / "v.mp4"
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--fps", "5")
     assert (facts["path"], facts["pictures"]) == ("orbit", 40)
-    assert "No --path was given: an orbit around what the cameras look at, 8.0 s." in err
+    assert "Default path: an orbit around the focus of the cameras, 8.0 s." in err
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--frames", "7", "--quiet")
     assert (facts["path"], facts["pictures"], err) == ("orbit", 7, "")
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--all")
@@ -222,7 +222,7 @@ def test_a_video_where_there_is_no_middle(gscore, run_folder, tmp_path, cameras,
     write_cameras(folder / "cameras.json", replace(cameras, viewmats=turned))
     facts, err = facts_of_video(gscore, monkeypatch, folder, tmp_path / "v.mp4", "--fps", "4")
     assert (facts["path"], facts["pictures"]) == ("spline", 32)
-    assert "a way through the cameras in their order" in err
+    assert "a path through the cameras in their order" in err
 
 
 def test_pictures_larger_than_the_photos(gscore, run_folder, tmp_path, picture):
@@ -260,8 +260,8 @@ def test_broken_video_leaves_nothing(gscore, run_folder, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--view", "b"], r"There is no view b; there are 9, named like a_0\.png"),
-        (["--frames", "5"], "--frames belongs to --path"),
+        (["--view", "b"], r"There is no view b; give one of 9 names such as a_0\.png"),
+        (["--frames", "5"], "--frames needs --path"),
         (["--transparent", "--background", "white"], "either --transparent or --background"),
         (["--background", "pink"], "'pink' is not black, white or r,g,b"),
         (["-r", "12"], "resolution is 12"),
@@ -286,18 +286,18 @@ def test_bad_outputs_and_models(gscore, run_folder, tmp_path, splats):
     code, _, err = gscore("render", folder, "-m", folder, "-o", tmp_path / "out")
     assert code == 2 and "Give one model" in err
     code, _, err = gscore("render", folder, "-o", tmp_path / "a.png")
-    assert code == 2 and "9 views are chosen" in err
+    assert code == 2 and "9 views are selected" in err
     code, _, err = gscore("render", folder, "-o", tmp_path / "a.mp4", "--depth", "png")
     assert code == 2 and "neither transparency nor depth" in err
     code, _, err = gscore("render", tmp_path / "none", "-o", tmp_path / "out")
     assert code == 2 and "There is no file or folder" in err
     for name in ("x.txt", "x.gif", "x.mov", "x.spz", "x.html"):
         code, _, err = gscore("render", folder, "-o", tmp_path / name)
-        assert code == 2 and "files are not written" in err and not (tmp_path / name).exists()
+        assert code == 2 and "is not supported" in err and not (tmp_path / name).exists()
     assert gscore("render", folder, "-o", tmp_path / "take.v2", "--view", "0")[0] == 0
     write_splats(tmp_path / "none.ply", splats.subset(np.zeros(len(splats), bool)))
     code, _, err = gscore("render", tmp_path / "none.ply", "-s", folder, "-o", tmp_path / "out")
-    assert code == 2 and "holds no splats, so there is nothing to draw" in err
+    assert code == 2 and "contains no splats to render" in err
     assert gscore("info", tmp_path / "none.ply")[1].startswith(f"{tmp_path / 'none.ply'}: 0 splats")
     empty = tmp_path / "empty"
     empty.mkdir()

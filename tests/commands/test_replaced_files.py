@@ -22,7 +22,7 @@ HOLIDAY = b"a film of a holiday"
 def refused(gscore, path, *line):
     """Whether the verb ends with a sentence that names the file, which stays as it is."""
     code, _, err = gscore(*line)
-    assert code == 2 and "says that gscore wrote it" in err and path.name in err, err
+    assert code == 2 and "without a mark of" in err and path.name in err, err
     assert "--overwrite" in err and path.read_bytes() == HOLIDAY
     return True
 
@@ -104,7 +104,7 @@ def test_what_is_no_file_is_refused_before_the_work(gscore, run_folder, tmp_path
     folder = run_folder()
     (tmp_path / "folder.png").mkdir()
     os.mkfifo(tmp_path / "pipe.png")
-    for name, words in (("folder.png", "is a folder"), ("pipe.png", "is no regular file")):
+    for name, words in (("folder.png", "is a folder"), ("pipe.png", "is not a regular file")):
         line = ("render", folder, "-o", tmp_path / name, "--view", "0", "--overwrite")
         code, _, err = gscore(*line)
         assert code == 2 and words in err
@@ -220,7 +220,7 @@ def test_files_of_others_that_name_gscore_stay(name, tmp_path):
     gscore leaves its mark."""
     THEIRS[name](tmp_path / name)
     assert b"gscore" in (tmp_path / name).read_bytes() and not is_ours(tmp_path / name)
-    with pytest.raises(ConfigError, match="says that gscore wrote it"):
+    with pytest.raises(ConfigError, match="without a mark of"):
         check_replaced([tmp_path / name], overwrite=False)
 
 
@@ -238,7 +238,7 @@ def test_empty_files_may_be_replaced(tmp_path):
     (tmp_path / "a.png").touch()
     check_replaced([tmp_path / "a.png", tmp_path / "none.png"], overwrite=False)
     np.save(tmp_path / "b.npy", np.zeros(3))
-    with pytest.raises(ConfigError, match="says that gscore wrote it"):
+    with pytest.raises(ConfigError, match="without a mark of"):
         check_replaced([tmp_path / "b.npy"], overwrite=False)
 
 

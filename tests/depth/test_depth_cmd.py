@@ -227,14 +227,14 @@ def test_scales_of_others_are_not_overwritten(planes, gscore):
     assert gscore("depth", planes.folder, "--check", "--quiet") == (0, "", "")
     assert path.read_bytes() == before
     code, _, err = gscore("depth", planes.folder, "--overwrite")
-    assert code == 0 and "which gscore had not written, are replaced" in err
+    assert code == 0 and "written by another program, are replaced" in err
     own = path.read_bytes()
     path.write_bytes(own.replace(b'"offset": ', b'"offset": 9'))
     assert gscore("depth", planes.folder, "--quiet") == (0, "", "")
     assert path.read_bytes() == own
     path.write_text("{")
     code, _, err = gscore("depth", planes.folder)
-    assert code == 0 and "not JSON" in err and "replaced now" in err
+    assert code == 0 and "not JSON" in err and "file is replaced" in err
     assert path.read_bytes() == own
 
 
@@ -262,7 +262,7 @@ def test_neither_model_nor_maps(planes, gscore, tmp_path):
         code, _, err = gscore("depth", planes.folder, *arguments)
         assert code == 2 and "github.com/isl-org/MiDaS/releases" in err
         assert "--list-models" in err and "Traceback" not in err
-        assert ("--method stereo, which needs none" in err) == (not arguments)
+        assert ("--method stereo, which needs no network" in err) == (not arguments)
     assert not (planes.folder / "depths").exists()
     code, _, err = gscore("depth", tmp_path / "nowhere")
     assert code == 2 and "nowhere" in err
@@ -284,7 +284,7 @@ def test_events_tell_what_happens(planes, networks, gscore, tmp_path):
     assert code == 0 and None not in events
     told = [(e.phase, e.done, e.total) for e in events if isinstance(e, DepthProgress)]
     network, *_ = told[1]
-    assert network.startswith("predicting with midas.onnx, taken for MiDaS 2.1 small")
+    assert network.startswith("predicting with midas.onnx, detected as MiDaS 2.1 small")
     expected = [("reading", 0, 0), (network, 0, 5)]
     expected += [(phase, i, 5) for phase in ("predicting", "aligning") for i in range(1, 6)]
     assert told == expected

@@ -67,7 +67,7 @@ def test_no_file_beside_is_replaced(
     write_splat_file(folder / "meta.json", make_model(1000))
     again = ["convert", str(folder), str(folder / "meta.json"), "--count", "9", "--overwrite"]
     assert main(again) == 2
-    assert "is what is read" in capsys.readouterr().err
+    assert "is an input file" in capsys.readouterr().err
     assert len(read_splat_file(folder).splats) == 1000
 
 

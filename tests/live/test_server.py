@@ -477,7 +477,7 @@ def test_ports_that_are_taken_are_told():
 @pytest.mark.parametrize("ip", ["example.org", "", "1.2.3", "203.0.113.7", "\ud800"])
 def test_addresses_that_cannot_be_are_told(ip):
     """Oracle: one sentence; no name is looked up. The fourth is nobody's (RFC 5737)."""
-    with pytest.raises(ConfigError, match=r"ip must be an address|cannot connect to"):
+    with pytest.raises(ConfigError, match=r"ip must be|cannot connect to"):
         server.Server(LiveOptions(port=free_port(), ip=ip))
 
 

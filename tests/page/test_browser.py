@@ -377,7 +377,7 @@ def test_a_page_says_what_it_leaves_of_degree_4(gscore, tmp_path, splats):
             "view", tmp_path / "a.ply", "-o", tmp_path / f"{rest}.html", "--json"
         )
         assert code == 0 and json.loads(out)["sh_degree"] == 3
-        assert ("SH degree 3 at most" in " ".join(err.split())) == told
+        assert ("supports SH degree 3" in " ".join(err.split())) == told
 
 
 @pytest.mark.parametrize(
@@ -386,7 +386,7 @@ def test_a_page_says_what_it_leaves_of_degree_4(gscore, tmp_path, splats):
         ("-o a.txt", "ends in .html"),
         ("-o report.html", "report"),
         ("-o a.html --photos -1", "--photos must be at least 0"),
-        ("", "say with -o"),
+        ("", "give a page with -o"),
     ],
 )
 def test_what_cannot_be_written_is_told(gscore, tmp_path, splats, monkeypatch, line, sentence):

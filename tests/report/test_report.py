@@ -144,9 +144,9 @@ def test_figures_of_exposed_and_neutral_pictures_are_told_apart(run):
     content = run(split="test")
     content.metrics["history"][-1]["psnr"] = 60.0
     content.metrics["exposure"] = {"learnt": False}
-    assert "exposed as it is" not in report_html(content)
+    assert "use the mean exposure" not in report_html(content)
     content.metrics["exposure"]["learnt"] = True
-    assert report_html(content).count("exposed as it is") == 2
+    assert report_html(content).count("use the mean exposure") == 2
 
 
 def test_a_gap_that_is_exposure_is_told_so(run):
@@ -158,8 +158,8 @@ def test_a_gap_that_is_exposure_is_told_so(run):
         numbers = {"psnr": 19.0, "psnr_cc": matched, "exposure": {"learnt": learnt}}
         content.metrics.update(numbers)
         shown = Page(report_html(content)).shown
-        assert ("and 27.5 dB with their colours matched" in shown) is told
-        assert ("fit the photos better than the scene" in shown) is not told
+        assert ("and 27.5 dB after colour correction" in shown) is told
+        assert ("overfit the training photos" in shown) is not told
 
 
 def test_few_photos_are_told_how_to_get_maps(run):
@@ -237,7 +237,7 @@ def test_how_a_training_ended_is_told(run):
         content.metrics["reason"] = reason
         told[reason] = " ".join(Page(report_html(content)).words)
     assert "500 steps, " not in told["finished"]
-    assert "500 steps, to the PSNR asked for" in told["target"]
+    assert "500 steps, to the target PSNR" in told["target"]
     assert "500 steps, until it converged" in told["converged"]
     assert "500 steps, stopped: interrupted" in told["interrupted"]
 
@@ -263,7 +263,7 @@ def test_where_pixels_are_ignored_those_that_count_come_first(run):
     words = Page(report_html(content)).words
     first = words.index("PSNR inside the masks")
     assert words[first + 1] == "25.43" and first < words.index("PSNR")
-    assert "25.25" in words and "masked-out pixels as equal" in words
+    assert "25.25" in words and "masked pixels count as equal" in words
 
 
 def test_background_that_counts_is_said(run):
@@ -272,13 +272,13 @@ def test_background_that_counts_is_said(run):
     for mode, is_said in (("composite", True), ("none", False)):
         content.metrics["mask_mode"] = mode
         words = Page(report_html(content)).words
-        assert ("of whole pictures, background too" in words) == is_said
+        assert ("of whole pictures, with background" in words) == is_said
 
 
 def test_scores_on_training_views_say_so(run):
     """Oracle: the sentence under the title."""
     shown = " ".join(Page(report_html(run(split="train", test_views=[]))).words)
-    assert "no test" in shown
+    assert "not a test" in shown
 
 
 def test_a_run_without_history_or_pictures_still_has_a_page(run):
@@ -311,7 +311,7 @@ def test_a_run_stopped_before_its_evaluation_has_a_page(metrics_dict):
         del metrics[key]
     page = Page(report_html(Report(title="x", metrics=metrics | {"views": []})))
     shown = page.shown
-    assert "no views scored: training was stopped" in shown and "n/a" not in shown
+    assert "no views measured: training was stopped" in shown and "n/a" not in shown
 
 
 def test_pictures_are_what_they_claim():

@@ -53,7 +53,7 @@ def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out
 
     assert _train(mine, "-o", out, "--overwrite") == 0
     again = capsys.readouterr().err
-    assert "Finding the cameras" not in again and "holds other files" not in again
+    assert "Finding the cameras" not in again and "other files" not in again
     assert model.stat().st_mtime_ns == written
 
     assert main(["train", "-o", str(out), "--resume", "--iterations", "6", "--json"]) == 0
@@ -64,7 +64,7 @@ def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out
 
     (mine / "front/view 000.jpg").touch()
     assert _train(mine, "-o", out, "--overwrite") == 2
-    assert "holds the cameras of other photos" in capsys.readouterr().err
+    assert "contains the cameras of other photos" in capsys.readouterr().err
     assert model.stat().st_mtime_ns == written and (out / "point_cloud.ply").is_file()
 
 
@@ -156,7 +156,7 @@ def test_a_file_as_output_is_refused_at_once(
     (tmp_path / "film.mp4").write_bytes(b"x")
     assert _train(mine, "-o", tmp_path / place) == 2
     assert capsys.readouterr().err.splitlines() == [
-        f"gscore train: error: {tmp_path / 'film.mp4'} is a file; a folder is needed to write into."
+        f"gscore train: error: {tmp_path / 'film.mp4'} is a file; a folder is needed."
     ]
 
 

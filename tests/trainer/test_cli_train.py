@@ -69,8 +69,8 @@ def test_the_summary_says_what_was_asked_for_and_not_reached(
     options = ["--preset", "preview", "--time-budget", "0.5", "--target-psnr", "90"]
     assert main(["train", str(capture), "-o", str(tmp_path), *options]) == 0
     seen = capsys.readouterr().out
-    assert "The time was used up after" in seen
-    assert "The 90 dB asked for were not reached." in seen
+    assert "Used the time budget after" in seen
+    assert "The target of 90 dB was not reached." in seen
     assert main(["train", str(capture), "-o", str(tmp_path), "--without", "foo"]) == 2
     assert "there are: exact-cull" in capsys.readouterr().err
 
@@ -123,7 +123,7 @@ def test_models_side_by_side_are_told(
     assert "300 splats to start with, the same 150 for each of 2 models; " in said
     assert main(["eval", str(two), "--quiet"]) == 0
     pages = [(folder / "report.html").read_text() for folder in (one, two)]
-    assert ["<p>SH degree 0, 2 models as one</p>" in page for page in pages] == [False, True]
+    assert ["<p>SH degree 0, 2 merged models</p>" in page for page in pages] == [False, True]
     capsys.readouterr()
     told = []
     for folder in (one, two):
@@ -132,7 +132,7 @@ def test_models_side_by_side_are_told(
     assert told == [False, True]
     page = tmp_path / "compare.html"
     assert main(["compare", str(one), str(two), "-o", str(page), "--quiet"]) == 0
-    assert "<tr><th>Models shown as one</th><td>n/a</td><td>2</td>" in page.read_text()
+    assert "<tr><th>Merged models</th><td>n/a</td><td>2</td>" in page.read_text()
 
 
 def test_what_photos_decide_is_kept_and_nobody_types_it(
@@ -221,7 +221,7 @@ def test_resuming_says_from_where_and_that_nothing_is_left(
     again = ["train", "-o", str(tmp_path), "--resume"]
     assert main([*again, "--iterations", "15"]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "Going on from step 12 of 15 with 150 splats, about 1 s of training left; " in said
+    assert "Resuming from step 12 of 15 with 150 splats, about 1 s of training left; " in said
     assert "to start with" not in said and "views" not in said and "exposed" not in said
     state = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.rglob("*") if p.is_file()}
     assert main(again) == 0
@@ -267,7 +267,7 @@ def test_resuming_with_other_options_says_which(
         (["{capture}/nothing", "-o", "{out}"], "nothing"),
         (["{capture}", "-s", "elsewhere", "-o", "{out}"], "Two captures were given"),
         (["{capture}"], "missing: -o"),
-        (["{capture}", "-o", "{out}", "--resume"], "holds no run to resume"),
+        (["{capture}", "-o", "{out}", "--resume"], "contains no run to resume"),
         (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "not allowed with argument"),
         (["{capture}", "-o", "{out}", "--start-checkpoint", "{out}/x"], "no such checkpoint"),
         (["{capture}", "-o", "{out}", "--config", "{out}/x.json"], "there is no such config"),
@@ -336,7 +336,7 @@ def test_other_files_in_the_output_folder_are_told(
         (tmp_path / f"{name}.jpg").write_text(name)
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
     told = capsys.readouterr()
-    assert "holds other files too; they stay: a.jpg, b.jpg, c.jpg and 1 more" in told.err
+    assert "contains other files, which are kept: a.jpg, b.jpg, c.jpg and 1 more" in told.err
     assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in told.out
     assert (tmp_path / "d.jpg").read_text() == "d"
 
@@ -393,7 +393,7 @@ def test_black_masks_are_refused_and_some_are_warned_about(
     told = capsys.readouterr()
     assert "The masks of 1 training view are black" in told.err
     assert "PSNR inside the masks" in told.out
-    assert "what they hide is not trained and not measured" in told.err
+    assert "masked pixels are neither trained nor measured" in told.err
 
 
 class Job:

@@ -95,8 +95,8 @@ def test_a_second_ctrl_c_ends_at_once(
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err.splitlines()[-2:] == [
-        "Stopping in good order; Ctrl-C stops at once.",
-        "Stopped at once. What was written before is whole.",
+        "Stopping in an orderly way; press Ctrl-C again to stop immediately.",
+        "Stopped immediately. Files written before are complete.",
     ]
     assert all(checkpoint.load(path) for path in RunFolder(tmp_path).checkpoints())
 

@@ -191,7 +191,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert [e.iterations for e in events if isinstance(e, Started)] == [5]
     assert main([*base, "--overwrite"]) == 0
     seen = capsys.readouterr()
-    assert "Frame 5 (2 of 2): 5 steps, from the frame before" in seen.err
+    assert "Frame 5 (2 of 2): 5 steps, from the previous frame" in seen.err
     assert "Finished: 2 of 2 frames" in seen.out
     assert not (out / "frame_000010").exists(), "of the sequence that was replaced"
 
@@ -205,8 +205,8 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         (["{video}", "-o", "{out}", "--frames", "a-b"], "frames is 'a-b'; expected numbers"),
         (["{video}", "-o", "{out}", "--frames", "0:10:0"], "expected numbers such as"),
         (["{video}", "-o", "{out}", "--frame", "3"], "--frame 3 is not in the sequence"),
-        (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for one training"),
-        (["{video}", "-o", "{out}", "--resume"], "holds no run to resume"),
+        (["{video}", "-o", "{out}", "--rig", "x"], "--rig is for a single training"),
+        (["{video}", "-o", "{out}", "--resume"], "contains no run to resume"),
         (["{video}", "-o", "{out}", "--next-iterations", "-1"], "next_iterations must be"),
         (
             ["{video}", "-o", "{out}", "--carried-opacity", "0"],

@@ -169,7 +169,7 @@ def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[
         (f"eval {runs}", "gscore merge"),
         (f"info {tmp_path}/empty", "is an empty folder"),
         (f"train {tmp_path}/empty -o {tmp_path}/out", "is an empty folder"),
-        (f"frames {run} -o {tmp_path}/out", "is a folder; gscore frames takes a video"),
+        (f"frames {run} -o {tmp_path}/out", "is a folder; gscore frames reads a video"),
     ):
         assert main(line.split()) == 2
         assert said in capsys.readouterr().err

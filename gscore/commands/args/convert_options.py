@@ -19,8 +19,8 @@ SPZ_VERSION = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb, in the order of the steps."""
     parser.description = (
-        f"{parser.description or ''} Steps run in the order of this list, whatever the order of "
-        "the options."
+        f"{parser.description or ''} Steps run in the order of this list, regardless of the order "
+        "of the options."
     ).strip()
     parser.add_argument("input", metavar="IN", type=Path, help="splat file, or the folder of a run")
     parser.add_argument(
@@ -117,10 +117,10 @@ def _add_clean(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--clean",
         action="store_true",
-        help=f"default cleanup: opacity {USUAL.min_opacity:g}, contribution "
+        help=f"default limits: opacity {USUAL.min_opacity:g}, contribution "
         f"{USUAL.min_contribution:g} if there are cameras, isolation {USUAL.max_isolation:g}, "
         f"clusters of {USUAL.min_cluster} (fewer in small models); splats that contribute "
-        f"{USUAL.seen_share:.2%}% of a picture stay; options below change these",
+        f"{USUAL.seen_share:.2%}% of a picture are kept; the options below override these",
     )
     group.add_argument(
         "--min-opacity", type=_share, metavar="X", help="drop splats with a lower opacity, 0 to 1"
@@ -154,7 +154,7 @@ def _add_clean(parser: argparse.ArgumentParser) -> None:
         "--gap",
         type=_positive,
         metavar="X",
-        help="between clusters, as a share of the distance that half of the splats have from the "
+        help="distance between clusters, as a share of the median distance of splats from the "
         f"middle ({GAP:g})",
     )
 
@@ -176,9 +176,7 @@ def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
         help="keep the splats that fit into a file of this size",
     )
     group = parser.add_argument_group("5. transform, after the steps that use cameras")
-    group.add_argument(
-        "--scale", type=_positive, metavar="X", help="factor of a scale about the origin"
-    )
+    group.add_argument("--scale", type=_positive, metavar="X", help="scale factor about the origin")
     group.add_argument(
         "--rotate",
         nargs=3,
@@ -197,7 +195,7 @@ def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
         "--matrix",
         type=Path,
         metavar="FILE",
-        help="text file of 16 numbers, row by row, the old-to-new transform, instead of the "
+        help="text file with the old-to-new transform, 16 numbers row by row, instead of the "
         "three above",
     )
 

@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         choices=("network", "stereo"),
-        help="source of the maps: a network (--model), or stereo between the photos, with depths"
-        " where other photos confirm them",
+        help="source of the maps: a network (--model), or stereo between the photos, which gives "
+        "depths where other photos confirm them",
     )
     parser.add_argument(
         "-d",
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--align",
         choices=("robust", "official"),
         default="robust",
-        help="fit of the maps to the SfM points: robust against outliers, or official, as in the"
+        help="fit of the maps to the SfM points: robust against outliers, or official as in the"
         " 3DGS tools (medians and mean absolute deviations)",
     )
     parser.add_argument(
@@ -54,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=DepthKind,
         choices=tuple(DepthKind),
         default=DepthKind.AUTO,
-        help="larger numbers in maps are nearer (inverse) or farther (depth); auto: detected "
-        "from the points",
+        help="meaning of larger numbers in maps: nearer (inverse) or farther (depth); auto: from "
+        "the points",
     )
     parser.add_argument(
         "--normalization",
@@ -91,8 +91,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
     held_out = parser.add_argument_group(
         "test views",
-        "Photos held out of a training: their maps are fitted to their own points only and do not "
-        "influence other maps. Stereo neither reads them nor makes maps for them.",
+        "Maps of held-out photos are fitted to their own points only and do not influence other "
+        "maps. Stereo neither reads these photos nor makes maps for them.",
     )
     add_split_options(held_out)
     add_threads_option(parser)

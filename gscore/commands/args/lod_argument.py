@@ -14,13 +14,13 @@ from ...scene import Cameras
 
 @dataclass(frozen=True, kw_only=True)
 class LodArgument:
-    """What `ModelArgument` is for files of splats."""
+    """A file of levels of detail, with the interface of `ModelArgument`."""
 
     model: LodModel
     lod_px: float
     """Allowed error, px."""
     most: int | None
-    """Splats that are drawn at most; None: any number."""
+    """Maximum number of rendered splats; None: no limit."""
     run: None = None
     data: DataConfig | None = None
     warnings: tuple[str, ...] = ()
@@ -37,7 +37,7 @@ class LodArgument:
 
     @property
     def background(self) -> tuple[float, float, float]:
-        """Colour behind the splats in measurements."""
+        """Background colour in measurements."""
         return self.model.index.background
 
     @property
@@ -47,16 +47,16 @@ class LodArgument:
 
     @property
     def cameras(self) -> Cameras | None:
-        """Those of the run that it was made of; None: not known."""
+        """Cameras of its run; None: not known."""
         return self.model.index.cameras
 
     @property
     def origin(self) -> np.ndarray | None:
-        """Local origin that its means are about, as `Cameras.origin`."""
+        """Local origin of its means, as `Cameras.origin`."""
         return self.model.index.origin
 
     def world_of(self, cameras: Cameras) -> Cameras:
-        """Cameras of its capture, in the world of its splats."""
+        """Cameras of its capture, moved to the world of its splats."""
         return cameras.of_splats(self.origin)
 
     @property
@@ -67,13 +67,13 @@ class LodArgument:
     def draw(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
     ) -> Rendered:
-        """A picture, as `LodModel.render`."""
+        """Render a picture, as `LodModel.render`."""
         return self.model.render(
             K, viewmat, width, height, lod_px=self.lod_px, most=self.most, **how
         )
 
     def drawn(self) -> dict[str, Any]:
-        """What the last picture was made of."""
+        """Splats and chunks of the last picture, as JSON values."""
         chosen = self.model.chosen
         if chosen is None:
             return {}

@@ -45,7 +45,7 @@ class ModelArgument:
 
     @property
     def splats(self) -> Splats:
-        """What it holds."""
+        """The splats."""
         return self.file.splats
 
     @property
@@ -55,47 +55,47 @@ class ModelArgument:
 
     @property
     def origin(self) -> np.ndarray | None:
-        """Local origin that its means are about, as `Cameras.origin`."""
+        """Local origin of its means, as `Cameras.origin`."""
         return self.file.origin
 
     def about(self, origin: np.ndarray | None) -> "ModelArgument":
-        """The same model about another local origin."""
+        """The same model relative to another local origin."""
         return replace(self, file=self.file.about(origin))
 
     def world_of(self, cameras: Cameras) -> Cameras:
-        """Cameras of its capture, in the world of its splats."""
+        """Cameras of its capture, moved to the world of its splats."""
         return cameras.of_splats(self.file.of_capture(cameras.origin).origin)
 
     @property
     def antialias(self) -> bool:
-        """Whether it was trained with opacity compensation, from its file or its run."""
+        """Whether it was trained with opacity compensation, according to its file or run."""
         return self.file.antialiased or trained_antialiased(self.train)
 
     @property
     def background(self) -> tuple[float, float, float]:
-        """Colour behind the splats in measurements."""
+        """Background colour in measurements."""
         return background_of(self.train)
 
     @cached_property
     def near(self) -> float:
-        """Near plane of the training, world units; where it is not known, one for these splats."""
+        """Near plane of the training, world units; `splat_near` if unknown."""
         near = trained_near(self.file.comments, self.run, self.train)
         return splat_near(self.splats.means) if near is None else near
 
     @property
     def cameras(self) -> Cameras | None:
-        """Those that the file itself holds: none; cameras.json lies beside it."""
+        """Cameras inside the file: None, as cameras.json is a separate file."""
         return None
 
     @property
     def count(self) -> int:
-        """How many splats it has."""
+        """Number of splats."""
         return len(self.splats)
 
     def draw(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
     ) -> Rendered:
-        """A picture, as `gscore.render`."""
+        """Render a picture, as `gscore.render`."""
         return render(self.splats, K, viewmat, width, height, **how)
 
     def picture(self, cameras: Cameras, index: int, *, threads: int) -> np.ndarray:
@@ -105,12 +105,12 @@ class ModelArgument:
 
 
 def trained_antialiased(train: TrainConfig | None) -> bool:
-    """Whether a training, if one is known, compensated opacities."""
+    """Whether a known training used opacity compensation."""
     return bool(train and train.antialias)
 
 
 def background_of(train: TrainConfig | None) -> tuple[float, float, float]:
-    """Colour behind the splats in measurements of a training; black where none is known."""
+    """Background colour in measurements of a training; black if unknown."""
     is_white = train is not None and train.background is Background.WHITE
     return (1.0, 1.0, 1.0) if is_white else (0.0, 0.0, 0.0)
 
@@ -118,15 +118,15 @@ def background_of(train: TrainConfig | None) -> tuple[float, float, float]:
 def trained_near(
     comments: Iterable[str], run: Path | None, train: TrainConfig | None
 ) -> float | None:
-    """Near plane of a training, world units; None: neither the file nor its run tells.
+    """Near plane of a training, world units; None: unknown.
 
     Args:
-        comments: Header comments of the file of splats; trainings state lowered near planes there.
-        run: Folder of the run; its PLY states it for files of other formats.
+        comments: Header comments of the splat file, where trainings state lowered near planes.
+        run: Folder of the run, whose PLY states it for files of other formats.
         train: Options of the run.
 
     Raises:
-        FormatError: A comment states no near plane.
+        FormatError: A comment is malformed.
     """
     stated = stated_near(comments)
     if stated is None and run is not None and is_file(ply := run / "point_cloud.ply"):
@@ -135,7 +135,7 @@ def trained_near(
 
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
-    """The model as the first argument, or as the 3DGS tools take it."""
+    """Declare the model as the first argument, or as `-m` of the 3DGS tools."""
     parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a splat file")
     parser.add_argument(
         "-m", "--model-path", dest="model_option", type=Path, help=argparse.SUPPRESS
@@ -143,26 +143,26 @@ def add_model_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def model_path(args: argparse.Namespace) -> Path:
-    """What was given for `add_model_argument`.
+    """The path given for `add_model_argument`.
 
     Raises:
-        ConfigError: Nothing, or two models.
+        ConfigError: No model, or two.
     """
     given = [path for path in (args.model, args.model_option) if path is not None]
     if len(given) != 1:
         raise ConfigError(
-            "Give one model: the folder of a run, or a file of splats."
+            "Give one model: the folder of a run, or a splat file."
             + (f" Got {given[0]} and {given[1]}." if given else "")
         )
     return given[0]
 
 
 def open_model(path: Path) -> ModelArgument:
-    """Read a file of splats of any format, or the newest one in the folder of a run.
+    """Read a splat file of any format, or the newest one in the folder of a run.
 
     Raises:
         DatasetError: There is no such file, or no model in the folder.
-        FormatError: The file holds no splats.
+        FormatError: The file contains no splats.
         ConfigError: The run's config.json cannot be used.
     """
     found = find_splats(path)
@@ -172,8 +172,8 @@ def open_model(path: Path) -> ModelArgument:
 
 
 def find_splats(path: Path) -> Path:
-    """`path` if it is a file or an unpacked SOG; in other folders point_cloud.ply, else the last
-    iteration as 3DGS saves.
+    """`path` if it is a file or an unpacked SOG; in other folders point_cloud.ply, else the PLY of
+    the last iteration as in 3DGS.
 
     Raises:
         DatasetError: There is none.
@@ -184,7 +184,7 @@ def find_splats(path: Path) -> Path:
         return path
     if not path.exists():
         raise DatasetError(
-            f"There is no file or folder {path}; give a file of splats or the folder of a run."
+            f"There is no file or folder {path}; give a splat file or the folder of a run."
         )
     if not path.is_dir():
         check_regular(path)
@@ -197,13 +197,13 @@ def find_splats(path: Path) -> Path:
     other = f"{path} is a capture; train it first: {as_typed('train', path, '-o', 'run')}"
     raise DatasetError(
         f"No model in {path}: expected point_cloud.ply or point_cloud/iteration_*/point_cloud.ply; "
-        "give the file itself or the folder a training wrote. "
+        "give the file itself or the folder of a training. "
         + (other if is_capture(path) else describe_unsupported(path))
     )
 
 
 def is_capture(folder: Path) -> bool:
-    """Whether a folder holds photos with cameras."""
+    """Whether a folder contains photos with cameras."""
     try:
         find_model(folder)
     except DatasetError:
@@ -217,7 +217,7 @@ def _iteration(ply: Path) -> int:
 
 
 def find_run(file: Path) -> Path | None:
-    """The folder with config.json the file belongs to, or None."""
+    """The folder with the config.json of the file's run, or None."""
     folders = [file.parent]
     if file.parent.name.startswith("iteration_"):
         folders.append(file.parent.parent.parent)

@@ -30,14 +30,14 @@ ALIASES = {
 }
 """Other names of options of `TrainConfig`."""
 _WITHOUT_EFFECT = ("--debug-from",)
-"""It concerns its debug dumps, not the result."""
+"""It concerns debug dumps, not the result."""
 _SWITCHES = {
     "white_background": ("-w", "--white-background"),
     "random_background": ("--random-background",),
     "train_test_exp": ("--train-test-exp",),
     "disable_viewer": ("--disable-viewer",),
 }
-"""The first two choose a background, the third learns exposures, the last wins over `--port`."""
+"""The first two select a background, the third turns on `exposure`, the last overrides `--port`."""
 _FEATURE_LR_SHARE = 20
 """--feature-lr also sets the rate of the higher SH bands, divided by this."""
 REFUSED = {
@@ -49,7 +49,7 @@ REFUSED = {
     "--exposure-lr-delay-steps": "the rate of exposures is not delayed at the start",
     "--exposure-lr-delay-mult": "the rate of exposures is not delayed at the start",
 }
-"""Those that have no meaning here, with the reason."""
+"""Options without a counterpart here, with the reason."""
 
 
 class Row(NamedTuple):
@@ -60,7 +60,7 @@ class Row(NamedTuple):
 
 
 def add_3dgs_names(parser: argparse.ArgumentParser) -> None:
-    """Declare them all."""
+    """Declare all of them, hidden in help."""
     declared = options_of(TrainConfig)
     for name, flag in ALIASES.items():
         facts = argument_facts(declared[name])
@@ -81,24 +81,24 @@ def rows() -> list[Row]:
         Row("--feature-lr X", f"sh0_lr X and shN_lr X / {_FEATURE_LR_SHARE}"),
         Row("-w, --white-background", "background white"),
         Row("--random-background", "background random"),
-        Row("--train-test-exp", "exposure on; psnr_cc judges held-out views by their halves"),
-        Row("--disable-viewer", "port 0, whatever --port says"),
+        Row("--train-test-exp", "exposure on; psnr_cc fits colours on half of a held-out view"),
+        Row("--disable-viewer", "port 0, overriding --port"),
         *(Row(flag, "without effect") for flag in _WITHOUT_EFFECT),
         *(Row(flag, f"refused: {reason}") for flag, reason in REFUSED.items()),
     ]
 
 
 def translate(args: argparse.Namespace) -> None:
-    """Fill in the options that names of 3DGS stand for, where they were not given themselves.
+    """Set the options that 3DGS names correspond to, unless given under their own names.
 
     Raises:
-        ConfigError: two that contradict.
+        ConfigError: contradicting options.
     """
     if args.white_background and args.random_background:
         raise ConfigError("Give either --white-background or --random-background.")
     if args.white_background or args.random_background:
-        asked = Background.WHITE if args.white_background else Background.RANDOM
-        args.background = args.background or asked
+        color = Background.WHITE if args.white_background else Background.RANDOM
+        args.background = args.background or color
     if args.train_test_exp:
         args.exposure = args.exposure or Switch.ON
     if args.feature_lr is not None:
@@ -107,7 +107,7 @@ def translate(args: argparse.Namespace) -> None:
 
 
 class _Refuse(argparse.Action):
-    """An option that has no meaning here."""
+    """An option without a counterpart here."""
 
     def __init__(self, *args: Any, reason: str, **kwargs: Any) -> None:
         super().__init__(*args, help=argparse.SUPPRESS, **kwargs)

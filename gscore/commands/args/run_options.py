@@ -23,12 +23,12 @@ _ON_OR_OFF = {
 def declare(
     group: argparse._ActionsContainer, cls: type[Any], *, names: Collection[str] = ()
 ) -> None:
-    """Declare the options of a config, those that are not basic without showing them.
+    """Declare the options of a config; those that are not basic are hidden in help.
 
     Args:
-        group: Of a parser.
+        group: Argument group of a parser.
         cls: DataConfig or TrainConfig.
-        names: Which; empty: all.
+        names: The options to declare; empty: all.
     """
     for name, one in options_of(cls).items():
         if name in names or not names:
@@ -55,17 +55,17 @@ def argument_facts(one: Option) -> dict[str, Any]:
 
 
 def passed_options(cls: type[Any], args: argparse.Namespace) -> dict[str, Any]:
-    """The options of a config that were given, by name, as its fields want them."""
-    found = {}
+    """The given options of a config by name, as field values."""
+    given = {}
     for name, one in options_of(cls).items():
         value = getattr(args, name, None)
         if value is not None:
-            found[name] = _as_field(one, value)
-    return found
+            given[name] = _as_field(one, value)
+    return given
 
 
 def help_words(one: Option) -> str:
-    """The first sentence on an option, with its default, as `--help` shows it."""
+    """The first sentence of an option's text with its default, for `--help`."""
     first = plain(one.text).partition(_SENTENCE_END)[0].removesuffix(".")
     if not first[1:2].isupper():  # CPU, PLY
         first = first[0].lower() + first[1:]
@@ -74,7 +74,7 @@ def help_words(one: Option) -> str:
 
 
 def preset_values(one: Option) -> str:
-    """The values of an option in the presets; empty where they are all the same."""
+    """The values of an option in the presets; empty if all are equal."""
     if one.name not in options_of(TrainConfig):
         return ""
     found = {name: getattr(make(Path())[1], one.name) for name, make in PRESETS.items()}
@@ -88,12 +88,12 @@ def _shown(value: Any) -> str:
 
 
 def plain(text: str) -> str:
-    """A text without the marks of code."""
+    """A text without backticks."""
     return text.replace("`", "")
 
 
 class Set(argparse.Action):
-    """`--set NAME=VALUE`: the same as the long flag of that name, shown or not."""
+    """`--set NAME=VALUE`: the same as the long flag of the option, hidden or not."""
 
     def __call__(
         self,

@@ -38,10 +38,10 @@ def viewer_clients_of(
     `--disable-viewer`.
 
     Args:
-        args: Of the verb.
-        source: The capture, of which viewers are told.
-        show: Is told who can watch, where that is not this computer alone.
-        after_the_end: Viewers may look on when the last step is done.
+        args: Arguments of the verb.
+        source: The capture, whose path viewers receive.
+        show: Receives a warning if other computers can connect.
+        after_the_end: Keep serving viewers after the last step.
 
     Raises:
         ConfigError: the port or the address cannot be used.
@@ -54,14 +54,14 @@ def viewer_clients_of(
 
     with Server(options, text=str(source.resolve()), after_the_end=after_the_end) as server:
         if not _is_own(options.ip):
-            message = f"Whoever reaches {options.ip} can watch this training and make it wait."
+            message = f"Any computer that reaches {options.ip} can watch and pause this training."
             show(Warn(message=message, code="viewer"))
         yield server.viewers
 
 
 def _is_own(ip: str) -> bool:
-    """Whether an address is reached from this computer alone."""
+    """Whether only this computer reaches an address."""
     try:
         return ipaddress.ip_address(ip.partition("%")[0]).is_loopback
     except ValueError as error:
-        raise ConfigError(f"ip must be an address of numbers, got {quoted(ip)}.") from error
+        raise ConfigError(f"ip must be a numeric address, got {quoted(ip)}.") from error

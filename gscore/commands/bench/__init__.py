@@ -8,8 +8,8 @@ from ..parser import sentence
 WHAT = {
     "raster": "forward and backward passes of the rasterizer",
     "step": "a training step and its parts",
-    "skips": "what each skip brings, on a capture",
-    "quality": "held-out quality over captures, seeds and splits, and what changes bring",
+    "skips": "gain of each skip (optimisation) on a capture",
+    "quality": "held-out quality over captures, seeds and splits, and the effect of changes",
     "time-error": "held-out error over seconds of training, for presets and variants",
     "memory": "memory of a training of many splats",
     "scaling": "cost over splats, pixels, threads and views",
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print."""
+    """Run the measurement and print it."""
     return _module(args.what).run(args)
 
 

@@ -12,7 +12,7 @@ _PSNR, _SSIM, _SPLATS = "psnr", "1-ssim", "splats"
 
 
 def figure_files(output: Path, name: str) -> list[Path]:
-    """What `write_curves` writes."""
+    """Files written by `write_curves`."""
     return [_file(output, name, key) for key in (_PSNR, _SSIM, _SPLATS)]
 
 
@@ -63,7 +63,7 @@ def write_curves(output: Path, name: str, curves: list[Curve]) -> None:
 
 
 def table(name: str, curves: list[Curve]) -> str:
-    """When each curve was how good, in Markdown: one table for each width of the pictures."""
+    """Seconds to PSNR levels of each curve in Markdown, one table per picture width."""
     rows = time_to_psnr(curves)
     widths = list(dict.fromkeys(row["width"] for row in rows))
     tables = []

@@ -11,7 +11,7 @@ from ...config import Skip, TrainConfig
 from ...datasets import Dataset
 from ...errors import ConfigError
 from ...quoting import quoted
-from .changes import changed
+from .config_changes import changed
 from .sweeps import SizesPlan, plan_sizes
 from .training_options import named_sources, training_configs
 
@@ -23,16 +23,16 @@ class CapturePlan:
     name: str
     variants: list[Variant]
     judged: Dataset
-    """What all variants are measured on."""
+    """The photos that all variants are measured on."""
     peers: list[Curve]
     sizes: SizesPlan | None
 
 
 def plans_of(args: argparse.Namespace) -> list[CapturePlan]:
-    """One a capture; no photo is decoded yet.
+    """One plan per capture; no photo is decoded yet.
 
     Raises:
-        GsError: a capture, a name, a seed, an ablation or a file of peers that cannot be used.
+        GsError: an invalid capture, name, seed, ablation or file of peers.
     """
     ablations = list(dict.fromkeys(args.ablations))
     peers = {path: read_peers(path) for path in args.peers}
@@ -40,7 +40,7 @@ def plans_of(args: argparse.Namespace) -> list[CapturePlan]:
     for path, (capture, _) in peers.items():
         if capture not in sources:
             raise ConfigError(
-                f"{path} holds curves of the capture {quoted(capture)}, which is not measured "
+                f"{path} contains curves of the capture {quoted(capture)}, which is not measured "
                 f"here; there are: {', '.join(sources)}."
             )
     plans = []
@@ -63,9 +63,9 @@ def plans_of(args: argparse.Namespace) -> list[CapturePlan]:
 def _changed(
     config: TrainConfig, ablations: list[str], seeds: list[int]
 ) -> Iterator[tuple[str, TrainConfig]]:
-    """`config` as it is and with each ablation, with their labels."""
+    """`config` unchanged and with each ablation, with labels."""
     for seed in seeds:
-        replace(config, seed=seed)  # which refuses bad ones
+        replace(config, seed=seed)  # raises for invalid seeds
     yield "", config
     for ablation in ablations:
         parts = ablation.split(",")

@@ -31,7 +31,7 @@ class ResultsFile:
         }
 
     def add_curves(self, plan: CapturePlan, curves: Sequence[Curve]) -> None:
-        """All curves of a capture that there are so far."""
+        """Store all curves of a capture so far."""
         judged = plan.judged
         self._captures[plan.name] = {
             "judged_on": first_size(judged),
@@ -42,12 +42,12 @@ class ResultsFile:
         self._write()
 
     def add_sizes(self, plan: CapturePlan, found: dict[str, Any]) -> None:
-        """All sizes of a capture that there are so far."""
+        """Store all sizes of a capture so far."""
         self._captures[plan.name]["sizes"] = found
         self._write()
 
     def finish(self) -> None:
-        """Everything was measured."""
+        """Mark the results as complete."""
         self._content["finished"] = True
         self._write()
 

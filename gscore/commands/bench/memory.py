@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WxH",
         help="size of the photos (1216x832)",
     )
-    parser.add_argument("--steps", type=int, default=40, help=f"at least {MIN_STEPS} (default 40)")
+    parser.add_argument(
+        "--steps", type=int, default=40, help=f"number of steps, at least {MIN_STEPS} (40)"
+    )
     add_threads_option(parser)
 
 
@@ -49,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             threads=args.threads,
         )
     if found is None:
-        raise BackendError("This system does not tell how much memory a process takes.")
+        raise BackendError("This system does not report the memory of a process.")
     if args.json:
         print_json({"machine": machine(), "isa": backend.isa()} | asdict(found))
     else:
@@ -64,5 +66,5 @@ def _table(r: MemoryBench) -> str:
     return (
         f"{count_words(r.splats, 'splat')}, {count_words(r.views, 'view')} of {r.width} x "
         f"{r.height} px, {count_words(r.steps, 'step')}\n"
-        f"  said {r.said_bytes / 1e9:.2f} GB, took {r.peak_bytes / 1e9:.2f} GB\n{parts}"
+        f"  estimated {r.said_bytes / 1e9:.2f} GB, used {r.peak_bytes / 1e9:.2f} GB\n{parts}"
     )

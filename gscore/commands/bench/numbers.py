@@ -9,11 +9,11 @@ from ...quoting import brief, quoted
 from ...text_format import number
 
 _MOST = 10**8
-"""Ten times the splats of a large scene; they take 24 GB."""
+"""Ten times the splats of a large scene; they need 24 GB."""
 
 
 def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
-    """Raise ConfigError where an option, or one of its numbers, is less than `least` or absurd."""
+    """Raise ConfigError if a number of an option is less than `least` or absurdly large."""
     for name in names:
         value = getattr(args, name)
         for given in value if isinstance(value, Sequence) else [value]:

@@ -11,7 +11,7 @@ class Ticker:
         self._capture, self._status = capture, status
 
     def __call__(self, label: str, seed: int, step: int, iterations: int) -> None:
-        """Step `step` of `iterations` of the training of this label and seed is done."""
+        """Show that a step of the training with this label and seed is done."""
         which = f"{self._capture}, {label}, seed {seed}"
         far = f"step {number(step)} of {number(iterations)}"
         self._status.show([which, far], share=step / iterations)

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="start anew and replace any results.json",
+        help="start again and replace any results.json",
     )
     parser.add_argument("--preset", choices=tuple(PRESETS), default="draft")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the trainings missing in results.json; print the tables and verdicts."""
+    """Run the trainings that results.json lacks; print the tables and verdicts."""
     args.seeds = list(dict.fromkeys(args.seeds))
     args.offsets = list(dict.fromkeys(args.offsets))
     check_numbers(args, 0, "seeds", "offsets")
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     results = QualityResults(args, cells, lpips.net if lpips else None)
     with Status(sys.stderr) as status:
         while cells:
-            _train(cells.popleft(), results, lpips, status)  # whose photos go when it is done
+            _train(cells.popleft(), results, lpips, status)  # frees the photos afterwards
     results.finish()
     print(results.text() if args.json else tables(results.report()), flush=True)
     return 0
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 def _train(
     cell: Cell, results: QualityResults, lpips: Lpips | LpipsNet | None, status: Status
 ) -> None:
-    """Variants in turn for each seed, so that an hour in which the machine is slow meets all."""
+    """Train the variants in turn for each seed, so that slow hours of the machine affect all."""
     ticker = Ticker(f"{cell.capture}, offset {cell.offset}", status)
     for seed in cell.seeds:
         for variant in cell.variants:

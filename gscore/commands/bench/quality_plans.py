@@ -11,26 +11,26 @@ from ...config import DataConfig
 from ...errors import ConfigError
 from ...presets import PRESETS
 from ...quoting import quoted
-from .changes import changed
+from .config_changes import changed
 from .training_options import named_sources, training_configs
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One split of one capture; everything that is trained on it."""
+    """One split of one capture, and the trainings on it."""
 
     capture: str
     offset: int
     seeds: list[int]
     datas: list[DataConfig]
-    """Of each variant; they differ in the size of the photos alone."""
+    """Of each variant; they differ only in the size of the photos."""
     variants: list[Variant]
-    """The first is the baseline of the others; all are measured on the same photos."""
+    """The first is the baseline; all are measured on the same photos."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class QualityRequest:
-    """A variant as the command line names it."""
+    """A variant on the command line."""
 
     label: str
     preset: str
@@ -38,10 +38,10 @@ class QualityRequest:
 
 
 def variants_of(args: argparse.Namespace) -> list[QualityRequest]:
-    """The preset as it is, and each of `--compare`.
+    """The unchanged preset, and each variant of `--compare`.
 
     Raises:
-        ConfigError: two of one name, or what is no NAME=CHANGES.
+        ConfigError: two variants have one name, or a text is not NAME=CHANGES.
     """
     variants = [QualityRequest(label=args.preset, preset=args.preset, changes=())]
     for text in args.compare:
@@ -52,11 +52,11 @@ def variants_of(args: argparse.Namespace) -> list[QualityRequest]:
             )
         if name in [variant.label for variant in variants]:
             raise ConfigError(f"--compare: two variants are called {quoted(name)}.")
-        variants.append(_asked(args, name, changes.split(",")))
+        variants.append(_request(args, name, changes.split(",")))
     return variants
 
 
-def _asked(args: argparse.Namespace, label: str, changes: Sequence[str]) -> QualityRequest:
+def _request(args: argparse.Namespace, label: str, changes: Sequence[str]) -> QualityRequest:
     presets = [part.removeprefix("preset=") for part in changes if part.startswith("preset=")]
     for preset in presets:
         if preset not in PRESETS:
@@ -69,10 +69,10 @@ def _asked(args: argparse.Namespace, label: str, changes: Sequence[str]) -> Qual
 
 
 def cells_of(args: argparse.Namespace, variants: Sequence[QualityRequest]) -> list[Cell]:
-    """One a capture and offset; no photo is decoded yet.
+    """One cell per capture and offset; no photo is decoded yet.
 
     Raises:
-        GsError: a capture, an option or an offset that cannot be used.
+        GsError: an invalid capture, option or offset.
     """
     return [
         _cell(args, name, source, offset, variants)
@@ -93,7 +93,7 @@ def _cell(
         data, config = training_configs(args, source, variant.preset)
         datas.append(_held_out(data, offset))
         configs.append(changed(config, variant.changes, flag="--compare"))
-    _check_different([asked.label for asked in variants], list(zip(datas, configs, strict=True)))
+    _check_different([one.label for one in variants], list(zip(datas, configs, strict=True)))
     photos, judged = open_sizes(datas)
     return Cell(
         capture=name,
@@ -101,26 +101,26 @@ def _cell(
         seeds=args.seeds,
         datas=datas,
         variants=[
-            Variant(label=asked.label, config=config, photos=own, judged=judged)
-            for asked, config, own in zip(variants, configs, photos, strict=True)
+            Variant(label=one.label, config=config, photos=own, judged=judged)
+            for one, config, own in zip(variants, configs, photos, strict=True)
         ],
     )
 
 
 def _check_different(labels: Sequence[str], options: Sequence[object]) -> None:
-    """Raise where two variants are the same training: their difference would be noise."""
+    """Raise if two variants are the same training, whose difference would be noise."""
     for place, one in enumerate(options):
         first = options.index(one)
         if first < place:
             raise ConfigError(
-                f"--compare {labels[place]} changes nothing: it trains as {labels[first]} does."
+                f"--compare {labels[place]} changes nothing: it is the same as {labels[first]}."
             )
 
 
 def _held_out(data: DataConfig, offset: int) -> DataConfig:
     if data.test_list is not None or data.test_first or data.test_last:
         raise ConfigError(
-            "This bench holds out every so many views from each of --offsets; leave out what "
-            "chooses test views otherwise."
+            "This bench selects test views by --offsets; leave out other options that select test "
+            "views."
         )
     return replace(data, eval=True, test_offset=offset)

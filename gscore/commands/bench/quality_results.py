@@ -27,7 +27,7 @@ from ...raster import backend
 from .quality_plans import Cell
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
-"""Capture, variant and its metrics; each variant but the first against the first."""
+"""Metrics by capture and variant; comparisons of the other variants with the first."""
 _APART = ("source", "test_offset", "max_width")
 """Options of a capture that are recorded elsewhere or differ by training."""
 
@@ -36,39 +36,39 @@ class QualityResults:
     """The results so far; docs/quality.md describes the file."""
 
     def __init__(self, args: argparse.Namespace, cells: Collection[Cell], net: str | None) -> None:
-        """Take over what the file of an earlier call holds, unless `args.overwrite`.
+        """Read the results of an earlier call, unless `args.overwrite`.
 
         Raises:
-            ConfigError: that call measured otherwise, or the file is damaged.
+            ConfigError: that call had other settings, or the file is damaged.
         """
         self._path: Path = args.output / "results.json"
-        self._asked = [key for cell in cells for key in _keys(cell)]
+        self._requested = [key for cell in cells for key in _keys(cell)]
         self._setting = _setting(args, cells, net)
         self._trainings: dict[tuple[str, str, int, int], Training] = {}
         self._finished = False
         if self._path.is_file() and not args.overwrite:
-            self._take_over()
+            self._read()
 
     def has(self, capture: str, variant: str, seed: int, offset: int) -> bool:
-        """Whether this training is there already."""
+        """Whether this training is done already."""
         return (capture, variant, seed, offset) in self._trainings
 
     def add(self, training: Training) -> None:
-        """One more; the file is written."""
+        """Add a training and write the file."""
         self._trainings[training.key] = training
         self._write()
 
     def finish(self) -> None:
-        """Whether all requested results exist."""
+        """Mark the results as complete."""
         self._finished = True
         self._write()
 
     def report(self) -> Report:
         """The tables of the requested results, as far as they exist."""
-        there = [self._trainings[key] for key in self._asked if key in self._trainings]
-        variants = list(dict.fromkeys(key[1] for key in self._asked))
+        done = [self._trainings[key] for key in self._requested if key in self._trainings]
+        variants = list(dict.fromkeys(key[1] for key in self._requested))
         captures: dict[str, dict[str, list[Training]]] = {}
-        for training in there:
+        for training in done:
             captures.setdefault(training.capture, {}).setdefault(training.variant, []).append(
                 training
             )
@@ -76,7 +76,7 @@ class QualityResults:
             name: {label: summarize(found) for label, found in of_variants.items()}
             for name, of_variants in captures.items()
         }
-        compared = [compare(there, variants[0], label) for label in variants[1:]]
+        compared = [compare(done, variants[0], label) for label in variants[1:]]
         return summaries, [found for found in compared if found is not None]
 
     def text(self) -> str:
@@ -100,7 +100,7 @@ class QualityResults:
     def _write(self) -> None:
         atomic_write(self._path, (self.text() + "\n").encode())
 
-    def _take_over(self) -> None:
+    def _read(self) -> None:
         try:
             content = parse_json(read_bytes(self._path))
             setting, trainings = content["setting"], content["trainings"]
@@ -108,13 +108,13 @@ class QualityResults:
             found = [read_training(training) for training in trainings]
         except (AttributeError, KeyError, TypeError, ValueError, FormatError) as error:
             raise ConfigError(
-                f"{self._path} is no results.json of this bench, or damaged ({error}); move it "
+                f"{self._path} is not a results.json of this bench, or damaged ({error}); move it "
                 "away or choose another output."
             ) from error
         if differing:
             raise ConfigError(
-                f"{self._path} was measured otherwise: {'; '.join(differing[:5])}. Give the same "
-                "options to go on, or choose another output."
+                f"{self._path} has other settings: {'; '.join(differing[:5])}. Give the same "
+                "options to continue, or choose another output."
             )
         self._trainings = {training.key: training for training in found}
         for part in ("variants", "captures"):
@@ -128,7 +128,7 @@ def _keys(cell: Cell) -> Iterator[tuple[str, str, int, int]]:
 
 
 def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -> dict[str, Any]:
-    """What must be the same for trainings to be compared."""
+    """Settings that must be equal for comparable trainings."""
     variants: dict[str, Any] = {}
     captures: dict[str, Any] = {}
     for cell in cells:
@@ -152,7 +152,7 @@ def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -
 
 
 def _differing(old: Any, new: Any, where: str = "") -> Iterator[str]:
-    """Sentences on what two settings state differently; variants and captures may come and go."""
+    """Sentences on differences of two settings; variants and captures may be added or removed."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         if old != new:
             yield f"{where} was {old}, is {new}"

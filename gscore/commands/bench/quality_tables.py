@@ -7,7 +7,7 @@ from .quality_results import Report
 
 
 def tables(report: Report) -> str:
-    """A table a capture, one of the differences, and a verdict a variant."""
+    """A table per capture, one of the differences, and a verdict per variant."""
     captures, compared = report
     parts = [_of_capture(name, variants) for name, variants in captures.items()]
     if compared:
@@ -45,7 +45,7 @@ def _worst(summary: Summary) -> str:
 def _of_differences(compared: list[Comparison], base: str) -> str:
     heads = [f"against {base}", "capture", "pairs", "colour-corrected", "95 %", "PSNR", "SSIM"]
     with_lpips = any(c.lpips is not None for one in compared for c in one.captures.values())
-    heads += ["LPIPS"] * with_lpips + ["times as long"]
+    heads += ["LPIPS"] * with_lpips + ["relative time"]
     lines = [_row(heads), "|---" * len(heads) + "|"]
     for one in compared:
         for name, change in one.captures.items():

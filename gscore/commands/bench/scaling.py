@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         args.threads = range(1, cores() + 1)
     check_numbers(args, 1, "splats", "threads", "views", "cloud", "steps")
     with Status(sys.stderr) as status:
-        told = Rows(status, "Measuring", quiet=args.json)
+        rows = Rows(status, "Measuring", quiet=args.json)
         series = bench_scaling(
             splats=args.splats,
             sizes=args.sizes,
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
             views=args.views,
             cloud=args.cloud,
             steps=args.steps,
-            on_row=lambda quantity, row: told(_row(quantity, row)),
+            on_row=lambda quantity, row: rows(_row(quantity, row)),
         )
     if args.json:
         content = {"machine": machine(), "isa": backend.isa()}
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def size(text: str) -> tuple[int, int]:
-    """A size on the command line, px."""
+    """Parse WxH, px."""
     width, _, height = text.partition("x")
     try:
         found = int(width), int(height)
@@ -83,7 +83,7 @@ def _row(quantity: str, row: dict[str, Any]) -> str:
     return (
         f"{quantity}: {count_words(row['splats'], 'splat')}, {row['width']} x {row['height']} px, "
         f"{count_words(row['threads'], 'thread')}{kept}: {row['step_ms']:.1f} ms, "
-        f"{row['pairs_per_pixel']:.0f} pairs a pixel, "
+        f"{row['pairs_per_pixel']:.0f} pairs per pixel, "
         f"{'-' if memory is None else round(memory / 1e6)} MB; {stages}"
     )
 
@@ -91,7 +91,7 @@ def _row(quantity: str, row: dict[str, Any]) -> str:
 def _lines(series: Scaling) -> str:
     unit, scale = ("1,000 splats", 1e3) if series.quantity == "splats" else ("megapixel", 1e6)
     return "".join(
-        f"{series.quantity}, {name}: {line.base:.2f} ms + {line.slope * scale:.4f} ms a {unit}, "
+        f"{series.quantity}, {name}: {line.base:.2f} ms + {line.slope * scale:.4f} ms per {unit}, "
         f"r2 {line.r2:.3f}\n"
         for name, line in series.lines.items()
     )

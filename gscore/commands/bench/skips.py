@@ -22,24 +22,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preset", choices=tuple(PRESETS), default="preview")
     parser.add_argument(
         "--skips", nargs="+", choices=tuple(Skip), default=tuple(Skip), metavar="SKIP",
-        help="which to measure (all): " + ", ".join(Skip),
+        help="skips to measure (all): " + ", ".join(Skip),
     )  # fmt: skip
     add_training_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train, again and again, and print what each skip brought."""
+    """Train with and without each skip, and print the differences."""
     data, config = training_configs(args, args.source, args.preset)
     photos = load_for_bench(data)
     if not args.json:
         print(_HEAD)
     with Status(sys.stderr) as status:
-        told = Rows(status, "Training", quiet=args.json)
+        table = Rows(status, "Training", quiet=args.json)
         rows = bench_skips(
             config,
             photos,
             skips=[Skip(name) for name in dict.fromkeys(args.skips)],
-            on_row=lambda row: told(_line(row)),
+            on_row=lambda row: table(_line(row)),
         )
     if args.json:
         content = {

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cache-mb",
         type=int,
         metavar="MB",
-        help="number of photos of SOURCE kept decoded; the others are decoded at each use (all)",
+        help="memory for decoded photos of SOURCE; others are decoded at each use (all)",
     )
     parser.add_argument("--isa", help="instruction set; `all` measures each one available")
     add_data_options(parser)

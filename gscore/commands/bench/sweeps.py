@@ -40,14 +40,14 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
 
 
 def check_sweeps(args: argparse.Namespace) -> None:
-    """Raise ConfigError for numbers that no training has, and for options that contradict."""
+    """Raise ConfigError for invalid numbers and contradicting options."""
     numbers = _given(args)
     for name, values in numbers.items():
         least = SMALLEST_WIDTH if name == "widths" else 1
         if any(value < least for value in values):
-            raise ConfigError(f"--sweep-{name} takes numbers of at least {least}.")
+            raise ConfigError(f"--sweep-{name} needs numbers of at least {least}.")
     if args.resolution is not None and any(numbers.values()):
-        raise ConfigError("Sizes are told by --sweep-widths, not by -r.")
+        raise ConfigError("Give photo sizes with --sweep-widths, not with -r.")
     if args.sweep_splats and args.max_splats is not None:
         raise ConfigError("Give either --sweep-splats or --max-splats.")
     if args.sweep_iterations and args.iterations is not None:
@@ -69,14 +69,14 @@ def plan_sizes(
     numbers = _given(args)
     if not any(numbers.values()):
         return None
-    asked = [run for preset in presets for run in sizes_of(*preset, **numbers)]
-    photos, judged = open_sizes([data for _, data, _ in asked])
-    runs = [(size, config, own) for (size, _, config), own in zip(asked, photos, strict=True)]
+    sizes = [run for preset in presets for run in sizes_of(*preset, **numbers)]
+    photos, judged = open_sizes([data for _, data, _ in sizes])
+    runs = [(size, config, own) for (size, _, config), own in zip(sizes, photos, strict=True)]
     return SizesPlan(runs=runs, judged=judged)
 
 
 def sizes_file(output: Path, name: str) -> Path:
-    """Where `train_sizes` draws the sizes of a capture."""
+    """Figure file of `train_sizes` for a capture."""
     return output / f"{name}-sizes.svg"
 
 
@@ -91,8 +91,8 @@ def train_sizes(
     """Train the sizes of a capture, draw them and print them.
 
     Args:
-        args: The command's options.
-        name: Of the capture.
+        args: Arguments of the command.
+        name: Name of the capture.
         plan: The sizes.
         on_step: Called with size, seed, step and number of steps after each step.
         on_found: Called after each size with `judged_on` (px) and `outcomes` so far, each with
@@ -104,7 +104,7 @@ def train_sizes(
     def stepped(size: Size, seed: int, step: int) -> None:
         on_step(str(size), seed, step, size.iterations)
 
-    def tell(outcome: SizeOutcome) -> None:
+    def report(outcome: SizeOutcome) -> None:
         outcomes.append(outcome)
         fast, small = _fronts(outcomes)
         rows = [
@@ -116,7 +116,7 @@ def train_sizes(
             o = outcome
             print(f"{name}, {o.size}: {o.seconds:.1f} s, PSNR {o.psnr:.2f} dB", flush=True)
 
-    measure_sizes(plan.runs, plan.judged, args.seeds, on_step=stepped, on_outcome=tell)
+    measure_sizes(plan.runs, plan.judged, args.seeds, on_step=stepped, on_outcome=report)
     fast, small = _fronts(outcomes)
     _draw(sizes_file(args.output, name), name, outcomes, fast, judged_on)
     if not args.json:
@@ -124,7 +124,7 @@ def train_sizes(
 
 
 def _fronts(outcomes: Sequence[SizeOutcome]) -> tuple[list[SizeOutcome], list[SizeOutcome]]:
-    """Those that no other beats in time, and in number of splats."""
+    """The Pareto fronts of PSNR over time, and over the number of splats."""
     return unbeaten(outcomes, _seconds), unbeaten(outcomes, _splats)
 
 
@@ -158,7 +158,7 @@ def _draw(
     ]
     front = [(o.seconds, o.psnr) for o in fast]
     text = figure(
-        [Series(label="no other is as fast and as good", points=front), *series],
+        [Series(label="Pareto front", points=front), *series],
         title=f"{name}: held-out PSNR at {judged_on[0]} x {judged_on[1]} px over training time",
         x_label="seconds in training steps",
         y_label="PSNR, dB",
@@ -174,11 +174,11 @@ def _table(
     small: Sequence[SizeOutcome],
 ) -> str:
     lines = [
-        f"| {name} | photos | splats | steps | seconds | PSNR | SSIM | no other is as good and |",
+        f"| {name} | photos | splats | steps | seconds | PSNR | SSIM | Pareto-optimal in |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for o in sorted(outcomes, key=_seconds):
-        best = [word for word, front in (("as fast", fast), ("as small", small)) if o in front]
+        best = [word for word, front in (("time", fast), ("splats", small)) if o in front]
         lines.append(
             f"| {o.size.preset} | {o.size.width} px | {number(o.splats)} | "
             f"{number(o.size.iterations)} | "

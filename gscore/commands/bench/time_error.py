@@ -35,9 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         default=(),
         metavar="NAME",
-        help="also train each preset with this changed: a strategy (mcmc), a skip switched off ("
+        help="also train each preset with this change: a strategy (mcmc), a disabled skip ("
         + ", ".join(Skip)
-        + "), an option of gscore.TrainConfig (free-space=0), or several joined by commas",
+        + "), an option of gscore.TrainConfig (free-space=0), or several with commas",
     )
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train all variants of all captures; write results.json and a figure a capture and metric."""
+    """Train all variants of all captures; write results.json and figures by capture and metric."""
     args.seeds = list(dict.fromkeys(args.seeds))
     check_sweeps(args)
     check_folder(args.output)
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     check_replaced(written, overwrite=args.overwrite)
     results = ResultsFile(args)
     while plans:
-        _measure(args, plans.popleft(), results)  # whose photos go when it is done
+        _measure(args, plans.popleft(), results)  # frees the photos afterwards
     results.finish()
     if args.json:
         print(results.text())
@@ -75,7 +75,7 @@ def _measure(args: argparse.Namespace, plan: CapturePlan, results: ResultsFile) 
     for variant in plan.variants:
         curves.append(measure_variant(variant, args.seeds, on_step=Ticker(plan.name, status)))
         results.add_curves(plan, [*curves, *plan.peers])
-        _say(args, plan.name, curves[-1])
+        _print(args, plan.name, curves[-1])
     curves += plan.peers
     write_curves(args.output, plan.name, curves)
     if not args.json:
@@ -90,7 +90,7 @@ def _measure(args: argparse.Namespace, plan: CapturePlan, results: ResultsFile) 
         )
 
 
-def _say(args: argparse.Namespace, capture: str, curve: Curve) -> None:
+def _print(args: argparse.Namespace, capture: str, curve: Curve) -> None:
     if not args.json:
         ends = [points[-1] for points in curve.seeds]
         psnr = [end.psnr for end in ends]

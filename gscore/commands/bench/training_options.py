@@ -1,4 +1,4 @@
-"""Training options of benches: the capture, and how to train on it."""
+"""Training options of benches: the capture and changes of a preset."""
 
 import argparse
 from collections.abc import Sequence
@@ -39,9 +39,7 @@ def named_sources(sources: Sequence[Path]) -> dict[str, Path]:
     for source in sources:
         name = source.resolve().name
         if name in named:
-            raise ConfigError(
-                f"Two captures are called {quoted(name)}; give each a name of its own."
-            )
+            raise ConfigError(f"Two captures are called {quoted(name)}; give them different names.")
         named[name] = source
     return named
 

@@ -1,4 +1,4 @@
-"""Depth map production: prediction or stereo, alignment, and files or a preview."""
+"""Depth map production: prediction or stereo, alignment, output files."""
 
 import argparse
 import time
@@ -31,31 +31,31 @@ from ..args.data_options import with_data_options
 from ..terminal.output import check_folder, check_replaced
 from .networks import network_of, network_words
 
-_MAKE = f"make them with --method stereo, which needs none, or with --model FILE.onnx. {WHERE}."
-"""End of the message on missing maps and a missing network."""
+_MAKE = f"use --method stereo, which needs no network, or --model FILE.onnx. {WHERE}."
+"""Remedy for missing maps without a network."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthResult:
-    """What came out."""
+    """Result of `make_maps`."""
 
     done: DepthDone
     alignment: Alignment
     network: Network | None
     used: str
-    """What the network was taken for, in words; empty: there is none."""
+    """Description of the network and its detected family; empty: no network."""
     warnings: list[str]
     shown: int
     """Views on the contact sheet."""
 
 
 def make_maps(
-    args: argparse.Namespace, show: Show, control: Control, told: "StopMessage"
+    args: argparse.Namespace, show: Show, control: Control, message: "StopMessage"
 ) -> DepthResult:
-    """Do what the options ask for; `told` hears how far it is.
+    """Make, align and write maps as the options request; `message` receives the progress.
 
     Raises:
-        GsError: something cannot be used, or would be replaced.
+        GsError: an input is unusable, or a file would be replaced.
     """
     show(DepthProgress(done=0, total=0, view="", eta_s=float("nan"), phase="reading"))
     network = None
@@ -73,17 +73,17 @@ def make_maps(
     folder = dataset.source / args.depths
     check_output_path(folder, config, depths=False)
     if args.method == "stereo":
-        return _by_stereo(args, config, dataset, folder, show, control, told)
+        return _by_stereo(args, config, dataset, folder, show, control, message)
     if network is None and not folder.is_dir():
         raise ConfigError(
-            f"There is no folder {folder} with depth maps to align, and no network to make them: "
-            f"{_MAKE}"
+            f"There is no folder {folder} with depth maps to align, and no network to predict "
+            f"them: {_MAKE}"
         )
     if not args.check:
         check_folder(folder)
         check_replaced([folder / SHEET], overwrite=args.overwrite)
         _check_scales(params_path(dataset.source, folder, writing=True), args.overwrite, show)
-    seen = observations(config, dataset)
+    observed = observations(config, dataset)
     prediction = None
     if network is not None:
         using = f"predicting with {network_words(network, dataset)}"
@@ -91,15 +91,15 @@ def make_maps(
         prediction = predict_views(
             network,
             dataset,
-            seen,
+            observed,
             folder,
             kind=args.kind,
             overwrite=args.overwrite,
-            on_view=_Progress(show, control, told, "predicting"),
+            on_view=_Progress(show, control, message, "predicting"),
             cancelled=lambda: control.stopping,
         )
-    progress = _Progress(show, control, told, "aligning")
-    return _finish(args, config, dataset, seen, folder, network, prediction, show, progress)
+    progress = _Progress(show, control, message, "aligning")
+    return _finish(args, config, dataset, observed, folder, network, prediction, show, progress)
 
 
 def _by_stereo(
@@ -109,15 +109,15 @@ def _by_stereo(
     folder: Path,
     show: Show,
     control: Control,
-    told: "StopMessage",
+    message: "StopMessage",
 ) -> DepthResult:
-    """Maps of the views that are not held out, from each other, in the scale of the capture."""
+    """Maps of the training views by stereo, in the scale of the capture."""
     check_folder(folder)
     check_replaced([folder / SHEET], overwrite=args.overwrite)
     files.check_maps_folder(folder, dataset.names, overwrite=args.overwrite)
     path = params_path(dataset.source, folder, writing=True)
     _check_scales(path, args.overwrite, show)
-    progress = _Progress(show, control, told, "comparing photos")
+    progress = _Progress(show, control, message, "comparing photos")
     dataset.keep_few()
     found = stereo_maps(
         dataset,
@@ -126,7 +126,7 @@ def _by_stereo(
         on_view=lambda done, total: progress(done, total, dataset.names[dataset.train[done - 1]]),
     )
     if found.reason:
-        raise ConfigError(f"Stereo finds no depth in {dataset.source}: {found.reason}.")
+        raise ConfigError(f"Stereo found no depth in {dataset.source}: {found.reason}.")
     fits = files.write_maps(found, dataset, dataset.train, folder)
     write_params(path, fits, DepthKind.INVERSE)
     return _finish(
@@ -138,59 +138,59 @@ def _by_stereo(
         None,
         Prediction(written=[dataset.names[i] for i in found.maps], kept=[], kind=DepthKind.INVERSE),
         show,
-        _Progress(show, control, told, "aligning"),
+        _Progress(show, control, message, "aligning"),
     )
 
 
 def _check_scales(path: Path, overwrite: bool, show: Show) -> None:
-    """Look at the scales that would be replaced: those of another program, or typed by hand, may be
-    exact, which what the points tell never is.
+    """Check the scales that would be replaced: those of another program, or entered by hand, may be
+    exact, unlike a fit to the points.
 
     Raises:
-        ConfigError: gscore did not write them, and they are not to be overwritten.
+        ConfigError: gscore did not write them, and `overwrite` is off.
         DatasetError: the file has another layout.
     """
     if not path.is_file():
         return
     try:
-        # Only gscore states how many points it compared.
+        # Only gscore states the number of compared points.
         ours = all(entry.points is not None for entry in read_params(path).values())
     except FormatError as error:
-        show(Warn(message=f"{error} It is replaced now."))
+        show(Warn(message=f"{error} The file is replaced."))
         return
     if ours:
         return
     if not overwrite:
         raise ConfigError(
-            f"{path} was not written by gscore depth, so its scales stay as they are. --check says "
-            "what a training makes of them, --overwrite replaces them."
+            f"{path} was not written by gscore depth, so its scales are kept. --check shows how a "
+            "training uses them, --overwrite replaces them."
         )
-    show(Warn(message=f"The scales in {path}, which gscore had not written, are replaced."))
+    show(Warn(message=f"The scales in {path}, written by another program, are replaced."))
 
 
 def _finish(
     args: argparse.Namespace,
     config: DataConfig,
     dataset: Dataset,
-    seen: list[Observations],
+    observed: list[Observations],
     folder: Path,
     network: Network | None,
     prediction: Prediction | None,
     show: Show,
     progress: "_Progress",
 ) -> DepthResult:
-    """Align the maps that are there and write what came out."""
+    """Align the existing maps and write the results."""
     found = MapFolder(folder)
     maps = [found.find(name) for name in dataset.names]
     if not any(maps):
         raise ConfigError(
-            f"{folder} has no depth map of any view ({count_words(len(found), 'map')} there), and "
-            f"no network to make them: {_MAKE}"
+            f"{folder} has no depth map of any view (it has {count_words(len(found), 'map')}), and "
+            f"there is no network to predict them: {_MAKE}"
         )
-    # Maps that were predicted hold inverse depth, whatever the network gave.
+    # Predicted maps contain inverse depth, also from networks with depth as output.
     kind = DepthKind.INVERSE if prediction is not None else args.kind
     samples = view_samples(
-        maps, seen, dataset, on_view=lambda i: progress(i + 1, len(maps), dataset.names[i])
+        maps, observed, dataset, on_view=lambda i: progress(i + 1, len(maps), dataset.names[i])
     )
     path = sheet = None
     shown = 0
@@ -198,12 +198,12 @@ def _finish(
         alignment = align_views(config, dataset, folder, samples, kind=kind)
         alignment = replace(alignment, warnings=(*unusable(samples), *alignment.warnings))
     else:
-        if args.method == "stereo":  # placed already; the points say how well
+        if args.method == "stereo":  # already in scale; the points measure the error
             alignment = align_views(config, dataset, folder, samples, kind=kind, together=False)
             fits = _by_stem(dataset, alignment.fits)
         else:
             official = args.align == "official"
-            alignment, fits = _align(dataset, maps, seen, samples, kind, official=official)
+            alignment, fits = _align(dataset, maps, observed, samples, kind, official=official)
         path, sheet = params_path(dataset.source, folder, writing=True), folder / SHEET
         write_params(path, fits, alignment.kind)
         show(Saved(step=0, path=str(path)))
@@ -245,20 +245,20 @@ def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
 def _align(
     dataset: Dataset,
     maps: list[Path | None],
-    seen: list[Observations],
+    observed: list[Observations],
     samples: list[Samples | None],
     kind: DepthKind,
     *,
     official: bool,
 ) -> tuple[Alignment, dict[str, Fit]]:
-    """The alignment, and the fits to write: the official tools check reliability when they read."""
+    """The alignment, and the fits to write; the official tools check reliability on reading."""
     found, warnings = settled_kind(kind, samples, dataset)
     warnings = (*unusable(samples), *warnings)
     if not official:
         alignment = robust(samples, found, dataset, warnings)
         return alignment, _by_stem(dataset, alignment.fits)
     fits: list[Fit | None] = []
-    for path, part, view in zip(maps, samples, seen, strict=True):
+    for path, part, view in zip(maps, samples, observed, strict=True):
         if path is None or part is None:
             fits.append(None)
             continue
@@ -281,28 +281,28 @@ def _by_stem(dataset: Dataset, fits: list[Fit | None]) -> dict[str, Fit]:
 
 
 class StopMessage:
-    """How far the work was when it was stopped, as a sentence."""
+    """The message of a stop, with the progress of the work."""
 
     def __init__(self) -> None:
         self.predicted = 0
 
     def __call__(self) -> str:
         return (
-            f"Stopped after {count_words(self.predicted, 'view')}; the maps written so far are "
-            "whole. Run the same command again to go on."
+            f"Stopped after {count_words(self.predicted, 'view')}; all written maps are complete. "
+            "Run the same command again to continue."
         )
 
 
 class _Progress:
     """Reports the progress of a phase after each view, and ends it on request."""
 
-    def __init__(self, show: Show, control: Control, told: StopMessage, phase: str) -> None:
-        self._show, self._control, self._told, self._phase = show, control, told, phase
+    def __init__(self, show: Show, control: Control, message: StopMessage, phase: str) -> None:
+        self._show, self._control, self._message, self._phase = show, control, message, phase
         self._start = time.monotonic()
 
     def __call__(self, done: int, total: int, name: str) -> None:
         if self._phase == "predicting":
-            self._told.predicted = done
+            self._message.predicted = done
         elif self._control.stopping:
             raise Cancelled(f"Depth was stopped while {self._phase}.")
         left = (time.monotonic() - self._start) / done * (total - done)

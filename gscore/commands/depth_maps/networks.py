@@ -15,7 +15,7 @@ from ..terminal.output import print_json
 
 
 def network_of(args: argparse.Namespace, show: Show) -> tuple[Path, Normalization]:
-    """The file of --model and how its photos are to be turned into numbers."""
+    """The file of --model and its input normalisation."""
     entry = known(args.model)
     path = Path(args.model)
     if entry is None or path.is_file():
@@ -34,12 +34,12 @@ def network_of(args: argparse.Namespace, show: Show) -> tuple[Path, Normalizatio
 
 
 def list_models(args: argparse.Namespace) -> int:
-    """Print the networks that have a name; returns the exit code."""
+    """Print the named networks; returns the exit code."""
     rows = []
     for network in all_networks():
         try:
             here = cached_file(network)
-        except BackendError:  # nothing can have been downloaded through the hub's library
+        except BackendError:  # without the hub's library nothing was downloaded
             here = None
         rows.append(
             {
@@ -64,10 +64,10 @@ def list_models(args: argparse.Namespace) -> int:
 
 
 def network_words(network: Network, dataset: Dataset) -> str:
-    """What a network was taken for, and how large its input is."""
+    """Description of a network: detected family, input size and normalisation."""
     profile = network.profile
     width, height = network.input_size(*dataset.files[0].photo_size)
     return (
-        f"{network.path.name}, taken for {profile.family}: input {width} x {height} px, "
+        f"{network.path.name}, detected as {profile.family}: input {width} x {height} px, "
         f"normalization {profile.normalization}"
     )

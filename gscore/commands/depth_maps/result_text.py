@@ -27,7 +27,7 @@ def _table_text(table: list[dict[str, Any]]) -> str:
     lines = [f"{'view':{width}}  points  inliers     scale    offset   error"]
     for row in table:
         error = "-" if row["error"] is None else f"{row['error']:.1%}"
-        inliers = f"{row['inliers']:.0%}" if row["points"] else "-"  # of none there is no share
+        inliers = f"{row['inliers']:.0%}" if row["points"] else "-"
         scale, offset = "-", "-"
         if row["map"]:
             scale, offset = f"{row['scale']:.4g}", f"{row['offset']:.3g}"
@@ -39,7 +39,7 @@ def _table_text(table: list[dict[str, Any]]) -> str:
 
 
 def facts_of(args: argparse.Namespace, result: DepthResult) -> dict[str, Any]:
-    """For `--json`."""
+    """The result as JSON values."""
     done = result.done
     return {
         "views": done.views,
@@ -59,14 +59,14 @@ def facts_of(args: argparse.Namespace, result: DepthResult) -> dict[str, Any]:
 
 
 def _rule(args: argparse.Namespace) -> str:
-    """The rule by which maps got their scale."""
+    """The rule that determined the scale of the maps."""
     if args.method == "stereo":
         return "stereo"
     return "auto" if args.check else args.align
 
 
 def print_result(args: argparse.Namespace, result: DepthResult) -> None:
-    """Print it for people."""
+    """Print the result as text."""
     done = result.done
     what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
     lines = [_table_text(done.table)]
@@ -77,13 +77,13 @@ def print_result(args: argparse.Namespace, result: DepthResult) -> None:
         lines.append(f"{count} would be used with their scale; nothing was written")
     else:
         rule = (
-            "placed by stereo" if args.method == "stereo" else f"aligned by the {args.align} rule"
+            "scaled by stereo" if args.method == "stereo" else f"aligned by the {args.align} rule"
         )
         lines.append(f"{count} {rule}: {done.params}")
         if not any(row["points"] for row in done.table):
             lines.append(
-                "The capture has no points where these maps state depths, so nothing but the "
-                "photos says how good they are."
+                "The capture has no points where these maps have depths, so only a comparison with "
+                "the photos shows their quality."
             )
         lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
     print(wrapped("\n".join([*lines, done.why]), sys.stdout))

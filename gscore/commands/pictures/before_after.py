@@ -18,40 +18,40 @@ from .stills import to_rgb
 _SIZE = (960, 720)
 """Size of a picture without cameras, px."""
 _FOCAL = 1.1
-"""Of its camera, as a share of the width."""
+"""Focal length of its camera, as a share of the width."""
 _GUTTER = 8
 """White pixels between both pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureLoss:
-    """Renders after a change against renders before it."""
+    """Renders after a change compared to renders before it."""
 
     psnr: float | None
-    """dB, mean over the views that changed; None: none did."""
+    """Mean over the changed views, dB; None: no view changed."""
     worst: str
-    """Name of the view that changed most; empty: none did."""
+    """Name of the view with the largest change; empty: no view changed."""
     worst_psnr: float | None
-    """dB, its PSNR."""
+    """PSNR of that view, dB."""
     views: int
-    """That were rendered."""
+    """Number of rendered views."""
     unchanged: int
-    """Of these, equal to the bit."""
+    """Views whose pictures are bit-identical."""
 
 
 def picture_loss(
     before: Splats, after: Splats, views: EditViews, most: int, status: Status
 ) -> PictureLoss:
-    """Difference of pictures, clamped to [0, 1], over black, in `most` evenly chosen views."""
+    """Difference of pictures, clamped to [0, 1], over black, in at most `most` even views."""
     cameras = views.cameras
     count = min(most, len(cameras))
     chosen = np.linspace(0, len(cameras) - 1, count).round().astype(int).tolist()
-    told = Counted(status, count, "view")
+    progress = Counted(status, count, "view")
     found: dict[str, float] = {}
     for done, i in enumerate(chosen, start=1):
         pictures = [_picture(splats, cameras, i, views) for splats in (after, before)]
         found[cameras.names[i]] = psnr(*pictures)
-        told(done, "measuring")
+        progress(done, "measuring")
     changed = {name: worth for name, worth in found.items() if math.isfinite(worth)}
     worst = min(changed, key=changed.__getitem__, default="")
     return PictureLoss(
@@ -66,15 +66,15 @@ def picture_loss(
 def write_before_after(
     path: Path, before: Splats, after: Splats, views: EditViews, index: int
 ) -> None:
-    """One view before and, to the right of it, after, as a PNG."""
+    """Write one view before (left) and after (right) the change as a PNG."""
     pair = [to_rgb(_rendered(s, views.cameras, index, views)) for s in (before, after)]
     gutter = np.full((len(pair[0]), _GUTTER, 3), 255, np.uint8)
     write_png(path, np.concatenate([pair[0], gutter, pair[1]], axis=1), SIGNED)
 
 
 def some_view(splats: Splats) -> Cameras:
-    """A camera that has most of the splats in its picture, from the front and a little above, where
-    y points down as in COLMAP's world."""
+    """A camera that shows most of the splats from the front and slightly above, with y down as in
+    COLMAP's world."""
     low, high = np.quantile(splats.means.astype(np.float64), (0.05, 0.95), axis=0)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6)
     width, height = _SIZE

@@ -10,29 +10,29 @@ from ...transforms import invert_rigid, quat_to_rotmat, rotmat_to_quat
 from ...upright import find_up
 
 _GAP = math.radians(100)
-"""An arc this wide without cameras means that the capture did not go all the way round."""
+"""Arc without cameras beyond which the capture is not a full circle."""
 _FACING = math.radians(45)
-"""Cameras that turn more than this from the middle do not face it."""
+"""Angle to the middle beyond which a camera does not face it."""
 _SWING = 0.9
-"""Share of the arc with cameras that such an orbit uses; its ends were seen from one side only."""
+"""Share of the arc with cameras that such an orbit uses; its ends appear from one side only."""
 _NEARBY = math.radians(35)
-"""Cameras about this far around the orbit decide its distance and height there."""
+"""Standard deviation of the weights of cameras that determine the orbit's distance and height."""
 _CLOSE = 0.25
-"""Share of the cameras closer to the middle than the orbit ever comes."""
+"""Quantile of camera distances that is the minimum distance of the orbit."""
 
 
 def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """A smooth path through every camera, in their order, at a steady pace.
+    """A smooth path through all cameras in their order, at constant speed.
 
     Positions, rotations and focal lengths are Catmull-Rom curves over the centripetal chord length
-    (Yuksel et al. 2011), which neither cusps nor overshoots where cameras lie unevenly. Rotations
-    are interpolated as quaternions of aligned signs and normalised, which follows the slerp to
-    within a degree for neighbours less than 60 degrees apart.
+    (Yuksel et al. 2011), without cusps or overshoot between unevenly spaced cameras. Rotations
+    are interpolated as quaternions of aligned signs and normalised, within a degree of the slerp
+    for neighbours less than 60 degrees apart.
 
     Args:
         viewmats: [C, 4, 4] float64, world to camera; at least two.
-        Ks: [C, 3, 3] float64, of one picture size.
-        frames: Number of cameras to make; the first and the last are the capture's.
+        Ks: [C, 3, 3] float64, for one picture size.
+        frames: Number of cameras of the path; the first and the last are the capture's.
 
     Returns:
         [frames, 4, 4] float64 viewmats, [frames, 3, 3] float64 Ks.
@@ -44,7 +44,7 @@ def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.n
     poses = invert_rigid(viewmats)
     quats = rotmat_to_quat(poses[:, :3, :3])
     for i in range(1, len(quats)):
-        if quats[i] @ quats[i - 1] < 0:  # q and -q are one rotation; take the near one
+        if quats[i] @ quats[i - 1] < 0:  # q and -q are one rotation; use the nearer one
             quats[i] = -quats[i]
     moves = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     unit = float(np.median(moves)) or 1.0
@@ -64,7 +64,7 @@ def spline_path(viewmats: np.ndarray, Ks: np.ndarray, frames: int) -> tuple[np.n
 
 
 def _lengths(keys: np.ndarray) -> np.ndarray:
-    """[C-1] way between neighbours: distance plus angle, so that turning takes its time too."""
+    """[C-1] path length between neighbours: distance plus angle, so rotation takes time too."""
     quats = keys[:, 3:7] / np.linalg.norm(keys[:, 3:7], axis=1, keepdims=True)
     halves = np.linalg.norm(np.diff(quats, axis=0), axis=1) / 2
     turns = 4 * np.arcsin(np.minimum(halves, 1.0))  # exact for small angles, unlike arccos
@@ -75,7 +75,7 @@ def _catmull_rom(knots: np.ndarray, keys: np.ndarray, at: np.ndarray) -> np.ndar
     """Cubic Hermite curve with the tangents of parabolas through three neighbouring keys.
 
     Args:
-        knots: [C] rising.
+        knots: [C] increasing.
         keys: [C, D].
         at: [F] within the knots.
 
@@ -98,22 +98,22 @@ def _catmull_rom(knots: np.ndarray, keys: np.ndarray, at: np.ndarray) -> np.ndar
 
 
 def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = None) -> np.ndarray:
-    """A closed path around what the cameras look at, always near where cameras stood.
+    """A closed path around the focus point, near the cameras of the capture.
 
-    Distance and height at each angle are those of the cameras around that angle. Where the capture
-    leaves a wide arc without cameras, the path swings to and fro within the arc that has them,
-    because beyond it there is nothing to see.
+    Distance and height at each angle are those of the cameras near that angle. If the capture has
+    a wide arc without cameras, the path swings back and forth within the arc with cameras, because
+    photos show nothing beyond it.
 
     Args:
         viewmats: [C, 4, 4] float64, world to camera; at least two.
-        frames: Number of cameras to make.
-        up: [3], unit, up in the world where the capture states it; None: as the cameras tell.
+        frames: Number of cameras of the path.
+        up: [3], unit, up in the world if the capture states it; None: from the cameras.
 
     Returns:
         [frames, 4, 4] float64, world to camera. The frame after the last would be the first.
 
     Raises:
-        ConfigError: Fewer than two cameras or frames, or cameras that look at nothing in common.
+        ConfigError: Fewer than two cameras or frames, or cameras without a common focus.
     """
     _check(viewmats, frames)
     centers = invert_rigid(viewmats)[:, :3, 3]
@@ -125,32 +125,33 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     radii, angles = np.hypot(x, y), np.arctan2(y, x)
     if not np.median(radii) > 1e-9 * max(1.0, float(np.abs(centers).max())):
         raise ConfigError(
-            "The cameras stand where they look, so there is no orbit; use --path spline."
+            "The cameras have no distance to their focus point, so there is no orbit; use --path "
+            "spline."
         )
     toward = -offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-12)
     facing = np.einsum("ci,ci->c", viewmats[:, 2, :3], toward)
     start, sweep, second_gap = _covered_arc(angles)
     if (facing < math.cos(_FACING)).mean() > 0.25 or second_gap > _GAP:
         raise ConfigError(
-            "The cameras do not look at a common middle, so an orbit would show what no photo saw; "
-            "use --path spline."
+            "The cameras do not face a common middle, so an orbit would show parts that no photo "
+            "shows; use --path spline."
         )
     phases = np.arange(frames) / frames * 2 * math.pi
     if 2 * math.pi - sweep > _GAP:
         swing = 0.5 - 0.5 * _SWING * np.cos(phases)
-        wanted = start + sweep * swing
+        orbit = start + sweep * swing
     else:
-        wanted = angles[0] + phases
-    away = np.angle(np.exp(1j * (wanted[:, None] - angles[None, :])))  # [frames, C] in (-pi, pi]
+        orbit = angles[0] + phases
+    away = np.angle(np.exp(1j * (orbit[:, None] - angles[None, :])))  # [frames, C] in (-pi, pi]
     weights = np.exp(-0.5 * (away / _NEARBY) ** 2) + 1e-12
     weights /= weights.sum(axis=1, keepdims=True)
-    # Photos of a detail stand close: an orbit that followed them would zoom in and out again.
+    # Photos of details are close: an orbit that followed them would zoom in and out.
     far_enough = np.maximum(radii, np.quantile(radii, _CLOSE))
     radius, height = weights @ far_enough, weights @ heights
     eyes = (
         focus
-        + (radius * np.cos(wanted))[:, None] * ahead
-        + (radius * np.sin(wanted))[:, None] * side
+        + (radius * np.cos(orbit))[:, None] * ahead
+        + (radius * np.sin(orbit))[:, None] * side
         + height[:, None] * up
     )
     return np.stack([look_at(eye, focus, up) for eye in eyes])
@@ -171,10 +172,10 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def focus_point(viewmats: np.ndarray) -> np.ndarray:
-    """[3] world point nearest to all optical axes, in the least-squares sense.
+    """[3] world point nearest to all optical axes in the least-squares sense.
 
-    Parallel axes leave the distance open; a weak pull to a point ahead of the cameras, at the size
-    of the capture, decides it.
+    For parallel axes the distance is undetermined; a weak prior on a point ahead of the cameras, at
+    the size of the capture, determines it.
     """
     poses = invert_rigid(viewmats)
     centers, forward = poses[:, :3, 3], poses[:, :3, 2]
@@ -190,7 +191,7 @@ def focus_point(viewmats: np.ndarray) -> np.ndarray:
 
 
 def _covered_arc(angles: np.ndarray) -> tuple[float, float, float]:
-    """Start and width of the smallest arc that holds all angles, and the widest gap within it."""
+    """Start and width of the smallest arc that contains all angles, and the widest gap within."""
     ordered = np.sort(np.mod(angles, 2 * math.pi))
     gaps = np.diff(np.concatenate([ordered, ordered[:1] + 2 * math.pi]))
     widest = int(np.argmax(gaps))
@@ -200,7 +201,7 @@ def _covered_arc(angles: np.ndarray) -> tuple[float, float, float]:
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
-    """Some unit vector at right angles to `direction`."""
+    """A unit vector perpendicular to `direction`."""
     other = np.eye(3)[int(np.argmin(np.abs(direction)))]
     result = np.cross(direction, other)
     return result / np.linalg.norm(result)

@@ -21,9 +21,8 @@ _WIDEST = 800
 def difference(
     model: ModelArgument, packed: Packed, views: PageViews, *, threads: int
 ) -> dict[str, float | None]:
-    """`packing_psnr`, dB, mean over some views of the PSNR between renders of the splats and of
-    what the page holds of them, null where they are equal; `packing_difference`, the mean absolute
-    difference of 8-bit values.
+    """Difference of renders before and after packing, mean over some views: `packing_psnr` in dB,
+    null if equal, and `packing_difference`, the mean absolute difference of 8-bit values.
     """
     chosen = views.cameras or [views.first]
     places = np.linspace(0, len(chosen) - 1, min(len(chosen), _VIEWS)).round().astype(int)

@@ -46,15 +46,15 @@ class PageViews:
 
 
 def find_views(args: argparse.Namespace, model: ModelArgument, status: Status) -> PageViews:
-    """The cameras of what `--source` names or of the run, with photos where the capture is there.
+    """The cameras of `--source` or of the run, with photos if the capture exists.
 
     Args:
-        args: Of the verb.
+        args: Arguments of the verb.
         model: The splats.
-        status: Shows how far reading the photos is.
+        status: Shows the progress of reading photos.
 
     Raises:
-        GsError: what `--source` names cannot be read.
+        GsError: `--source` cannot be read.
     """
     warnings: list[str] = []
     dataset = _dataset(args, model, status, warnings)
@@ -80,7 +80,7 @@ def find_views(args: argparse.Namespace, model: ModelArgument, status: Status) -
 def _dataset(
     args: argparse.Namespace, model: ModelArgument, status: Status, warnings: list[str]
 ) -> Dataset | None:
-    """The capture; None where photos are not wanted or not there."""
+    """The capture; None if photos are not requested or do not exist."""
     source = args.source
     if source is not None and not source.is_dir():
         return None
@@ -98,14 +98,14 @@ def _dataset(
     except GsError as error:
         if source is not None:
             raise
-        warnings.append(f"The page holds no photos: {error} Or say with -s where the capture is.")
+        warnings.append(f"The page contains no photos: {error} Or give the capture with -s.")
         return None
 
 
 def _listed(
     args: argparse.Namespace, model: ModelArgument
 ) -> tuple[Cameras | None, Collection[str]]:
-    """Cameras of a cameras.json, and the names of those held out of the training."""
+    """Cameras of a cameras.json, and the names of the held-out ones."""
     beside = model.run or model.path.parent
     path = args.source or beside / "cameras.json"
     if args.source is None and not path.is_file():
@@ -121,9 +121,9 @@ def _photos(
     background: tuple[float, float, float],
     status: Status,
 ) -> dict[int, str]:
-    """The photos of some views as small JPEGs, rotated by quarter turns [C] of each view."""
+    """Photos of some views as small JPEGs, rotated by the quarter turns [C] of each view."""
     dataset.keep_few()
-    told = Counted(status, len(chosen), "photo")
+    progress = Counted(status, len(chosen), "photo")
     found: dict[int, str] = {}
     for done, index in enumerate(chosen):
         picture, _ = target_picture(
@@ -133,7 +133,7 @@ def _photos(
         small = np.ascontiguousarray(np.rot90(small, turns[index]))
         size = size_within(small.shape[1], small.shape[0], _PHOTO_SIDE)
         found[index] = data_uri(shrink(small, size))
-        told(done + 1, dataset.names[index])
+        progress(done + 1, dataset.names[index])
     return found
 
 
@@ -157,7 +157,7 @@ def _camera(cameras: Cameras, i: int, held_out: Collection[str], photo: str) -> 
 
 
 def _first(cameras: Cameras, focus: np.ndarray) -> int:
-    """The camera that looks straightest at the middle from the usual distance."""
+    """The camera that faces the middle best, at a typical distance."""
     offsets = focus - cameras.centers
     far = np.maximum(np.linalg.norm(offsets, axis=1), 1e-12)
     facing = np.einsum("ci,ci->c", cameras.viewmats[:, 2, :3], offsets) / far
@@ -166,8 +166,8 @@ def _first(cameras: Cameras, focus: np.ndarray) -> int:
 
 
 def _without_cameras(model: ModelArgument, warnings: list[str]) -> PageViews:
-    """A view of the middle half of the splats from the front; files of splats have y down unless
-    they state another axis as up."""
+    """A view of most splats from the front; splat files have y down unless they state another up
+    axis."""
     if not len(model.splats):
         raise ConfigError("There are no splats to show.")
     low, middle, high = np.percentile(model.splats.means.astype(np.float64), (10, 50, 90), axis=0)
@@ -184,5 +184,5 @@ def _without_cameras(model: ModelArgument, warnings: list[str]) -> PageViews:
         width=int(width),
         height=int(height),
     )
-    note = "There are no cameras beside the splats; -s names a capture or a cameras.json."
+    note = "There are no cameras next to the splats; give a capture or a cameras.json with -s."
     return PageViews(cameras=[], first=first, focus=middle, up=up, warnings=[*warnings, note])

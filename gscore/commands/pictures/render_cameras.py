@@ -21,26 +21,26 @@ from ..args.model_argument import ModelArgument, is_capture
 from .camera_path import orbit_path, spline_path
 
 PATHS = ("orbit", "spline")
-"""Paths that are made; any other is a file."""
+"""Computed paths; any other is a file."""
 FPS = 30.0
 """Default frame rate, pictures a second."""
 _ORBIT_SECONDS = 8.0
-"""Of an orbit, at its usual length."""
+"""Default length of an orbit."""
 _SPLINE_SECONDS = 0.25
-"""For each camera that a path passes, at its usual length; as long as an orbit at least."""
+"""Default length of a spline per camera; at least the length of an orbit."""
 _LONGEST_SPLINE = 60.0
-"""Seconds; captures of hundreds of photos are passed faster."""
+"""Maximum default length of a spline, s; captures of hundreds of photos are passed faster."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shots:
-    """What to render."""
+    """Cameras to render from."""
 
     cameras: Cameras
     path: str
     """orbit, spline or the file of a path; empty: views."""
     fps: float | None = None
-    """Pictures a second, where the file of a path states them."""
+    """Pictures per second, if the file of a path states them."""
     why: str = ""
     """A sentence for the user if the path was chosen by default."""
 
@@ -48,18 +48,18 @@ class Shots:
 def find_shots(
     args: argparse.Namespace, model: ModelArgument | LodArgument, *, is_video: bool
 ) -> Shots:
-    """The cameras to render from, at the size asked for.
+    """The cameras to render from, at the requested size.
 
-    A video of views that nobody chose would jump from photo to photo: it gets an orbit, or where
-    the cameras have no common middle a path through them.
+    A video of all views would jump from photo to photo, so its default is an orbit, or a spline if
+    the cameras have no common middle.
 
     Args:
-        args: Of the verb.
+        args: Arguments of the verb.
         model: The splats.
-        is_video: Whether the pictures become one; its sizes must be even.
+        is_video: The pictures become a video, whose sizes must be even.
 
     Raises:
-        ConfigError: A path or view that there cannot be.
+        ConfigError: An impossible path or view.
         DatasetError: No cameras, or no such view.
     """
     if args.path and args.path not in PATHS:
@@ -71,8 +71,8 @@ def find_shots(
     if args.test:
         if not captured.test:
             raise DatasetError(
-                "No view was held out, or the split is not known: give the folder of a run that "
-                "was trained with --eval, or choose views with --view or --all."
+                "No view was held out, or the split is unknown: give the folder of a run that was "
+                "trained with --eval, or select views with --view or --all."
             )
         return Shots(cameras=some_cameras(cameras, captured.test), path="")
     if args.view:
@@ -84,10 +84,10 @@ def find_shots(
 
 
 def _of_file(args: argparse.Namespace, model: ModelArgument | LodArgument, *, even: bool) -> Shots:
-    """The cameras of a file, one a picture."""
+    """The cameras of a file, one per picture."""
     if not Path(args.path).is_file():
         raise ConfigError(
-            f"--path {args.path}: neither {' nor '.join(PATHS)}, and there is no such file."
+            f"--path {args.path}: neither {' nor '.join(PATHS)}, nor an existing file."
         )
     found = read_camera_path(args.path)
     return Shots(
@@ -102,36 +102,36 @@ def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
     """The default path of a video."""
     try:
         shots = _along(cameras, "orbit", args)
-        what = "an orbit around what the cameras look at"
+        what = "an orbit around the focus of the cameras"
     except ConfigError:  # the cameras have no common middle
         shots = _along(cameras, "spline", args)
-        what = "a way through the cameras in their order, which have no common middle to go around"
+        what = "a path through the cameras in their order, as they have no common middle"
     seconds = len(shots.cameras) / (args.fps or FPS)
-    why = f"No --path was given: {what}, {seconds:.1f} s. --all makes a video of the views."
+    why = f"Default path: {what}, {seconds:.1f} s. --all makes a video of the views instead."
     return replace(shots, why=why)
 
 
 @dataclass(frozen=True)
 class Captured:
-    """Cameras that photos were taken from."""
+    """Cameras of photos."""
 
     cameras: Cameras
     test: list[int]
-    """Indices of the views that were held out, where that is known."""
+    """Indices of the held-out views; empty if unknown."""
 
 
 def captured_cameras(source: Path | None, model: ModelArgument | LodArgument) -> Captured:
-    """The cameras of a capture or run, in the world of the model's splats, and its test views where
-    they are known.
+    """The cameras of a capture or run in the world of the model's splats, and its test views if
+    known.
 
     Args:
-        source: The folder of a capture or of a run, or a cameras.json; None: what lies beside the
-            model.
+        source: The folder of a capture or of a run, or a cameras.json; None: the cameras.json next
+            to the model.
         model: The splats.
 
     Raises:
-        ConfigError: There are no cameras beside the model.
-        DatasetError: No cameras, or a capture that cannot be read.
+        ConfigError: There are no cameras next to the model.
+        DatasetError: No cameras, or an unreadable capture.
     """
     if source is not None and (source / "cameras.json").is_file() and not is_capture(source):
         source = source / "cameras.json"
@@ -141,8 +141,8 @@ def captured_cameras(source: Path | None, model: ModelArgument | LodArgument) ->
         beside = (model.run or model.path.parent) / "cameras.json"
         if not beside.is_file():
             raise ConfigError(
-                f"There is no cameras.json beside {model.path}; say with -s where cameras are: the "
-                "capture's folder or a cameras.json."
+                f"There is no cameras.json next to {model.path}; give the folder of a capture or a "
+                "cameras.json with -s."
             )
         source = beside
     elif source.is_dir():
@@ -151,16 +151,16 @@ def captured_cameras(source: Path | None, model: ModelArgument | LodArgument) ->
         config = DataConfig(source=source)
         if model.data is not None and model.data.source.resolve() == source.resolve():
             config = model.data
-        dataset = load_dataset(replace(config, mask_mode="none"))  # cameras are all that is wanted
+        dataset = load_dataset(replace(config, mask_mode="none"))  # only the cameras are used
         return Captured(model.world_of(dataset.scene.cameras), dataset.test)
     cameras = read_cameras_json(source)
     if not len(cameras):
-        raise DatasetError(f"{source} holds no cameras.")
+        raise DatasetError(f"{source} contains no cameras.")
     return Captured(model.world_of(cameras), _test_views(model, cameras.names))
 
 
 def _test_views(model: ModelArgument | LodArgument, names: tuple[str, ...]) -> list[int]:
-    """Indices of the views the run's metrics.json calls test views."""
+    """Indices of the test views in the run's metrics.json."""
     held_out = read_metrics(model.run or model.path.parent).get("test_views")
     if not isinstance(held_out, list):
         return []
@@ -168,7 +168,7 @@ def _test_views(model: ModelArgument | LodArgument, names: tuple[str, ...]) -> l
 
 
 def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
-    """The cameras with other picture sizes; `even`: sizes that H.264 can store."""
+    """The cameras at other picture sizes; `even`: even sizes, as H.264 requires."""
     sizes, Ks = [], []
     for K, width, height in zip(cameras.Ks, cameras.widths, cameras.heights, strict=True):
         old = int(width), int(height)
@@ -182,7 +182,7 @@ def _scaled(cameras: Cameras, resolution: float, *, even: bool) -> Cameras:
 
 
 def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
-    """The size of a picture, px: that of the photo, but a given width may exceed it."""
+    """The size of a picture, px, as of training photos, but a given width may exceed the photo."""
     width, height = photo
     if resolution > LARGEST_FACTOR:
         return round(resolution), max(1, round(height * resolution / width))
@@ -190,7 +190,7 @@ def _size(photo: tuple[int, int], resolution: float) -> tuple[int, int]:
 
 
 def _frames(args: argparse.Namespace, kind: str, cameras: int) -> int:
-    """How many pictures a path has."""
+    """Number of pictures of a path."""
     if args.frames is not None:
         return args.frames
     seconds = _ORBIT_SECONDS
@@ -200,7 +200,7 @@ def _frames(args: argparse.Namespace, kind: str, cameras: int) -> int:
 
 
 def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
-    """A camera path, with upright pictures of the size most cameras have when held upright."""
+    """A camera path with upright pictures of the most frequent size."""
     cameras = turn_cameras(cameras, upright_turns(cameras))
     frames = _frames(args, kind, len(cameras))
     sizes = np.stack([cameras.widths, cameras.heights], axis=1)
@@ -217,7 +217,7 @@ def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
     else:
         viewmats = orbit_path(cameras.viewmats, frames, up=cameras.up)
         K = np.median(Ks, axis=0)
-        K[0, 2], K[1, 2] = width / 2, height / 2  # what the orbit looks at is in the middle
+        K[0, 2], K[1, 2] = width / 2, height / 2  # the focus is in the middle
         Ks = np.tile(K, (frames, 1, 1))
     path = Cameras(
         viewmats=viewmats,
@@ -230,8 +230,8 @@ def _along(cameras: Cameras, kind: str, args: argparse.Namespace) -> Shots:
 
 
 def _fitted(K: np.ndarray, old: tuple[int, int], new: tuple[int, int]) -> np.ndarray:
-    """K for a picture of another size; between upright and lying ones the angle across the
-    diagonal stays, so that nothing is stretched."""
+    """K for another picture size; between portrait and landscape the diagonal field of view is
+    kept, so that nothing is stretched."""
     if (old[0] > old[1]) == (new[0] > new[1]):
         return scale_intrinsics(K, old, new)
     scale = math.hypot(*new) / math.hypot(*old)
@@ -242,7 +242,7 @@ def _fitted(K: np.ndarray, old: tuple[int, int], new: tuple[int, int]) -> np.nda
 
 
 def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
-    """Those of `indices`, in their order."""
+    """The cameras of `indices`, in this order."""
     indices = list(indices)
     return Cameras(
         viewmats=cameras.viewmats[indices],
@@ -256,7 +256,7 @@ def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
 
 
 def view_index(view: str, names: tuple[str, ...]) -> int:
-    """The view called so, with or without folder and ending, or the number of a view from 0."""
+    """Index of a view given by name, with or without folder and ending, or by number from 0."""
     for form in (str, lambda n: PurePosixPath(n).name, lambda n: PurePosixPath(n).stem):
         found = [i for i, name in enumerate(names) if form(name) == view]
         if len(found) == 1:
@@ -269,6 +269,6 @@ def view_index(view: str, names: tuple[str, ...]) -> int:
     if view.isdigit() and int(view) < len(names):
         return int(view)
     raise DatasetError(
-        f"There is no view {view}; there are {len(names)}, named like {names[0]}, or by number "
+        f"There is no view {view}; give one of {len(names)} names such as {names[0]}, or a number "
         f"from 0 to {len(names) - 1}."
     )

@@ -13,15 +13,15 @@ from ...raster.api import Rendered
 
 
 def still_names(names: Sequence[str], *, depths: bool = False) -> list[str]:
-    """A relative path without ending for each view, unique, whatever the capture calls them.
+    """A unique relative path without ending for each view, for any names in the capture.
 
-    Sub-folders stay; what would lead out of the output folder is dropped; names that differ in
-    their ending only keep it. Names that differ in capitals only count as equal, as some systems
-    take them.
+    Sub-folders are kept; parts that lead out of the output folder are dropped; names that differ
+    only in their ending keep it. Names that differ only in case count as equal, as on some file
+    systems.
 
     Args:
-        names: Of the views.
-        depths: Names with `_depth` behind them have to be free too.
+        names: Names of the views.
+        depths: Names followed by `_depth` must be unique too.
     """
     stems = [_inside(str(PurePosixPath(n).with_suffix("")) if n else "view") for n in names]
     whole = [_inside(n.replace(".", "_")) for n in names]
@@ -29,8 +29,8 @@ def still_names(names: Sequence[str], *, depths: bool = False) -> list[str]:
     taken: set[str] = set()
     result: list[str] = []
     for i, stem in enumerate(stems):
-        wanted = stem if counts[stem.lower()] == 1 else whole[i]
-        choices = chain([wanted], (f"{wanted}_{number}" for number in count(i)))
+        best = stem if counts[stem.lower()] == 1 else whole[i]
+        choices = chain([best], (f"{best}_{number}" for number in count(i)))
         name = next(name for name in choices if not _files(name, depths=depths) & taken)
         taken |= _files(name, depths=depths)
         result.append(name)
@@ -38,7 +38,7 @@ def still_names(names: Sequence[str], *, depths: bool = False) -> list[str]:
 
 
 def _files(name: str, *, depths: bool) -> set[str]:
-    """The file at the name of a view, on case-insensitive file systems."""
+    """File names of a view on case-insensitive file systems."""
     return {name.lower(), f"{name}_depth".lower()} if depths else {name.lower()}
 
 
@@ -49,19 +49,19 @@ def _inside(name: str) -> str:
 
 
 def _is_odd(letter: str) -> bool:
-    """Whether some system takes the letter in no file name."""
+    """Whether some file system forbids the letter."""
     return letter in '<>:"|?*' or is_unnameable(letter)
 
 
 def to_rgb(rendered: Rendered) -> np.ndarray:
-    """[H, W, 3] uint8 of the picture over its background."""
+    """[H, W, 3] uint8, the picture over its background."""
     return (np.clip(rendered.rgb, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def to_rgba(rendered: Rendered) -> np.ndarray:
-    """[H, W, 4] uint8 with straight alpha, of a picture rendered over black.
+    """[H, W, 4] uint8 with straight alpha, from a picture rendered over black.
 
-    Over black the colours are multiplied by alpha; PNG stores them undone.
+    Over black the colours are premultiplied by alpha; PNG stores straight ones.
     """
     alpha = rendered.alpha[..., None]
     color = np.divide(rendered.rgb, alpha, out=np.zeros_like(rendered.rgb), where=alpha > 1e-4)
@@ -70,14 +70,14 @@ def to_rgba(rendered: Rendered) -> np.ndarray:
 
 
 def write_depth_npy(path: Path, depth: np.ndarray) -> None:
-    """Write [H, W] float32 depths exactly, in world units; 0 where nothing is."""
+    """Write [H, W] float32 depths exactly, in world units; 0: empty."""
     atomic_write(path, lambda file: np.save(file, depth.astype(np.float32)))
 
 
 def write_depth_png(path: Path, depth: np.ndarray, unit: float) -> None:
-    """Write depths as 16-bit grey: value * `unit` = depth in world units, 0 where nothing is.
+    """Write depths as 16-bit grey: value * `unit` = depth in world units, 0: empty.
 
-    Depths that do not fit are stored as 65535. The unit is in the file's text too: "depth_unit".
+    Larger depths are stored as 65535. The file states the unit as text: "depth_unit".
     """
     values = np.where(depth > 0, np.clip(np.round(depth / unit), 1, 65535), 0)
     write_png(path, values.astype(np.uint16), {"depth_unit": repr(unit)} | SIGNED)

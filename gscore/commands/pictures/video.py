@@ -16,10 +16,10 @@ _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "mpeg4")
 
 
 def need_video() -> Any:
-    """PyAV.
+    """The module of PyAV.
 
     Raises:
-        BackendError: It is not installed.
+        BackendError: PyAV is not installed.
     """
     try:
         import av
@@ -36,7 +36,7 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
     Args:
         path: The file, `.mp4`.
         pictures: [H, W, 3] uint8 each, all of one size, H and W even.
-        fps: Pictures a second.
+        fps: Pictures per second.
 
     Raises:
         BackendError: PyAV or a usable encoder is missing.
@@ -46,7 +46,7 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # FFmpeg takes what stands before a colon for a protocol, such as tcp or concat.
+        # Without "file:", FFmpeg parses text before a colon as a protocol, such as tcp or concat.
         options = {"movflags": "+faststart"}
         with av.open(f"file:{temporary}", "w", format="mp4", options=options) as file:
             file.metadata["comment"] = "Rendered by gscore"
@@ -55,7 +55,7 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
                 if stream is None:
                     stream = _stream(av, file, picture.shape[1], picture.shape[0], fps)
                 frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-                # Players take HD video for BT.709; say and do the same at every size.
+                # Players assume BT.709 for HD video; declare and use it at every size.
                 frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709")
                 for packet in stream.encode(frame):
                     file.mux(packet)
@@ -72,7 +72,7 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
 
 
 def _stream(av: Any, file: Any, width: int, height: int, fps: float) -> Any:
-    """A video stream of the best encoder this PyAV has."""
+    """A video stream of the best available encoder."""
     name = next((n for n in _ENCODERS if n in av.codecs_available), None)
     if name is None:
         raise BackendError(
@@ -81,7 +81,7 @@ def _stream(av: Any, file: Any, width: int, height: int, fps: float) -> Any:
         )
     stream = file.add_stream(name, rate=Fraction(fps).limit_denominator(1001))
     stream.width, stream.height = width, height
-    stream.pix_fmt = "yuv420p"  # the only layout every player knows
+    stream.pix_fmt = "yuv420p"  # the only layout that every player supports
     if name == "libx264":
         stream.options = {"crf": "18", "preset": "medium"}
     else:

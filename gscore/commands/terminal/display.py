@@ -1,4 +1,4 @@
-"""Display of events: JSON lines for programs, progress lines for people, or nothing."""
+"""Display of events: JSON lines for programs, progress lines for users, or nothing."""
 
 import contextlib
 import math
@@ -34,14 +34,14 @@ from ...text_format import count_words, number, quality_words, size_words, time_
 from .status import Status, clock
 
 _MASKS = {
-    "ignore": "Masks are used: what they hide is not trained and not measured. --mask-mode none "
-    "trains whole photos, composite the subject alone.",
-    "composite": "Masks are used: they are the opacity of the subject, and nothing else is "
-    "trained. --mask-mode none trains whole photos, ignore leaves open what masks hide.",
+    "ignore": "Masks are used: masked pixels are neither trained nor measured. --mask-mode none "
+    "trains whole photos, composite only the subject.",
+    "composite": "Masks are used as the opacity of the subject, and only the subject is trained. "
+    "--mask-mode none trains whole photos, ignore does not constrain masked pixels.",
 }
 """By `mask_mode`."""
 _STOPS = ("paused", "measuring")
-"""Phases in which no steps are taken. The others are not shown: the splats tell them."""
+"""Phases without steps, which are shown; the number of splats implies the others."""
 
 
 class Silent:
@@ -61,7 +61,7 @@ class JsonLines:
         self._open = True
 
     def __call__(self, event: Event) -> None:
-        """Write the event at once."""
+        """Write the event immediately."""
         if not self._open:
             return
         try:
@@ -76,10 +76,10 @@ class JsonLines:
 
 
 class Lines:
-    """What happens as lines for people; how far it is moves under them on a terminal.
+    """Events as lines of text, with a progress line below them on a terminal.
 
-    What the verb says at its end, on stdout, is left out here: the last measurement and the files
-    it is of, except for the frames of a sequence, of which the verb says the mean.
+    The last measurement and its files are left out, because the verb prints them on stdout at its
+    end; but those of a sequence's frames are shown, as the verb prints only their mean.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -118,7 +118,7 @@ class Lines:
                     self._status.say(text)
 
     def _progress(self, event: Progress) -> None:
-        self._tell_measured()  # the run goes on, so this was not the last
+        self._show_measured()  # the run continues, so this was not the last
         share = event.step / max(event.iterations, 1) if event.splats else None
         last = event.step >= event.iterations and event.phase not in _STOPS
         self._status.show(progress_parts(event), share=share, at_once=last)
@@ -162,18 +162,18 @@ class Lines:
         self._status.show(parts, share=share)
 
     def _saved(self, event: Saved) -> None:
-        is_asked_for = "point_cloud/iteration_" in Path(event.path).as_posix()
-        if is_asked_for:
+        is_requested = "point_cloud/iteration_" in Path(event.path).as_posix()
+        if is_requested:
             self._status.say(f"Saved {event.path}")
 
-    def _tell_measured(self) -> None:
+    def _show_measured(self) -> None:
         if self._measured:
             self._status.say(self._measured)
         self._measured = ""
 
     def _end(self) -> None:
         if self._sequence:
-            self._tell_measured()
+            self._show_measured()
         self._measured = ""
         self._status.clear()
 
@@ -186,7 +186,7 @@ def _texts(event: Event) -> Iterator[str]:
         case SfmEstimated():
             yield (
                 f"Finding the cameras of {count_words(event.photos, 'photo')}, which takes about "
-                f"{time_words(float(f'{event.seconds:.1g}'))} where nothing else runs"
+                f"{time_words(float(f'{event.seconds:.1g}'))} on an otherwise idle machine"
             )
         case Started() if event.step:
             # What was found of the photos was said when it began.
@@ -215,19 +215,19 @@ def _texts(event: Event) -> Iterator[str]:
 
 
 def going_on_text(event: Started) -> str:
-    """The resumed step of a training and the remaining steps, for people."""
+    """The step and remaining time of a resumed training, as text."""
     left = ""
     if math.isfinite(event.left_s):
         left = f", about {time_words(max(round(event.left_s), 1))} of training left"
     return (
-        f"Going on from step {number(event.step)} of {number(event.iterations)} with "
+        f"Resuming from step {number(event.step)} of {number(event.iterations)} with "
         f"{count_words(event.splats, 'splat')}{left}; {count_words(event.threads, 'thread')}, "
         f"{event.isa}"
     )
 
 
 def _each(event: Started) -> str:
-    """Why there are more splats than points: each model starts from all of them."""
+    """Note on several models, each of which starts from all points."""
     if event.models == 1:
         return ""
     each = event.splats // event.models
@@ -235,7 +235,7 @@ def _each(event: Started) -> str:
 
 
 def progress_parts(event: Progress) -> list[str]:
-    """Parts of the moving line, what matters most first."""
+    """Parts of the progress line, the most important first."""
     if not event.splats:
         return [_capital(event.phase)]
     step = f"step {number(event.step)} of {number(event.iterations)}"
@@ -248,26 +248,26 @@ def progress_parts(event: Progress) -> list[str]:
 
 
 def frame_text(event: FrameStarted) -> str:
-    """One line for people on a frame of a sequence that begins."""
+    """One line on the next frame of a sequence."""
     how = "complete already" if event.complete else count_words(event.iterations, "step")
-    how += ", from the frame before" if event.start and not event.complete else ""
+    how += ", from the previous frame" if event.start and not event.complete else ""
     return f"Frame {event.frame} ({event.place} of {event.frames}): {how}"
 
 
 def eval_text(event: Eval) -> str:
-    """One line for people; empty for the PSNR alone, with which a run watches its goal."""
+    """One line on a measurement; empty for the PSNR of a stopping criterion."""
     if event.metrics.get("ssim") is None:
         return ""
     return f"Step {number(event.step)}, {event.split} views: {quality_words(event.metrics)}"
 
 
 def estimate_text(event: Estimated) -> str:
-    """What a training will take, for people."""
+    """Expected time and memory of a training, as text."""
     text = f"About {time_words(max(round(event.seconds), 1))} of training and "
-    text += f"{event.peak_bytes / 1e9:.1f} GB of memory, where nothing else runs"
+    text += f"{event.peak_bytes / 1e9:.1f} GB of memory, on an otherwise idle machine"
     if event.photos_kept:
         return text
-    return f"{text}; {size_words(event.photo_bytes)} of photos are kept, the others read again"
+    return f"{text}; {size_words(event.photo_bytes)} of photos are cached, the others read again"
 
 
 def _capital(text: str) -> str:

@@ -1,7 +1,8 @@
 """Interrupts of a command: signals, and a closed output stream.
 
-The first of them asks for an end in good order. After it a Ctrl-C ends at once; other signals do
-not, since systems send several for one event: SIGHUP when a terminal closes, SIGTERM by `timeout`.
+The first requests an orderly stop. A later Ctrl-C exits immediately; other later signals are
+ignored, since systems send several for one event: SIGHUP when a terminal closes, SIGTERM by
+`timeout`.
 """
 
 import contextlib
@@ -20,18 +21,18 @@ from .torchrun_launch import one_of_many
 _SIGPIPE = 13
 """POSIX number; the exit code is the same on systems without the signal."""
 PIPE_CLOSED = 128 + _SIGPIPE
-"""Exit code where the reader of the output is gone."""
+"""Exit code after the reader of the output closed it."""
 HUNG_UP = 129
-"""Exit code where the terminal is gone: 128 + SIGHUP."""
+"""Exit code after the terminal closed: 128 + SIGHUP."""
 _current: "Interrupt | None" = None
 
 
 class Interrupt:
-    """Remembers for the duration of a block what came, and passes the first on to who obeys.
+    """Context manager that handles signals and forwards the first one to the command.
 
-    While a command obeys (`asking`), it is asked. While it works without looking (`working`), a
-    KeyboardInterrupt is raised in it. Before that the process ends at once, for nothing is open,
-    and after it nothing is left to stop.
+    Within `asking`, the stop callback is called. Within `working`, a KeyboardInterrupt is raised.
+    Before both the process exits immediately, because nothing is open; after them there is nothing
+    to stop.
     """
 
     def __init__(self) -> None:
@@ -43,12 +44,12 @@ class Interrupt:
         self._quiet = False
         self._begun = self._over = False
         self.raised = False
-        """Whether KeyboardInterrupt was raised: an error caused by it is not reported."""
+        """Whether KeyboardInterrupt was raised; errors caused by it are not reported."""
 
     @property
     def exit_code(self) -> int:
-        """128 + the signal that came, as shells expect, or what `output_lost` said; 0 if nothing
-        came."""
+        """128 + the received signal, as in shells, or the code given to `output_lost`; 0 if
+        neither."""
         return 128 + self._received if self._received else self._output_code
 
     @property
@@ -73,7 +74,7 @@ class Interrupt:
 
     @contextmanager
     def working(self) -> Iterator[None]:
-        """A block that can be left at any place; when it is over, the command is."""
+        """Context of work that a KeyboardInterrupt may end anywhere."""
         self._begun = True
         try:
             yield
@@ -82,7 +83,7 @@ class Interrupt:
 
     @contextmanager
     def asking(self, stop: Callable[[str], None], *, quiet: bool) -> Iterator[None]:
-        """A block that ends by itself after `stop(reason)`; `quiet`: no message."""
+        """Context of work that ends by itself after `stop(reason)`; `quiet`: no message."""
         self._stop, self._quiet, self._over = stop, quiet, False
         if self.exit_code:
             stop("interrupted" if self._received else "output closed")
@@ -92,8 +93,8 @@ class Interrupt:
             self._stop, self._over = None, True
 
     def output_lost(self, code: int) -> None:
-        """Nobody takes the output any more; `code` is to be the exit code. One of many ranks goes
-        on where its reader is gone: torchrun would start it again, while the others are through."""
+        """Stop because the output was closed, with exit code `code`. One of several ranks continues
+        instead, because torchrun would restart it after the others have finished."""
         if one_of_many() and code in (PIPE_CLOSED, HUNG_UP):
             return
         self._output_code = self._output_code or code
@@ -103,12 +104,12 @@ class Interrupt:
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self._received:
             if number == signal.SIGINT and not self._over:
-                self._leave("Stopped at once. What was written before is whole.")
+                self._leave("Stopped immediately. Files written before are complete.")
             return
         self._received = number
         if self._stop is not None:
             self._stop("interrupted")
-            self._say("Stopping in good order; Ctrl-C stops at once.")
+            self._print("Stopping in an orderly way; press Ctrl-C again to stop immediately.")
         elif not self._begun:
             self._leave("Stopped.")
         elif not self._over:
@@ -119,11 +120,11 @@ class Interrupt:
         self.output_lost(PIPE_CLOSED)
 
     def _leave(self, sentence: str) -> None:
-        self._say(sentence)
+        self._print(sentence)
         os._exit(self.exit_code)
 
-    def _say(self, sentence: str) -> None:
-        """Past Python's streams, which the signal may have caught in the middle of a line."""
+    def _print(self, sentence: str) -> None:
+        """Write to stderr without Python's streams, which the signal may have interrupted."""
         if self._quiet:
             return
         with contextlib.suppress(OSError):
@@ -131,14 +132,14 @@ class Interrupt:
             os.write(2, f"{start}{sentence}\n".encode())
 
     def _unraisable(self, problem: Any) -> None:
-        """A KeyboardInterrupt in a destructor or a callback is printed by Python, and lost."""
+        """Suppress Python's message on a KeyboardInterrupt in a destructor or callback."""
         if not self.raised:
             self._hook(problem)
 
 
 @contextmanager
 def interrupts() -> Iterator[Interrupt]:
-    """The instance of this process; created for the duration of the block if there is none."""
+    """Context with the instance of this process, created if there is none."""
     global _current
     if _current is not None:
         yield _current

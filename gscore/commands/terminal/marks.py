@@ -1,4 +1,4 @@
-"""File marks: detects files written by gscore, by the mark at each format's own place."""
+"""File marks: detects files written by gscore, by a mark in each format."""
 
 import contextlib
 import re
@@ -13,29 +13,29 @@ from ...io.ply.splats import header_comments
 from ...json_text import parse_json
 
 _HEAD = 1 << 16
-"""Bytes at the beginning that contain all marks of pictures and pages."""
+"""Leading bytes that contain all marks of pictures and pages."""
 _MOST_JSON = 1 << 28
 _MOST_META = 1 << 22
 _MOST_FILM = 1 << 26
-"""Bytes at the beginning of an MP4 that contain its index, which is written first."""
+"""Leading bytes of an MP4 that contain its index, which is written first."""
 _COMMENTS = ("gscore convert", "merged by gscore", "made by gscore")
-"""What comments of a PLY begin with, in small letters."""
+"""Prefixes of PLY comments, in lower case."""
 _PAGE = re.compile(
     rb"<!doctype html>\n(?:<!-- written by gscore -->\n|"
-    # Reports before they had the line above.
+    # Reports of versions without the line above.
     rb'<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="viewport" '
     rb'content="width=device-width, initial-scale=1">\n'
     rb"<title>[^<]*: (?:gscore report|two runs compared by gscore)</title>\n)"
 )
 _FIGURE = re.compile(rb"<svg [^>]*><metadata>gscore</metadata>")
 _SOFTWARE = b"\0\0\0\x0ftEXtSoftware\0gscore"
-"""A chunk of PNG, of 15 bytes."""
+"""A PNG chunk of 15 bytes."""
 _FILM = re.compile(rb"\xa9cmt.{4}data.{8}Rendered by gscore", re.DOTALL)
-"""The comment of an MP4: an item of QuickTime's metadata with its data."""
+"""The comment of an MP4: a QuickTime metadata item with its data."""
 
 
 def is_ours(path: Path) -> bool:
-    """Whether a file may be replaced without a loss for anybody: empty, or with gscore's mark."""
+    """Whether a file may be replaced: it is empty, or has gscore's mark."""
     with contextlib.suppress(OSError, ValueError, GsError, zipfile.BadZipFile, RecursionError):
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -51,7 +51,7 @@ def _is_marked(path: Path, head: bytes) -> bool:
     if head.startswith(b"PK"):
         with zipfile.ZipFile(path) as archive, archive.open(META) as file:
             return _names_us(parse_json(file.read(_MOST_META)))
-    if head.startswith(b"glTF"):  # header, then a chunk of JSON with its size before it
+    if head.startswith(b"glTF"):  # header, then a JSON chunk preceded by its size
         size = int.from_bytes(head[12:16], "little")
         return _names_us(parse_json(_begin(path, 20 + size)[20:]))
     if head[4:8] == b"ftyp":
@@ -63,7 +63,7 @@ def _is_marked(path: Path, head: bytes) -> bool:
 
 
 def _names_us(content: Any) -> bool:
-    """Whether a JSON object states the version of gscore, or as glTF and SOG its generator."""
+    """Whether a JSON object states the version of gscore, or gscore as generator (glTF, SOG)."""
     if not isinstance(content, dict):
         return False
     asset = content.get("asset")

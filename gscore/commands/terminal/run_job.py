@@ -14,7 +14,7 @@ from .interrupt import interrupts
 Result = TypeVar("Result")
 STOPPED = "Stopped before the first step; nothing was written."
 STOPPED_WITH_NOTHING = 3
-"""Exit code of work that was stopped, by no signal, before there was a result."""
+"""Exit code of work that was stopped before a result, other than by a signal."""
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -35,13 +35,13 @@ def run_job(
     *,
     stopped: Callable[[], str] = lambda: STOPPED,
 ) -> tuple[Result | None, int]:
-    """Do `work`; an error is told as an event too, before it is raised again.
+    """Run `work`; an error is also sent as an event before it is raised again.
 
     Args:
-        args: With the options `quiet` and `events`.
-        work: Gets where to send events and the control to obey; raises Cancelled where it was
-            stopped without a result.
-        stopped: The sentence that then says so, to programs as an event, to people on stderr.
+        args: Arguments with the options `quiet` and `events`.
+        work: Receives the event callback and the control to poll; raises Cancelled if stopped
+            without a result.
+        stopped: Returns the message on such a stop, sent as an event or printed on stderr.
 
     Returns:
         What `work` returned, None if it was stopped; and the exit code.

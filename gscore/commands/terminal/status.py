@@ -1,8 +1,8 @@
 """Status lines on a stream: permanent lines, and a progress line below them on a terminal.
 
-Only carriage returns, spaces and ASCII are written, which every terminal and encoding has; the
-moving line never reaches the last column, so that it cannot wrap. After a terminal was made
-narrower than the line is long, what it wrapped stays above: going up could erase other lines.
+Only carriage returns, spaces and ASCII are written, which every terminal and encoding supports. The
+progress line never reaches the last column, so that it does not wrap. If the terminal becomes
+narrower than the line, the wrapped part stays above: moving up could erase other lines.
 """
 
 import os
@@ -15,13 +15,13 @@ from contextlib import contextmanager
 from typing import Self, TextIO
 
 _LINE_PERIOD = 10.0
-"""Seconds between two lines where nothing can move."""
+"""Seconds between two lines where the line cannot be redrawn."""
 _DRAW_PERIOD = 0.1
-"""Seconds between two pictures of the moving line."""
+"""Seconds between two updates of the progress line."""
 _WIDEST = 100
-"""Columns of the moving line, at most: wider ones are harder to read, and wrap when resized."""
+"""Maximum columns of the progress line: wider ones are harder to read, and wrap when resized."""
 _ECHO = 2
-"""Columns of the ^C that a terminal writes behind the moving line where somebody presses it."""
+"""Columns of the ^C that a terminal echoes after the progress line."""
 _USUAL = 80
 """Columns of a terminal of unknown width."""
 _BAR = (10, 30)
@@ -29,7 +29,7 @@ _BAR = (10, 30)
 
 
 class Status:
-    """A line that moves at the end of a terminal, and a line every few seconds elsewhere."""
+    """A progress line at the end of a terminal; elsewhere a line every few seconds."""
 
     def __init__(self, stream: TextIO, *, quiet: bool = False) -> None:
         """Write to `stream`; `quiet`: write nothing."""
@@ -37,7 +37,7 @@ class Status:
         self._quiet = quiet
         self._moving = can_move(stream)
         self._shown = 0
-        # A log needs no lines about work that takes seconds.
+        # A log needs no lines on work of a few seconds.
         self._last = float("-inf") if self._moving else time.monotonic()
 
     def __enter__(self) -> Self:
@@ -56,13 +56,12 @@ class Status:
     def show(
         self, parts: Sequence[str], *, share: float | None = None, at_once: bool = False
     ) -> None:
-        """Say how far the work is, unless that was said a moment ago.
+        """Show the progress, unless it was updated a moment ago.
 
         Args:
-            parts: What to say, what matters most first: where the terminal is too narrow, the last
-                ones are left out.
-            share: Of the work that is done, 0 to 1, drawn as a bar; None: not known.
-            at_once: On a terminal, also where something was said a moment ago; for the end.
+            parts: Texts, the most important first; the last ones are left out on narrow terminals.
+            share: Completed share of the work, 0 to 1, drawn as a bar; None: not known.
+            at_once: Update a terminal regardless of the last update; for the end.
         """
         now = time.monotonic()
         period = _DRAW_PERIOD if self._moving else _LINE_PERIOD
@@ -82,7 +81,7 @@ class Status:
         self._stream.flush()
 
     def clear(self) -> None:
-        """Take the moving line away."""
+        """Remove the progress line."""
         if self._shown:
             self._stream.write("\r" + " " * min(self._shown, _columns(self._stream) - 1) + "\r")
             self._stream.flush()
@@ -90,7 +89,7 @@ class Status:
         self._last = float("-inf") if self._moving else self._last
 
     def _printable(self, text: str) -> str:
-        """The text as the stream will write it, without letters that move the cursor."""
+        """The text as written by the stream, without characters that move the cursor."""
         encoding = self._stream.encoding or "ascii"
         known = text.encode(encoding, "backslashreplace").decode(encoding)
         return "".join("?" if unicodedata.category(c)[0] == "C" else c for c in known)
@@ -100,7 +99,7 @@ class Counted:
     """Progress of equal pieces of work on a `Status`, with the estimated remaining time."""
 
     def __init__(self, status: Status, total: int, what: str) -> None:
-        """`what`: one piece of work, such as "view"."""
+        """`what`: noun for one piece of work, such as "view"."""
         self._status, self._total, self._what = status, total, what
         self._began = time.monotonic()
         status.show([f"{what} 1 of {total}"], share=0.0)
@@ -114,7 +113,7 @@ class Counted:
 
 
 class Rows:
-    """Prints the rows of a table on stdout as they come, and that the next one is worked on."""
+    """Prints each row of a table on stdout, and shows progress on the next one."""
 
     def __init__(self, status: Status, what: str, *, quiet: bool = False) -> None:
         """`what`: name of the work; `quiet`: print no rows."""
@@ -145,8 +144,8 @@ def show_while(stream: TextIO, words: str) -> Iterator[None]:
 
 
 def wrapped(text: str, stream: TextIO) -> str:
-    """The text with its lines broken between words where `stream` is a terminal they do not fit;
-    what is broken off an indented line stands two columns deeper."""
+    """The text wrapped between words to the width of a terminal; continuations of an indented line
+    are indented two columns more."""
     if not stream.isatty():
         return text
     width = _columns(stream)
@@ -167,16 +166,16 @@ def _broken(line: str, width: int) -> str:
 
 
 def can_move(stream: TextIO) -> bool:
-    """Whether the stream is a terminal that knows carriage returns."""
+    """Whether the stream is a terminal that supports carriage returns."""
     return stream.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def line_within(parts: Sequence[str], share: float | None, width: int) -> str:
-    """As many of the parts, from the first, as `width` columns hold, behind a bar and per cent.
+    """A bar, a percentage and the first parts that fit `width` columns.
 
     Args:
-        parts: What to say, without letters that move the cursor.
-        share: Of the work that is done, 0 to 1; None: no bar.
+        parts: Texts without characters that move the cursor.
+        share: Completed share of the work, 0 to 1; None: no bar.
         width: Columns, at least 1.
 
     Returns:
@@ -197,7 +196,7 @@ def line_within(parts: Sequence[str], share: float | None, width: int) -> str:
 
 
 def cells(text: str) -> int:
-    """Columns that a text takes on a terminal: two for wide letters, none for accents alone."""
+    """Columns of a text on a terminal: two for wide characters, none for combining ones."""
     return sum(
         0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1
         for c in text
@@ -234,9 +233,9 @@ def _cut(text: str, width: int) -> str:
 
 
 def _columns(stream: TextIO) -> int:
-    """The width of the terminal at this moment, columns."""
+    """Current width of the terminal, columns."""
     try:
         found = os.get_terminal_size(stream.fileno()).columns
-    except (OSError, ValueError):  # a stream of a test, or one that is closed
+    except (OSError, ValueError):  # a test stream, or a closed one
         found = 0
     return max(found, 2) if found else _USUAL

@@ -1,4 +1,4 @@
-"""Standard streams of a command: always present, and never a reason to lose its work."""
+"""Standard streams of a command: always present, and writes never fail."""
 
 import contextlib
 import errno
@@ -16,13 +16,13 @@ from .interrupt import HUNG_UP, PIPE_CLOSED
 _CANNOT_WRITE = 2
 _NAMES = ("stdin", "stdout", "stderr")
 _COMMANDS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-"""Control characters but for tab, line feed and carriage return."""
+"""Control characters except tab, line feed and carriage return."""
 
 
 class Steady:
-    """A text stream whose writes never fail: what cannot be written is dropped.
+    """A text stream whose writes never fail: text that cannot be written is dropped.
 
-    The first failure is told, and the stream leads to the null device from then on, so that Python
+    The first failure is reported, and the stream then writes to the null device, so that Python
     does not fail again when it flushes at exit.
     """
 
@@ -35,17 +35,17 @@ class Steady:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """As of any text stream."""
+        """As in any text stream."""
         self._try(lambda: self._stream.write(self._printable(text)))
         return len(text)
 
     def flush(self) -> None:
-        """As of any text stream."""
+        """As in any text stream."""
         self._try(self._stream.flush)
 
     def _printable(self, text: str) -> str:
-        """The text with what the stream's encoding lacks spelled out, and what a terminal would
-        obey: names in captures and files may hold anything."""
+        """The text with escapes for unencodable characters and terminal commands, since names in
+        captures and files may contain anything."""
         text = _COMMANDS.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
         encoding = getattr(self._stream, "encoding", None) or "utf-8"
         try:
@@ -68,11 +68,11 @@ class Steady:
 
 @contextmanager
 def steady_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
-    """All three streams are there in this block, and stdout and stderr are `Steady`.
+    """Context in which all three streams exist, and stdout and stderr are `Steady`.
 
     Args:
         prog: Name of the program, for messages.
-        on_lost: Called with an exit code when a stream cannot be written any more.
+        on_lost: Called with an exit code when writing to a stream fails.
     """
 
     def lost(error: OSError) -> None:
@@ -98,15 +98,15 @@ def steady_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
 
 
 def _opened(descriptor: int) -> TextIO:
-    """A stream in the place of one that was closed from the start.
+    """A replacement for a stream that was closed from the start.
 
-    Its number must be taken too: the next file that is opened would get it, and what libraries
-    print would land in that.
+    Its descriptor must be taken too: else the next opened file would get it, along with the output
+    of libraries.
     """
     mode = "r" if descriptor == 0 else "w"
     with contextlib.suppress(OSError):
         os.fstat(descriptor)
-        return Path(os.devnull).open(mode, encoding="utf-8")  # somebody else has the number already
+        return Path(os.devnull).open(mode, encoding="utf-8")  # the descriptor is in use already
     _to_null(descriptor)
     return os.fdopen(descriptor, mode, encoding="utf-8", closefd=False)
 

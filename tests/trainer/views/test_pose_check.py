@@ -159,7 +159,7 @@ def test_a_run_says_how_far_cameras_moved(tmp_path: Path) -> None:
         stated[photos.names[1]]["degrees"],
         stated[photos.names[1]]["distance"],
     )
-    assert "Cameras that were moved" in (tmp_path / "out/report.html").read_text()
+    assert "Refined camera poses" in (tmp_path / "out/report.html").read_text()
     assert result.metrics["psnr_aligned"] > result.metrics["psnr"] - 0.1
 
 

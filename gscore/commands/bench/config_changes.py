@@ -1,4 +1,4 @@
-"""Changes of a training that benches compare: a strategy, a disabled skip, or an option."""
+"""Changes of a training config by name, for benches: a strategy, a disabled skip, an option."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,19 +12,19 @@ from ...quoting import quoted
 from ...trainer.files.checkpoint import FREE
 
 _NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", *LIFTED_BY.values()}))
-"""Options that benches set otherwise, or that change nothing in a training from points."""
+"""Options that benches set themselves, or that do not affect a training from points."""
 
 
 def changed(config: TrainConfig, changes: Sequence[str], *, flag: str) -> TrainConfig:
     """`config` with all these changes.
 
     Args:
-        config: What is changed.
-        changes: Each a strategy, a skip to switch off, or OPTION=VALUE.
-        flag: The option of the command line that named them, for messages.
+        config: Options to change.
+        changes: Each a strategy, a skip to disable, or OPTION=VALUE.
+        flag: The command-line option with the changes, for messages.
 
     Raises:
-        ConfigError: there is no such change, or the option takes no such value.
+        ConfigError: there is no such change, or the value is invalid.
     """
     for name in changes:
         config = _changed(config, name, flag)
@@ -42,8 +42,7 @@ def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
         known = ", ".join((*Strategy, *Skip))
         raise ConfigError(
             f"There is no change {quoted(name)} for {flag}; there are: {known}, and OPTION=VALUE "
-            "for options of gscore.TrainConfig that change how a training without depth maps "
-            "learns."
+            "for options of gscore.TrainConfig that affect a training without depth maps."
         )
     values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
     if option in LIFTED_BY:  # as for `gscore train`
