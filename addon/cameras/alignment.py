@@ -11,13 +11,13 @@ import numpy as np
 from ..core import find_up
 
 GROUND_TILT = np.cos(np.radians(12))
-"""Largest angle between the ground's normal and the cameras' up direction."""
+"""Cosine of the largest angle between the ground's normal and the cameras' up direction."""
 GROUND_TOLERANCE = 0.01
 """Half the thickness of the ground, in median diameters of the points around the cameras."""
 GROUND_SHARE = 0.08
-"""Share of the points that must lie on a plane for it to be the ground."""
+"""Smallest share of the points on a plane that is the ground."""
 BELOW_SHARE = 0.1
-"""Largest share of the points below it, and of cameras."""
+"""Largest share of the points, and of the cameras, below the ground."""
 _TRIALS, _SAMPLES, _SEED = 1200, 3000, 0
 
 
@@ -30,19 +30,19 @@ class Alignment:
     up: np.ndarray
     """[3] float64, unit, in the capture's world."""
     ground_found: bool
-    """True if z = 0 is a plane of points; else the height of the lowest few."""
+    """True if z = 0 is a plane of points; else it is the height of the lowest points."""
 
 
 def align(viewmats: np.ndarray, points: np.ndarray, up: np.ndarray | None = None) -> Alignment:
-    """Z up, the ground at z = 0, what the cameras look at above the origin, the first looks to +y.
+    """Z up, the ground at z = 0, the cameras' subject above the origin, the first camera faces +y.
 
     Args:
         viewmats: [C, 4, 4] float64, world to camera, OpenCV axes; C >= 1.
         points: [P, 3] float64, world; may be empty.
-        up: [3], roughly up in the world; None: found from the cameras.
+        up: [3], roughly up in the world; None: estimated from the cameras.
 
     Raises:
-        ValueError: no camera, or an `up` of no length.
+        ValueError: there is no camera, or `up` has no length.
     """
     if len(viewmats) == 0:
         raise ValueError("There are no cameras to align by.")
@@ -63,10 +63,10 @@ def align(viewmats: np.ndarray, points: np.ndarray, up: np.ndarray | None = None
 def find_ground(
     points: np.ndarray, centers: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, float] | None:
-    """The ground: its normal [3] and height along it, or None if no plane is like one.
+    """Normal [3] of the ground and its height along it; None if no plane qualifies.
 
-    The plane with most points among those that are nearly level, with hardly a point or camera
-    below (RANSAC, Fischler and Bolles 1981, with a fixed seed), then fitted to its points.
+    The nearly level plane with most points and few points or cameras below (RANSAC, Fischler and
+    Bolles 1981, with a fixed seed), then fitted to its points.
     """
     near, size = _neighbourhood(points, centers)
     if len(near) < 50:
@@ -151,7 +151,7 @@ def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:
 def _upright(up: np.ndarray, forward: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """[4, 4] that maps `up` to +z, `forward` above +y and `origin` to 0."""
     ahead = forward - (forward @ up) * up
-    if np.linalg.norm(ahead) < 1e-3:  # straight down: any heading will do
+    if np.linalg.norm(ahead) < 1e-3:  # vertical: any heading will do
         ahead = np.eye(3)[np.argmin(np.abs(up))]
         ahead = ahead - (ahead @ up) * up
     ahead = _unit(ahead)

@@ -24,7 +24,7 @@ class _Aligning(OnCapture):
 
 
 class AlignCapture(_Aligning, bpy.types.Operator):
-    """Turn a capture so that up is up and the ground lies at height 0; its scale stays"""
+    """Rotate a capture upright and put its ground at height 0; its scale stays"""
 
     bl_idname = "gscore.align_capture"
     bl_label = "Align to Ground"
@@ -35,26 +35,26 @@ class AlignCapture(_Aligning, bpy.types.Operator):
             (
                 "CAPTURE",
                 "From Capture",
-                "As GPS or orientation in EXIF says; else as below",
+                "From GPS or the EXIF orientation of the photos; without them From Cameras",
             ),
-            ("CAMERAS", "From Cameras", "As people hold cameras: photos are level"),
-            ("CURRENT", "Current", "Near what is up now; finds the ground again"),
-            ("VIEW", "Scene Camera", "The upper side of the scene camera's picture"),
+            ("CAMERAS", "From Cameras", "Assume that most photos were taken level"),
+            ("CURRENT", "Current", "Keep the current up direction and find the ground again"),
+            ("VIEW", "Scene Camera", "Upper side of the scene camera's picture"),
             ("X", "+X", "The capture's own x axis"),
-            ("-X", "-X", "Against the capture's own x axis"),
+            ("-X", "-X", "Opposite to the capture's own x axis"),
             ("Y", "+Y", "The capture's own y axis"),
-            ("-Y", "-Y", "Against the capture's own y axis, as in many COLMAP models"),
+            ("-Y", "-Y", "Opposite to the capture's own y axis, as in many COLMAP models"),
             ("Z", "+Z", "The capture's own z axis"),
-            ("-Z", "-Z", "Against the capture's own z axis"),
+            ("-Z", "-Z", "Opposite to the capture's own z axis"),
         ),
-        description="What is roughly up; the plane of points nearest to it is the ground",
+        description="Approximate up direction; the level plane with most points is the ground",
     )
 
     def act(self, context: bpy.types.Context) -> str:
         """Align."""
         root = find_root(context, self.capture)
-        found = capture_transform.align_root(root, self._up(context, root))
-        if not found.ground_found:
+        alignment = capture_transform.align_root(root, self._up(context, root))
+        if not alignment.ground_found:
             self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
         return ""
 
@@ -88,7 +88,7 @@ class FlipUp(_Aligning, bpy.types.Operator):
 
 
 class SetExtent(_Aligning, bpy.types.Operator):
-    """Scale a capture to real size by how far apart its outermost cameras were"""
+    """Scale a capture to real size, by the distance between its outermost cameras"""
 
     bl_idname = "gscore.set_extent"
     bl_label = "Set Size"
@@ -118,7 +118,7 @@ class SetExtent(_Aligning, bpy.types.Operator):
 
 
 class ResetAlignment(_Aligning, bpy.types.Operator):
-    """Give a capture the axes, origin and scale of its own files back"""
+    """Restore the axes, origin and scale of the capture's own files"""
 
     bl_idname = "gscore.reset_alignment"
     bl_label = "Reset to COLMAP World"

@@ -14,7 +14,7 @@ from .objects import PhotoCamera, stated
 from .undistorted_photos import copy_of
 
 _MADE = "gs_background"
-"""Custom property of the images that the add-on puts into backgrounds; others are the user's."""
+"""Custom property of background images set by the add-on; others are the user's."""
 
 _BATCH = 50
 """Images removed per step, in about a millisecond."""
@@ -22,7 +22,7 @@ _BATCH = 50
 
 @dataclass(frozen=True, kw_only=True)
 class StraightBackground:
-    """The background of a camera with an undistorted photo, read out of bpy."""
+    """Background of a camera with an undistorted photo; no bpy data."""
 
     own: PhotoCamera
     """The camera."""
@@ -32,14 +32,14 @@ class StraightBackground:
     """True if the image can be replaced."""
 
     def lacks(self) -> Path | None:
-        """The straightened copy that is not there, or not what is shown; None: nothing is to be
-        done, or the photo is not there."""
+        """The undistorted copy that is missing or not displayed; None: nothing to do, or the photo
+        is missing."""
         photo = Path(self.own.photo)
         if not photo.is_file():
             return None
         try:
             copy = copy_of(self.own, photo)
-        except OSError:  # it has just gone
+        except OSError:  # just removed
             return None
         if self.file != copy:
             return copy if self.can_change else None
@@ -47,7 +47,7 @@ class StraightBackground:
 
 
 class KnownImages:
-    """Images of the open file by their files. Names are kept, not images, which undo replaces."""
+    """Images of the open file by image file. Stores names, because undo replaces images."""
 
     def __init__(self) -> None:
         """Collect all images of the file."""
@@ -58,17 +58,17 @@ class KnownImages:
 
     def of(self, shown: Path, photo: Path) -> bpy.types.Image:
         """The image of a file, created if missing, with the name of its photo."""
-        found = self._found(shown)
-        if found is None:
-            # `images.load` looks into every file, which makes it 80 times slower.
-            found = bpy.data.images.new(photo.name, 1, 1)
-            found.source = "FILE"
-            found.filepath = relative(shown) if shown == photo else str(shown)
-            self._names[str(shown)] = found.name, None
-            self._made.add(found.session_uid)
-        if _MADE not in found and editable_check.keeps(found):
-            found[_MADE] = True
-        return found
+        image = self._existing(shown)
+        if image is None:
+            # `images.load` opens every file, which makes it 80 times slower.
+            image = bpy.data.images.new(photo.name, 1, 1)
+            image.source = "FILE"
+            image.filepath = relative(shown) if shown == photo else str(shown)
+            self._names[str(shown)] = image.name, None
+            self._made.add(image.session_uid)
+        if _MADE not in image and editable_check.keeps(image):
+            image[_MADE] = True
+        return image
 
     def dropping(self) -> Iterator[None]:
         """Remove unused images that the add-on created, some per step."""
@@ -76,11 +76,11 @@ class KnownImages:
         names = [image.name for image in made if _MADE in image and not image.users]
         for start in range(0, len(names), _BATCH):
             yield
-            found = map(bpy.data.images.get, names[start : start + _BATCH])
-            unused = [one for one in found if one is not None and not one.users]
+            batch = map(bpy.data.images.get, names[start : start + _BATCH])
+            unused = [one for one in batch if one is not None and not one.users]
             bpy.data.batch_remove([one for one in unused if one.session_uid in self._made])
 
-    def _found(self, shown: Path) -> bpy.types.Image | None:
+    def _existing(self, shown: Path) -> bpy.types.Image | None:
         name = self._names.get(str(shown))
         image = bpy.data.images.get(name) if name is not None else None
         return image if image is not None and file_of(image) == shown else None
@@ -88,13 +88,13 @@ class KnownImages:
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """Files of a photo, read out of bpy."""
+    """Files of a photo; no bpy data."""
 
     file: Path
-    """It."""
+    """The photo."""
     shown: Path | None
-    """What is shown of it: its straightened copy, which may still have to be made, where its camera
-    is made for that; None: the photo is not there."""
+    """Displayed file: the photo, or its undistorted copy, which may be missing yet, if its lens has
+    distortion; None: the photo is missing."""
 
 
 def photo_on_disk(own: PhotoCamera, file: Path) -> Photo:
@@ -110,10 +110,10 @@ def photo_of(ob: bpy.types.Object) -> bpy.types.Image | None:
 
 
 def set_photo(ob: bpy.types.Object, photo: Photo, known: KnownImages) -> None:
-    """Put a photo into a camera's background, unless it is not there, or the user chose pictures.
+    """Set a photo as a camera's background, unless it is missing or the user chose another image.
 
-    Blender decodes it when it is first drawn. Until a straightened copy is made (`straightening`)
-    nothing is drawn.
+    Blender decodes it when it is first drawn. Nothing is drawn before an undistorted copy is
+    written (`undistort_jobs`).
 
     Args:
         ob: The camera.
@@ -130,7 +130,7 @@ def set_photo(ob: bpy.types.Object, photo: Photo, known: KnownImages) -> None:
     if slot.image != image:
         slot.image = image
     slot.alpha = 1.0
-    # The raster of the photo is the camera's own, so it fills the frame whatever the pixel aspect.
+    # Photo and camera have the same raster, so it fills the frame at any pixel aspect.
     slot.frame_method, slot.display_depth = "STRETCH", "BACK"
     ob.data.show_background_images = True
 
@@ -146,11 +146,11 @@ def shows_photo(ob: bpy.types.Object, photo: Photo) -> bool:
 
 
 def lead_to(ob: bpy.types.Object, copy: Path, known: KnownImages) -> None:
-    """Have the background that `straight_background` told of show another copy of its photo.
+    """Show another copy of the photo in the background that `straight_background` returned.
 
     Args:
         ob: The camera.
-        copy: The file, which may still have to be made.
+        copy: File of the copy, which may be missing yet.
         known: As for `set_photo`.
     """
     slot = _own_slot(ob)
@@ -159,11 +159,11 @@ def lead_to(ob: bpy.types.Object, copy: Path, known: KnownImages) -> None:
 
 
 def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
-    """The background of a camera, where the add-on shows a straightened photo there; None: it is
-    straight by itself, or the user chose a picture.
+    """The background of a camera with an undistorted photo; None: the photo has no distortion, or
+    the user chose another image.
 
     Raises:
-        ValueError: the camera has lost what the capture says about it.
+        ValueError: the camera has lost its custom properties.
     """
     if "gs_photo_size" not in ob:
         return None
@@ -176,7 +176,7 @@ def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
 
 
 def file_of(image: bpy.types.Image) -> Path:
-    """The file of a picture, absolute."""
+    """Absolute path of an image file."""
     return Path(os.path.normpath(bpy.path.abspath(image.filepath, library=image.library)))
 
 

@@ -9,14 +9,13 @@ import bpy
 from .objects import cameras_of
 
 MARK, _KEPT = "gs_colored", "gs_colors"
-"""Custom properties of a colored camera: what for; the color it had and the one it was given, RGBA
-each."""
+"""Custom properties of a colored camera: the purpose; the previous and the set color, RGBA each."""
 _TOLERANCE = 1e-5
 
 
 def own_cameras(root: bpy.types.Object) -> list[bpy.types.Object]:
-    """Cameras of a capture that can be colored: those of linked files, and overrides, keep no
-    custom properties."""
+    """Cameras of a capture that can be colored: linked ones and overrides keep no custom
+    properties."""
     return [ob for ob in cameras_of(root) if ob.library is None and ob.override_library is None]
 
 
@@ -29,7 +28,7 @@ def give(ob: bpy.types.Object, mark: str, color: tuple[float, ...]) -> None:
 
 
 def take(ob: bpy.types.Object) -> None:
-    """Restore a camera's color; a color that the user has set since stays."""
+    """Restore a camera's color, unless the user has changed it since."""
     if MARK not in ob:
         return
     kept = [float(v) for v in ob.get(_KEPT, ())]

@@ -29,13 +29,13 @@ class Lens:
     sensor_width: float = 36.0
     """Millimetres."""
     sensor_height: float = 24.0
-    """Millimetres; used by the fit VERTICAL alone."""
+    """Millimetres; used only by the fit VERTICAL."""
     sensor_fit: str = "AUTO"
     """AUTO, HORIZONTAL or VERTICAL."""
     shift_x: float = 0.0
-    """In units of the fitted side, positive moves the picture to the left."""
+    """In units of the fitted side; positive moves the picture to the left."""
     shift_y: float = 0.0
-    """In units of the fitted side, positive moves the picture down."""
+    """In units of the fitted side; positive moves the picture down."""
     ortho_scale: float = 6.0
     """World units across the fitted side; ORTHO only."""
 
@@ -45,17 +45,17 @@ class Frame:
     """The picture's raster."""
 
     width: int
-    """Pixels, resolution percentage applied."""
+    """Pixels, after the resolution percentage."""
     height: int
-    """Pixels, resolution percentage applied."""
+    """Pixels, after the resolution percentage."""
     pixel_aspect_x: float = 1.0
-    """Width of a pixel in relation to `pixel_aspect_y`."""
+    """Width of a pixel relative to `pixel_aspect_y`."""
     pixel_aspect_y: float = 1.0
-    """Height of a pixel in relation to `pixel_aspect_x`."""
+    """Height of a pixel relative to `pixel_aspect_x`."""
 
 
 def frame_size(resolution_x: int, resolution_y: int, percentage: int) -> tuple[int, int]:
-    """Width and height Blender renders at: it cuts fractions off, in integers."""
+    """Width and height of Blender's render, rounded down."""
     return resolution_x * percentage // 100, resolution_y * percentage // 100
 
 
@@ -63,7 +63,7 @@ def intrinsics(lens: Lens, frame: Frame) -> np.ndarray:
     """K of a Blender camera, [3, 3] float64.
 
     For PERSP, pixels. For ORTHO, K[0, 0] and K[1, 1] are pixels per world unit and a point at
-    camera x, y lies at (K[0, 0] x + K[0, 2], K[1, 1] y + K[1, 2]), whatever its z.
+    camera x, y projects to (K[0, 0] x + K[0, 2], K[1, 1] y + K[1, 2]) for any z.
 
     Raises:
         ValueError: another camera type, or a size or lens that is not positive.
@@ -93,17 +93,17 @@ def lens_from_intrinsics(
     sensor_width: float = 36.0,
     orthographic: bool = False,
 ) -> tuple[Lens, Frame]:
-    """The Blender camera with the given K: `intrinsics` of the result is K again.
+    """The Blender camera with a given K: the inverse of `intrinsics`.
 
-    Pixel aspect, which Blender keeps per scene, carries fx != fy; it is never below 1, because
-    Blender clamps it there. The sensor is widened where the lens would fall below Blender's 1 mm.
+    fx != fy goes into the pixel aspect, which Blender stores per scene and clamps to at least 1.
+    The sensor is widened if the lens would be shorter than Blender's minimum of 1 mm.
 
     Args:
         K: [3, 3] float, as `intrinsics` returns it.
         width: Pixels.
         height: Pixels.
         sensor_width: Millimetres; any value gives the same picture.
-        orthographic: K is one of pixels per world unit.
+        orthographic: K is in pixels per world unit.
 
     Raises:
         ValueError: K is not finite, skewed or not positive, or the size is not positive.
@@ -141,8 +141,8 @@ def lens_from_intrinsics(
 def viewmat_from_matrix_world(matrix_world: np.ndarray) -> np.ndarray:
     """World to camera, OpenCV axes, of a Blender camera's `matrix_world`; both [4, 4] float64.
 
-    The object's scale is ignored, as Blender ignores it: columns are normalised, the rest inverted.
-    A sheared camera therefore gives what Blender renders, but no rotation.
+    The object's scale is ignored as in Blender: columns are normalised, then the matrix inverted.
+    For a sheared camera the result matches Blender's render, but is no rotation.
 
     Raises:
         ValueError: the matrix is not finite or has no inverse.
@@ -161,7 +161,7 @@ def viewmat_from_matrix_world(matrix_world: np.ndarray) -> np.ndarray:
 
 
 def matrix_world_from_viewmat(viewmat: np.ndarray) -> np.ndarray:
-    """A Blender camera's `matrix_world` from world to camera in OpenCV axes, rigid [4, 4]."""
+    """A Blender camera's `matrix_world` from a rigid world-to-camera matrix [4, 4], OpenCV axes."""
     viewmat = np.asarray(viewmat, np.float64)
     matrix = np.eye(4)
     matrix[:3, :3] = viewmat[:3, :3].T
@@ -172,15 +172,14 @@ def matrix_world_from_viewmat(viewmat: np.ndarray) -> np.ndarray:
 def project(
     points: np.ndarray, K: np.ndarray, viewmat: np.ndarray, *, orthographic: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [P, 2] and depths [P] (camera z) of world points [P, 3], as precise as these, `K` and
-    `viewmat` are."""
+    """Pixels [P, 2] and depths [P] (camera z) of world points [P, 3], in the inputs' precision."""
     camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     plane = camera[:, :2] if orthographic else camera[:, :2] / camera[:, 2:]
     return plane * K[[0, 1], [0, 1]] + K[:2, 2], camera[:, 2]
 
 
 def fitted_side(lens: Lens, frame: Frame) -> float:
-    """The side that the sensor spans, in widths of a pixel."""
+    """Side of the picture that the sensor spans, in pixel widths."""
     if min(frame.width, frame.height) <= 0:
         raise ValueError(f"The size must be positive, got {frame.width} x {frame.height} pixels.")
     width = frame.width * frame.pixel_aspect_x

@@ -16,10 +16,10 @@ from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking, run
 from . import objects as co
 from .capture_transform import origin_of
 from .export_transforms import transforms_text
-from .export_views import ExportView, Watched, about_none, collect
+from .export_views import ExportView, Tracked, about_none, collect
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
-"""Kinds of files: a cameras.json, a transforms.json, nerfstudio's camera_path.json."""
+"""File formats: cameras.json, transforms.json, nerfstudio's camera_path.json."""
 
 
 def export_path(
@@ -44,29 +44,27 @@ def exporting_path(
 ) -> Pieces[int]:
     """Write the pose and lens of a camera at each frame of the scene's range.
 
-    Every `frame_step`-th frame is written, as a render of the animation would draw them, and so
-    many fewer pictures a second, so that the path takes as long as on the timeline. After each
-    piece the scene stands at its own frame again, which may be another one each time. Depth of
-    field, motion blur and clipping distances have no place in the file. Times go from 0 at the
-    first to 1 at the last frame, as readers of moving scenes take them; a cameras.json has none.
-    Given up, the file is untouched.
+    Writes every `frame_step`-th frame, like a render of the animation, at fps / `frame_step`, so
+    that the duration stays. Each step restores the scene's current frame. The formats have no
+    depth of field, motion blur or clipping distances. Times go from 0 at the first frame to 1 at
+    the last, as readers of dynamic scenes expect; a cameras.json has none. Cancellation leaves the
+    file unchanged.
 
     Args:
         path: The file to write.
         camera: A perspective camera; its lens, sensor and shift may be animated.
-        scene: Gives range, pace, resolution and pixel aspect, as they are at the first piece.
+        scene: Defines range, frame rate, resolution and pixel aspect, as at the first step.
         root: A capture's empty, whose world is written; None: Blender's world.
         kind: CAMERAS, TRANSFORMS or NERFSTUDIO.
 
     Returns:
-        How many frames were written.
+        Number of written frames.
 
     Raises:
         GsError: the file cannot be written.
-        ValueError: the camera is orthographic, panoramic or sheared at some frame, or has
-            distortion, which a cameras.json cannot state, and no straightened photo, or a lens that
-            nerfstudio's file cannot; or it, the scene, its resolution or the capture is another
-            meanwhile.
+        ValueError: the camera is orthographic, panoramic or sheared at some frame; the format
+            cannot represent its lens; or the camera, the scene, its resolution or the capture
+            changed meanwhile.
     """
     path = Path(path)
     origin = origin_of(root)
@@ -82,30 +80,30 @@ def _reading(
     camera: bpy.types.Object, scene: bpy.types.Scene, root: bpy.types.Object | None
 ) -> Pieces[list[ExportView]]:
     numbers = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
-    watched, raster = Watched([camera], scene, root), co.frame_of(scene)
+    tracked, raster = Tracked([camera], scene, root), co.frame_of(scene)
     views: list[ExportView] = []
     while True:
-        views += _some_frames(watched, numbers[len(views) :])
+        views += _some_frames(tracked, numbers[len(views) :])
         if len(views) == len(numbers):
             return views
         yield f"Reading frames: {len(views)} of {len(numbers)}"
-        watched.look_again()
-        if co.frame_of(watched.scene) != raster:
+        tracked.look_again()
+        if co.frame_of(tracked.scene) != raster:
             raise ValueError(
                 "The resolution was changed while the camera was exported: export it again."
             )
 
 
-def _some_frames(watched: Watched, numbers: Sequence[int]) -> list[ExportView]:
-    """The camera at the first of some frames, as many as a piece has time for."""
-    views, scene = [], watched.scene
+def _some_frames(tracked: Tracked, numbers: Sequence[int]) -> list[ExportView]:
+    """The camera at the first of some frames, until the time budget is used up."""
+    views, scene = [], tracked.scene
     until = time.perf_counter() + BUDGET
     with _own_frame(scene):
         for number in numbers:
             scene.frame_set(number)
-            # That of a context is of the scene in the window, which may be another by now.
+            # Not the context's, because the window may show another scene by now.
             graph = scene.view_layers[0].depsgraph
-            (view,) = collect(watched.cameras, scene, watched.root, graph, photos=False)
+            (view,) = collect(tracked.cameras, scene, tracked.root, graph, photos=False)
             views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
             if time.perf_counter() > until:
                 break
@@ -114,7 +112,7 @@ def _some_frames(watched: Watched, numbers: Sequence[int]) -> list[ExportView]:
 
 @contextmanager
 def _own_frame(scene: bpy.types.Scene) -> Iterator[None]:
-    """Afterwards the scene stands at the frame at which it stands now."""
+    """Restore the scene's current frame afterwards."""
     number, part = scene.frame_current, scene.frame_subframe
     try:
         yield
@@ -130,8 +128,7 @@ def _write(
     origin: np.ndarray | None,
     check: Check,
 ) -> None:
-    """What needs no bpy. A cameras.json states a local origin, which the others have no place
-    for."""
+    """Write the file; no bpy. Only a cameras.json can store a local origin."""
     if kind != CAMERAS:
         views = about_none(views, origin)
     with file_errors(check):
@@ -151,7 +148,7 @@ def _pinholes(views: list[ExportView]) -> Cameras:
         if view.camera.model != "PINHOLE":
             raise ValueError(
                 f"{view.name} has the camera model {view.camera.model}, but cameras.json and "
-                f"camera_path.json know PINHOLE alone. Export a transforms.json."
+                f"camera_path.json support only PINHOLE. Export a transforms.json."
             )
         K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params
     return Cameras(

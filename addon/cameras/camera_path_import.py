@@ -24,9 +24,9 @@ from .capture_transform import origin_of
 
 _NUMBER = re.compile(r"(\d+)\D*$")
 _SAME = 1e-6
-"""Relative difference below which pictures have one shape."""
+"""Largest relative difference of equal pixel aspects."""
 _LAST = 1_000_000
-"""Frame at which numbers are no longer those of frames; Blender's timeline ends there."""
+"""Last frame of Blender's timeline; larger numbers in names are no frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class ImportedPath:
     frame: cm.Frame
     """The pictures' raster."""
     fps: float | None
-    """Frames of the timeline a second, where the file states how many pictures."""
+    """Timeline frames per second; None: the file has no frame rate."""
     warnings: tuple[str, ...]
     """Sentences for the user."""
 
@@ -60,51 +60,51 @@ def importing_path(
     start: int = 1,
     numbered: bool = True,
 ) -> Pieces[ImportedPath]:
-    """Make a camera with a keyframe of place, turn and lens for each camera of a file; it is not
-    there before all of them are.
+    """Create a camera with a keyframe of location, rotation and lens for each camera of a file; it
+    enters the scene when complete.
 
     Args:
-        path: Of `export_camera_path`, nerfstudio's viewer, or a transforms.json.
-        scene: Gets the camera, in the collection of `root` or in its own.
-        root: A capture's empty, in whose world the file is; None: Blender's world.
+        path: File of `export_camera_path`, nerfstudio's viewer, or a transforms.json.
+        scene: Receives the camera, in the collection of `root` or in its own.
+        root: A capture's empty, whose world the file uses; None: Blender's world.
         start: Frame of the first camera; the others follow one by one.
-        numbered: Take the numbers that the cameras' names end with instead, where they rise.
+        numbered: Use the numbers at the end of the cameras' names instead, if they increase.
 
     Raises:
         GsError: the file cannot be read.
-        ValueError: its pictures have several shapes, which one camera cannot have, or the scene or
-            the capture is gone meanwhile.
+        ValueError: its pictures differ in aspect, which one camera cannot have, or the scene or
+            the capture was removed meanwhile.
     """
     path, uid = Path(path), scene.session_uid
     origin = None if root is None else offset_between(origin_of(root), None)
     root_uid = None if root is None else root.session_uid
     with garbage.put_off():
-        found = yield from run_in_thread(
+        read = yield from run_in_thread(
             partial(_read, path, start, numbered, origin), f"Reading {path}"
         )
         while True:
-            coming = _Coming(found)
+            pending = _PendingCamera(read)
             try:
-                yield from coming.fill()
+                yield from pending.fill()
                 scene = _there(bpy.data.scenes, uid, "scene")
                 above = None if root_uid is None else _there(bpy.data.objects, root_uid, "capture")
-                camera = coming.arrive(scene, above)
+                camera = pending.link(scene, above)
             finally:
-                coming.drop()
+                pending.drop()
             if camera is not None:
                 return ImportedPath(
                     scene=scene,
                     camera=camera,
-                    frames=(found.numbers[0], found.numbers[-1]),
-                    count=len(found.numbers),
-                    frame=found.frame,
-                    fps=found.fps,
-                    warnings=found.warnings,
+                    frames=(read.numbers[0], read.numbers[-1]),
+                    count=len(read.numbers),
+                    frame=read.frame,
+                    fps=read.fps,
+                    warnings=read.warnings,
                 )
 
 
 def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:
-    """Let a scene render what the file describes: camera, size, pixel aspect, range and pace."""
+    """Set a scene to the file's camera, size, pixel aspect, range and frame rate."""
     render = scene.render
     scene.camera = made.camera
     render.resolution_x, render.resolution_y = made.frame.width, made.frame.height
@@ -127,22 +127,22 @@ class _Column:
     of_lens: bool
     """True if it animates the camera datablock, else the object."""
     name: str
-    """The property."""
+    """Name of the property."""
     index: int
-    """Place in it, from 0."""
+    """Index in the property, from 0."""
     values: np.ndarray
-    """[C] a camera each."""
+    """[C] values, one per camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _ReadPath:
-    """A file as it comes into Blender."""
+    """A path file, converted for Blender."""
 
     name: str
     lens: cm.Lens
-    """Of the first camera."""
+    """Lens of the first camera."""
     numbers: list[int]
-    """Frames of the timeline, a camera each."""
+    """Timeline frames, one per camera."""
     columns: list[_Column]
     frame: cm.Frame
     fps: float | None
@@ -152,7 +152,8 @@ class _ReadPath:
 def _read(
     path: Path, start: int, numbered: bool, origin: np.ndarray | None, check: Check
 ) -> _ReadPath:
-    """What needs no bpy; `origin` [3] is that of the capture's world, None: the file is in none."""
+    """Read a file; no bpy. `origin` [3] is the local origin of the capture's world, None: no
+    capture."""
     read = read_camera_path(path)
     check()
     cameras = read.cameras if origin is None else read.cameras.of_splats(origin)
@@ -180,28 +181,28 @@ def _read(
     )
 
 
-class _Coming:
-    """A camera on its way, in a collection that no scene has."""
+class _PendingCamera:
+    """A camera being created, in a collection outside all scenes."""
 
-    def __init__(self, found: _ReadPath) -> None:
-        """Make it, as the first of the file and with that one's keyframes."""
-        self._found = found
-        outer = bpy.data.collections.new(found.name)
+    def __init__(self, path: _ReadPath) -> None:
+        """Create the camera with the first keyframes."""
+        self._path = path
+        outer = bpy.data.collections.new(path.name)
         self._temporary = Temporary(outer)
-        ob = bpy.data.objects.new(found.name, bpy.data.cameras.new(found.name))
+        ob = bpy.data.objects.new(path.name, bpy.data.cameras.new(path.name))
         outer.objects.link(ob)
         self._temporary.hold(ob)
         ob.rotation_mode = "QUATERNION"
-        co.set_lens(ob.data, found.lens)
-        for column in found.columns:
+        co.set_lens(ob.data, path.lens)
+        for column in path.columns:
             if not column.of_lens:
                 getattr(ob, column.name)[column.index] = column.values[0]
-        for of_lens, name in dict.fromkeys((one.of_lens, one.name) for one in found.columns):
-            (ob.data if of_lens else ob).keyframe_insert(name, frame=found.numbers[0])
+        for of_lens, name in dict.fromkeys((one.of_lens, one.name) for one in path.columns):
+            (ob.data if of_lens else ob).keyframe_insert(name, frame=path.numbers[0])
 
     def fill(self) -> Pieces[None]:
-        """Make its other keyframes, a curve after the other."""
-        columns, until = self._found.columns, time.perf_counter() + BUDGET
+        """Create the other keyframes, one curve after the other."""
+        columns, until = self._path.columns, time.perf_counter() + BUDGET
         for done, column in enumerate(columns):
             if time.perf_counter() > until:
                 yield f"Importing keyframes: curve {done} of {len(columns)}"
@@ -212,9 +213,9 @@ class _Coming:
             curves = curves_of(ob.data if column.of_lens else ob)
             place = column.name, column.index
             curve = next(one for one in curves if (one.data_path, one.array_index) == place)
-            _fill(curve, self._found.numbers, column.values)
+            _fill(curve, self._path.numbers, column.values)
 
-    def arrive(
+    def link(
         self, scene: bpy.types.Scene, root: bpy.types.Object | None
     ) -> bpy.types.Object | None:
         """Link the camera to the scene; None: undo or the user has removed it."""
@@ -232,16 +233,16 @@ class _Coming:
         return ob
 
     def drop(self) -> None:
-        """Remove the camera if it did not enter the scene."""
+        """Remove the camera unless it was linked to the scene."""
         self._temporary.drop()
 
 
 def _fill(curve: bpy.types.FCurve, numbers: list[int], values: np.ndarray) -> None:
-    """Give a curve with one keyframe those of all frames, as Blender inserts them, but hundreds of
-    times as fast."""
+    """Add the keyframes of all frames to a curve with one; equal to Blender's insertion, but
+    hundreds of times faster."""
     points = curve.keyframe_points
     points.add(len(numbers) - 1)
-    for name in ("amplitude", "back", "period"):  # which those that are added lack
+    for name in ("amplitude", "back", "period"):  # unset in added keyframes
         like = getattr(points[0], name)
         points.foreach_set(name, np.full(len(numbers), like, np.float32))
     points.foreach_set("co", np.stack([numbers, values], axis=1).astype(np.float32).ravel())
@@ -249,12 +250,10 @@ def _fill(curve: bpy.types.FCurve, numbers: list[int], values: np.ndarray) -> No
 
 
 def _there(blocks: bpy.types.bpy_prop_collection, uid: int, what: str) -> Any:
-    found = with_uid(blocks, uid)
-    if found is None:
-        raise ValueError(
-            f"The {what} that a camera path was imported into is gone; import it again."
-        )
-    return found
+    block = with_uid(blocks, uid)
+    if block is None:
+        raise ValueError(f"The {what} of this import was removed; import the camera path again.")
+    return block
 
 
 def _lenses(cameras: Cameras, name: str) -> tuple[list[cm.Lens], cm.Frame]:
@@ -267,8 +266,8 @@ def _lenses(cameras: Cameras, name: str) -> tuple[list[cm.Lens], cm.Frame]:
     stretches = Ks[:, 1, 1] / Ks[:, 0, 0]
     if (np.abs(shapes - 1) > 1 / min(width, height)).any() or np.ptp(stretches) > _SAME:
         raise ValueError(
-            f"{name} has pictures or pixels of several shapes, but a scene of Blender has one: "
-            f"export each part of it as a path of its own."
+            f"The pictures or pixels in {name} differ in aspect ratio, but a Blender scene has "
+            f"one: export each part as a separate path."
         )
     sensor = max(36.0, cm.MIN_LENS * width / float(Ks[:, 0, 0].min()))
     made = [cm.lens_from_intrinsics(K, width, height, sensor_width=sensor) for K in Ks]
@@ -276,7 +275,7 @@ def _lenses(cameras: Cameras, name: str) -> tuple[list[cm.Lens], cm.Frame]:
 
 
 def _numbers(names: tuple[str, ...], start: int, *, numbered: bool) -> list[int]:
-    """The frames of the timeline that show the cameras."""
+    """Timeline frames of the cameras."""
     ends = [_NUMBER.search(Path(name).stem) for name in names]
     stated = [int(end.group(1)) for end in ends if end is not None]
     rising = len(stated) == len(names) and all(np.diff(stated) > 0) and stated[-1] <= _LAST
@@ -284,13 +283,12 @@ def _numbers(names: tuple[str, ...], start: int, *, numbered: bool) -> list[int]
 
 
 def _frames_a_picture(numbers: list[int]) -> float:
-    """Of the timeline, in the mean: files of every so many-th frame have so many fewer pictures a
-    second."""
+    """Mean number of timeline frames per picture: above 1 if frames were skipped."""
     return (numbers[-1] - numbers[0]) / max(len(numbers) - 1, 1) or 1.0
 
 
 def _turns(poses: np.ndarray) -> np.ndarray:
-    """[C, 4] quaternions of poses [C, 4, 4], each of the sign that is near the one before."""
+    """[C, 4] quaternions of poses [C, 4, 4], with signs for shortest interpolation."""
     quats = rotmat_to_quat(poses[:, :3, :3])
     for i in range(1, len(quats)):
         if quats[i] @ quats[i - 1] < 0:

@@ -15,57 +15,56 @@ from .lookup import roots_of
 from .objects import cameras_of
 
 UP = "gs_up"
-"""Property of the empty: up in the capture's world, where its files or EXIF state it."""
+"""Property of the empty: up direction in the capture's world, if its files or EXIF state it."""
 HELD_UP = "gs_held_up"
-"""Property of the empty: the same by its cameras, where EXIF says that photos were held turned."""
+"""Property of the empty: up direction by its cameras, if EXIF has rotated photos."""
 ORIGIN = "gs_origin"
 """Property of an empty, and of splats: the local origin of their world, in the coordinates of the
-capture; None where the property is not there."""
+capture's files; without the property there is none."""
 CLIP_START, CLIP_END = 0.002, 100.0
 """Clipping distances, in units of the cameras' extent."""
 DISPLAY = 0.2
-"""Length of a camera's drawing, in median distances to the nearest other camera."""
+"""Display size of a camera, in median distances to the nearest other camera."""
 
 
 def stated_up(root: bpy.types.Object, key: str = UP) -> np.ndarray | None:
-    """[3], up in the world of a capture that states it as `UP` or `HELD_UP`; None: it does not, and
-    its cameras are to tell."""
+    """[3], up in the world of a capture, stored as `UP` or `HELD_UP`; None: estimate it from the
+    cameras."""
     return np.array(root[key][:], np.float64) if key in root else None
 
 
 def origin_of(ob: bpy.types.Object | None) -> np.ndarray | None:
-    """[3] float64, the local origin of the world of an object's capture, or of the file of splats
-    that belong to none; None: it has none."""
+    """[3] float64, the local origin of an object's capture, or of splats without a capture; None:
+    there is none."""
     return noted_origin(co.root_of(ob) or ob)
 
 
 def noted_origin(ob: bpy.types.Object | None) -> np.ndarray | None:
-    """[3] float64, the local origin that an object itself has noted; None: none."""
+    """[3] float64, the local origin stored on an object itself; None: none."""
     return None if ob is None or ORIGIN not in ob else np.array(ob[ORIGIN][:], np.float64)
 
 
 def note_origin(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
-    """Note a local origin [3]; None: there is none."""
+    """Store a local origin [3]; None: remove it."""
     ob.pop(ORIGIN, None)
     if origin is not None:
         ob[ORIGIN] = origin.tolist()
 
 
 def box_of_capture(box: np.ndarray, ob: bpy.types.Object) -> np.ndarray:
-    """[4, 4] a box in the world of an object's capture, in the coordinates of the capture's own
-    files."""
+    """[4, 4], a box in the world of an object's capture, converted to its files' coordinates."""
     out = box.copy()
     out[:3, 3] += offset_between(origin_of(ob), None)
     return out
 
 
 def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignment.Alignment:
-    """Find up and ground again and put them into a capture's empty, beside other captures; its
+    """Estimate up and ground and set the matrix of a capture's empty, next to other captures; its
     scale stays.
 
     Args:
         root: The empty.
-        up: [3], roughly up in the capture's world; None: from the cameras.
+        up: [3], roughly up in the capture's world; None: estimated from the cameras.
 
     Raises:
         ValueError: the capture has no cameras.
@@ -76,14 +75,14 @@ def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignmen
     viewmats = np.stack([co.stated(ob).viewmat for ob in cameras])
     made = co.points_of(root)
     cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
-    found = alignment.align(viewmats, cloud, up)
+    result = alignment.align(viewmats, cloud, up)
     scale = root_scale(root)
-    matrix = np.diag([scale, scale, scale, 1.0]) @ found.matrix
+    matrix = np.diag([scale, scale, scale, 1.0]) @ result.matrix
     others = [one for scene in root.users_scene for one in roots_of(scene) if one != root]
     if others:
         matrix = footprint.place_next_to(matrix, footprint.reach_of(matrix, cameras, made), others)
     set_root_matrix(root, matrix)
-    return found
+    return result
 
 
 def world_extent(root: bpy.types.Object) -> float:
@@ -94,15 +93,15 @@ def world_extent(root: bpy.types.Object) -> float:
 
 
 def set_extent(root: bpy.types.Object, extent: float) -> None:
-    """Scale a capture about its empty so that its cameras are `extent` Blender units apart at most.
+    """Scale a capture about its empty until its outermost cameras are `extent` Blender units apart.
 
     Raises:
-        ValueError: all cameras stand in one place.
+        ValueError: all cameras are in one place.
     """
     now = world_extent(root)
     if not (now > 0 and extent > 0):
         raise ValueError(
-            f"The cameras of {root.name} stand in one place, which gives no scale. Scale the empty."
+            f"The cameras of {root.name} are in one place, which gives no scale. Scale the empty."
         )
     matrix = matrix_to_numpy(root.matrix_basis)
     matrix[:3] *= extent / now
@@ -122,7 +121,7 @@ def root_scale(root: bpy.types.Object) -> float:
 
 
 def set_root_matrix(root: bpy.types.Object, matrix: np.ndarray) -> None:
-    """Give an empty a matrix [4, 4] of rotation, one scale and translation."""
+    """Set an empty's transform from a matrix [4, 4] of rotation, uniform scale and translation."""
     scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
     root.rotation_mode = "QUATERNION"
     root.location = matrix[:3, 3]
@@ -137,16 +136,16 @@ def centers_of(viewmats: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Display sizes, in Blender units at a scale of 1 of the empty."""
+    """Display sizes, in Blender units for an empty of scale 1."""
 
     length: float
-    """Size of a camera's drawing."""
+    """Display size of a camera."""
     extent: float
     """Extent of all cameras."""
 
 
 def drawing_of(centers: np.ndarray) -> Drawing:
-    """Camera drawings that do not hide each other, of positions [C, 3], C > 0; needs no bpy."""
+    """Display sizes without overlap for camera positions [C, 3], C > 0; no bpy."""
     extent = alignment.camera_extent(centers) or 1.0
     few = centers[np.linspace(0, len(centers) - 1, min(200, len(centers))).astype(int)]
     distances = np.linalg.norm(few[:, None] - centers[None], axis=2)
@@ -157,7 +156,7 @@ def drawing_of(centers: np.ndarray) -> Drawing:
 
 
 def size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> None:
-    """Camera drawings that do not hide each other, and clipping that fits the capture's size."""
+    """Set display sizes without overlap, and clipping distances that fit the capture's size."""
     if cameras:
         drawing = drawing_of(np.array([co.local_matrix(ob)[:3, 3] for ob in cameras]))
         scale = root_scale(root)
@@ -167,7 +166,7 @@ def size_drawings(root: bpy.types.Object, cameras: list[bpy.types.Object]) -> No
 
 
 def size_drawing(data: bpy.types.Camera, drawing: Drawing, scale: float) -> None:
-    """The same of one camera, below an empty of a scale."""
+    """Set them for one camera, below an empty of a given scale."""
     data.display_size = drawing.length * scale
     data.clip_start, data.clip_end = (
         end * drawing.extent * scale for end in (CLIP_START, CLIP_END)

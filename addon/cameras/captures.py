@@ -19,7 +19,7 @@ from .objects import cameras_of, is_camera
 
 
 def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> ImportedCapture:
-    """Bring a capture into the scene at once; arguments and errors as `importing`."""
+    """Import a capture into the scene in one call; arguments and errors as `importing`."""
     try:
         return run_blocking(importing(scene, path, **options))
     finally:
@@ -27,15 +27,15 @@ def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> 
 
 
 def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
-    """Make a photo's camera the scene's, with the photo's resolution and pixel aspect.
+    """Make a photo's camera the scene camera, with the photo's resolution and pixel aspect.
 
-    The resolution percentage stays. The photo of the camera used before is dropped from memory.
+    The resolution percentage stays. The photo of the previous camera is freed from memory.
 
     Returns:
-        Sentences about what Blender keeps per scene, and about a photo that is not there.
+        Sentences about changed scene settings, and about a missing photo.
 
     Raises:
-        ValueError: the camera is none of a photo.
+        ValueError: the object is no camera of a photo.
     """
     if not is_camera(ob):
         raise ValueError(f"{ob.name} is no camera of a photo. Import a capture's cameras first.")
@@ -60,7 +60,7 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
     elif not ob.data.show_background_images:
         notes.append(f"The photo stays hidden. {editable_check.problem(ob.data)}")
     if photo is None or not Path(own.photo).is_file():
-        notes.append(f"The photo {own.photo} is not there. Find the capture's folder again.")
+        notes.append(f"The photo {own.photo} is missing. Choose its folder with Find Photos.")
     if before is not None and before != ob and is_camera(before):
         old = photo_of(before)
         if old is not None and old != photo and not old.is_dirty and not old.packed_file:
@@ -69,7 +69,7 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
 
 
 def step_camera(scene: bpy.types.Scene, root: bpy.types.Object, step: int) -> bpy.types.Object:
-    """The camera `step` photos after the scene's, around the end; without one, the first or last.
+    """The camera `step` photos after the scene's, wrapping around; without one, the first or last.
 
     Raises:
         ValueError: the capture has no cameras.
@@ -83,7 +83,7 @@ def step_camera(scene: bpy.types.Scene, root: bpy.types.Object, step: int) -> bp
 
 
 def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> tuple[int, int]:
-    """Point a capture at the folder where it is now; how many photos were found, and of how many.
+    """Set the current folder of a capture; returns the numbers of found and of all photos.
 
     Args:
         root: The capture's empty.
@@ -91,7 +91,7 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
         images: Folder of the photos in it.
 
     Raises:
-        ValueError: none of the photos is there; nothing is changed.
+        ValueError: the folder has none of the photos; nothing is changed.
     """
     picked = Path(bpy.path.abspath(str(path))).absolute()
     source = find_capture(picked)

@@ -1,6 +1,6 @@
 """COLMAP export of the cameras in `export_views`.
 
-Unmoved cameras keep their observations, which no longer hold for a moved one.
+Unmoved cameras keep their observations; those of moved cameras would be wrong.
 """
 
 from collections.abc import Sequence
@@ -37,8 +37,8 @@ def export_colmap(
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
     """`exporting_colmap` in one call."""
-    given = {"root": root, "binary": binary, "depsgraph": lambda: depsgraph}
-    return run_blocking(exporting_colmap(path, cameras, scene, **given))
+    options = {"root": root, "binary": binary, "depsgraph": lambda: depsgraph}
+    return run_blocking(exporting_colmap(path, cameras, scene, **options))
 
 
 def exporting_colmap(
@@ -54,51 +54,52 @@ def exporting_colmap(
 
     Args:
         path: Folder of the new capture.
-        cameras: Cameras of photos, or any perspective ones.
-        scene: Gives resolution and pixel aspect of cameras that are of no photo.
+        cameras: Cameras of photos, or other perspective cameras.
+        scene: Defines resolution and pixel aspect of cameras without a photo.
         root: A capture's empty: its world is written, with its points; None: Blender's world.
-        depsgraph: Gives the animated poses.
+        depsgraph: Source of the animated poses.
         binary: `.bin` rather than `.txt` files.
 
     Raises:
         GsError: a file cannot be written.
-        ValueError: a camera cannot be written, or the folder is that of a capture of this file.
+        ValueError: a camera cannot be written, or the folder has the model of a capture of the open
+            file.
     """
     folder = Path(path) / "sparse" / "0"
-    given = yield from gathering(cameras, scene, root, depsgraph)
-    write = partial(_write, folder, given, binary)
+    inputs = yield from gathering(cameras, scene, root, depsgraph)
+    write = partial(_write, folder, inputs, binary)
     return (yield from run_in_thread(write, f"Writing {folder}"))
 
 
 def _write(
     folder: Path,
-    given: Gathered,
+    inputs: Gathered,
     binary: bool,
     check: Check,
 ) -> Exported:
     """Write the files; no bpy."""
-    views, source = given.views, given.source
-    for known in given.captures:
+    views, source = inputs.views, inputs.source
+    for known in inputs.captures:
         if _same(folder, _model_folder(known)):
             raise ValueError(f"{folder} is the own model of {known}. Choose another folder.")
     if not binary and (folder / "cameras.bin").exists():
         raise ValueError(
             f"{folder} holds a binary model, which readers prefer to text. Choose another folder."
         )
-    model, warnings = _source_model(source, given.origin)
+    model, warnings = _source_model(source, inputs.origin)
     check()
     warnings += kept_lenses(views)
-    cloud, more = points_to_export(given.held, source, model, origin=given.origin)
+    cloud, more = points_to_export(inputs.held, source, model, origin=inputs.origin)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
     other = _restated(views, model)
     if other:
         warnings.append(
-            f"{other} cameras stand elsewhere in {source} by now; they are written as "
-            f"they were imported, without observations."
+            f"{other} cameras have changed in {source} since the import; they are written as "
+            f"imported, without observations."
         )
-    written = ColmapModel(cameras=table, images=images, points=cloud, origin=given.origin)
-    written = written.about(None)  # as other programs have the capture
+    written = ColmapModel(cameras=table, images=images, points=cloud, origin=inputs.origin)
+    written = written.about(None)  # other programs have no local origin
     with all_or_none(check):
         write_colmap(written, folder, binary=binary)
     return Exported(
@@ -130,12 +131,12 @@ def _source_model(
         return read_colmap(source).about(origin), []
     except (GsError, OSError) as error:
         return None, [
-            f"Observations are left out, for the capture cannot be read: {error_words(error)}"
+            f"Observations are left out, because the capture cannot be read: {error_words(error)}"
         ]
 
 
 def _restated(views: list[ExportView], model: ColmapModel | None) -> int:
-    """Number of untouched cameras that the capture's files state differently by now."""
+    """Number of unmoved cameras whose poses have changed in the capture's files."""
     known = {image.name: image for image in model.images} if model else {}
     pairs = [(known[v.name], v) for v in views if not v.is_moved and v.name in known]
     return sum(1 for image, view in pairs if not _same_pose(image, view))
@@ -144,7 +145,7 @@ def _restated(views: list[ExportView], model: ColmapModel | None) -> int:
 def _camera_table(
     views: list[ExportView], model: ColmapModel | None
 ) -> tuple[list[int], dict[int, ColmapCamera]]:
-    """Camera id of each view, and the cameras: those of the model where they are the same."""
+    """Camera id of each view, and the cameras by id; equal cameras of the model are reused."""
     table: dict[int, ColmapCamera] = {}
     by_image = {image.name: image.camera_id for image in model.images} if model else {}
     known: dict[tuple, int] = {}
@@ -178,7 +179,7 @@ def _same_pose(image: ColmapImage, view: ExportView) -> bool:
 def _images(
     views: list[ExportView], camera_ids: list[int], model: ColmapModel | None
 ) -> list[ColmapImage]:
-    """The views; what the model says of one that nobody touched is kept to the last bit."""
+    """The views; unmoved ones keep the model's entries bit for bit."""
     known = {image.name: image for image in model.images} if model else {}
     free = max((image.id for image in known.values()), default=0) + 1
     images = []

@@ -28,52 +28,52 @@ from .capture_transform import origin_of
 from .export_views import ExportView, Graph, collecting
 
 UNKNOWN_ERROR = -1.0
-"""Reprojection error of a point that COLMAP did not make, pixels."""
+"""Reprojection error of a point without a COLMAP model, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportPoints:
-    """The points as they are in Blender."""
+    """Points of a capture, read from Blender."""
 
     positions: np.ndarray
     """[P, 3] float32."""
     indices: np.ndarray
     """As `sfm_points.unique_places`."""
     linear: np.ndarray | None
-    """As `sfm_points.linear_of`; None: the colours are gone."""
+    """As `sfm_points.linear_of`; None: the object has no colours."""
     name: str
-    """Of the object."""
+    """Name of the object."""
 
     @property
     def colors(self) -> np.ndarray:
-        """[P, 3] uint8 sRGB; ValueError where they are gone."""
+        """[P, 3] uint8 sRGB; ValueError without colours."""
         if self.linear is None:
             raise ValueError(sfm_points.lost_colors(self.name))
         return sfm_points.encoded(self.linear)
 
 
 def reading_points(root: int | None) -> Pieces[ExportPoints | None]:
-    """The points of a capture, an attribute a piece.
+    """Read the points of a capture, one attribute per step.
 
     Args:
-        root: Session number of its empty; None: there is none.
+        root: Session uid of its empty; None: no capture.
 
     Raises:
-        ValueError: they were removed or changed meanwhile.
+        ValueError: the points were removed or changed meanwhile.
     """
     empty = with_uid(bpy.data.objects, root)
     ob = None if empty is None else co.points_of(empty)
     if ob is None:
         return None
-    uid, name, found = ob.session_uid, ob.name, []
+    uid, name, values = ob.session_uid, ob.name, []
     for read in (sfm_points.positions_of, sfm_points.linear_of, sfm_points.places_of):
         yield f"Reading {name}"
         ob = with_uid(bpy.data.objects, uid)
         if ob is None:
             raise ValueError(f"{name} was removed while it was exported: export it again.")
-        found.append(read(ob))
-    positions, linear, places = found
-    if len({len(values) for values in found if values is not None}) != 1:
+        values.append(read(ob))
+    positions, linear, places = values
+    if len({len(rows) for rows in values if rows is not None}) != 1:
         raise ValueError(f"{name} was changed while it was exported: export it again.")
     indices = yield from run_in_thread(
         lambda check: sfm_points.unique_places(places), f"Reading {name}"
@@ -83,18 +83,17 @@ def reading_points(root: int | None) -> Pieces[ExportPoints | None]:
 
 @dataclass(frozen=True, kw_only=True)
 class Gathered:
-    """All of Blender that an export needs; what comes after needs no bpy."""
+    """Inputs of an export, read from Blender; later steps need no bpy."""
 
     views: list[ExportView]
     held: ExportPoints | None
     """Points of the capture whose world is written; None: there are none."""
     source: Path | None
-    """Files of that capture, if they are there."""
+    """Files of that capture, if they exist."""
     captures: list[Path]
-    """What must not be written over."""
+    """Captures that must not be overwritten."""
     origin: np.ndarray | None
-    """[3] local origin of the capture whose world is written, in which views and points are; None:
-    there is none."""
+    """[3] local origin of views and points; None: there is none."""
 
 
 def gathering(
@@ -103,7 +102,7 @@ def gathering(
     root: bpy.types.Object | None,
     depsgraph: Graph,
 ) -> Pieces[Gathered]:
-    """Read it; arguments and errors as `collecting` and `reading_points` have them."""
+    """Read the inputs; arguments and errors as `collecting` and `reading_points`."""
     source, captures, origin = source_of(root), known_captures(), origin_of(root)
     uid = None if root is None else root.session_uid
     views = yield from collecting(cameras, scene, root, depsgraph)
@@ -118,27 +117,26 @@ def points_to_export(
     *,
     origin: np.ndarray | None = None,
 ) -> tuple[ColmapPoints, list[str]]:
-    """The points as they are in Blender: deleted ones left out, untouched ones exact. Touches no
-    bpy.
+    """The points of the Blender object: without deleted ones, unmoved ones in float64. No bpy.
 
     Args:
-        held: They; without any there are those of the capture's files.
-        source: The capture's files, if they are there.
-        model: Their COLMAP model, if that has been read already.
-        origin: [3] the local origin that points and model are about; None: there is none.
+        held: Points of the object; None: the points of the capture's files.
+        source: The capture's files, if they exist.
+        model: Their COLMAP model, if already read.
+        origin: [3] local origin of points and model; None: there is none.
 
     Returns:
-        Points, with the ids of the model where they come from it, and sentences for the user.
+        Points, with the model's ids where they come from it, and sentences for the user.
 
     Raises:
-        ValueError: the colours are gone.
+        ValueError: the object has no colours.
     """
     exact = model.points if model is not None else _points_without_tracks(source, origin)
     if held is None:
         return (ColmapPoints.none() if exact is None else exact), []
     now, places = held.positions, held.indices
     if exact is None:
-        note = "The capture's own files are not there; points are written in single precision."
+        note = "The capture's files are missing; points are written in single precision."
         return _new_points(now, held.colors), [note]
     own = (places >= 0) & (places < len(exact))
     rows = places[own]
@@ -159,21 +157,21 @@ def points_to_export(
 
 
 def source_of(root: bpy.types.Object | None) -> Path | None:
-    """The capture that an empty was imported from, if it is still there."""
+    """The capture that an empty was imported from, if it still exists."""
     text = stored_paths.read(root, stored_paths.SOURCE) if root is not None else ""
     path = Path(text)
     return path if text and path.exists() else None
 
 
 def known_captures() -> list[Path]:
-    """The captures of the open file that are there, imported or chosen to be trained."""
+    """Existing captures of the open file, imported or chosen for training."""
     roots = [ob for ob in bpy.data.objects if co.is_kind(ob, "capture")]
-    found = [path for root in roots if (path := source_of(root)) is not None]
+    known = [path for root in roots if (path := source_of(root)) is not None]
     for scene in bpy.data.scenes:
         for holder in run_links.holders(scene):
             with contextlib.suppress(ValueError):  # none is chosen
-                found.append(find_capture(absolute(holder.capture_path, "Capture")))
-    return [path for path in dict.fromkeys(found) if path.exists()]
+                known.append(find_capture(absolute(holder.capture_path, "Capture")))
+    return [path for path in dict.fromkeys(known) if path.exists()]
 
 
 def _points_without_tracks(source: Path | None, origin: np.ndarray | None) -> ColmapPoints | None:

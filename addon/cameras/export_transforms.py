@@ -17,11 +17,11 @@ from .export_sources import Gathered, gathering, points_to_export
 from .export_views import Exported, ExportView, Graph, about_none, all_or_none, kept_lenses
 
 POINTS = "sparse_pc.ply"
-"""The name nerfstudio gives the points."""
+"""nerfstudio's file name of the points."""
 _KEYS = {"f": ("fl_x", "fl_y"), "fx": ("fl_x",), "fy": ("fl_y",), "cx": ("cx",), "cy": ("cy",)}
 _OPENCV = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
 _UNUSED = frozenset({"k4", "k5", "k6"})
-"""Parameters of FULL_OPENCV that transforms.json has no agreed meaning for."""
+"""Parameters of FULL_OPENCV without an agreed meaning in transforms.json."""
 
 
 def export_transforms(
@@ -33,8 +33,8 @@ def export_transforms(
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
     """`exporting_transforms` in one call."""
-    given = {"root": root, "depsgraph": lambda: depsgraph}
-    return run_blocking(exporting_transforms(path, cameras, scene, **given))
+    options = {"root": root, "depsgraph": lambda: depsgraph}
+    return run_blocking(exporting_transforms(path, cameras, scene, **options))
 
 
 def exporting_transforms(
@@ -45,47 +45,47 @@ def exporting_transforms(
     root: bpy.types.Object | None,
     depsgraph: Graph,
 ) -> Pieces[Exported]:
-    """Write a transforms.json as nerfstudio has it: camera to world, OpenGL axes; photos stay.
+    """Write a transforms.json of nerfstudio: camera to world, OpenGL axes; photos are not copied.
 
     Args:
         path: The file to write.
-        cameras: As for `exporting_colmap`; so are the others.
-        scene: Gives resolution and pixel aspect of cameras that are of no photo.
+        cameras: As for `exporting_colmap`, like the following.
+        scene: Defines resolution and pixel aspect of cameras without a photo.
         root: A capture's empty; None: Blender's world.
-        depsgraph: Gives the animated poses.
+        depsgraph: Source of the animated poses.
 
     Raises:
         GsError: a file cannot be written.
-        ValueError: a camera cannot be written, or the file is that of a capture of this file.
+        ValueError: a camera cannot be written, or the file belongs to a capture of the open file.
     """
     path = Path(path)
-    given = yield from gathering(cameras, scene, root, depsgraph)
-    write = partial(_write, path, given)
+    inputs = yield from gathering(cameras, scene, root, depsgraph)
+    write = partial(_write, path, inputs)
     return (yield from run_in_thread(write, f"Writing {path}"))
 
 
 def _write(
     path: Path,
-    given: Gathered,
+    inputs: Gathered,
     check: Check,
 ) -> Exported:
     """Write the files; no bpy."""
-    views, source = given.views, given.source
-    for known in given.captures:
+    views, source = inputs.views, inputs.source
+    for known in inputs.captures:
         own = known if known.is_file() else known / path.name
         if own.exists() and own.resolve() == path.resolve():
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
-    points, warnings = points_to_export(given.held, source, origin=given.origin)
-    points = replace(points, xyz=points.xyz + offset_between(given.origin, None))
+    points, warnings = points_to_export(inputs.held, source, origin=inputs.origin)
+    points = replace(points, xyz=points.xyz + offset_between(inputs.origin, None))
     warnings += kept_lenses(views)
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
     if away:
         warnings.append(
-            f"{away} photos do not lie below {path.parent}; copy them to its folder images, where "
+            f"{away} photos are not inside {path.parent}; copy them to its folder images, where "
             f"the file expects them."
         )
     further = {"ply_file_path": POINTS} if len(points) else {}
-    text = transforms_text(about_none(views, given.origin), path.parent, further)
+    text = transforms_text(about_none(views, inputs.origin), path.parent, further)
     ply = _ply(points) if len(points) else b""
     with all_or_none(check):
         if ply:
@@ -110,10 +110,10 @@ def transforms_text(
     """A transforms.json of these views.
 
     Args:
-        views: In their order.
-        folder: Where the file is to lie.
-        further: Keys that stand at its top.
-        times: One for each view; None: it stands still.
+        views: Views in file order.
+        folder: Folder of the file.
+        further: Additional top-level keys.
+        times: One for each view; None: a static scene.
 
     Raises:
         ValueError: a view's camera model has no name in transforms.json.
@@ -127,7 +127,7 @@ def transforms_text(
 
 
 def _text(shared: dict[str, Any], frames: list[dict[str, Any]]) -> str:
-    """JSON with a key or a frame a line."""
+    """JSON with one key or frame per line."""
     lines = [f"{json.dumps(key)}: {json.dumps(value)}," for key, value in shared.items()]
     body = ",\n".join(json.dumps(frame) for frame in frames)
     return "\n".join(["{", *lines, '"frames": [', body, "]", "}"]) + "\n"

@@ -27,29 +27,30 @@ class ExportView:
     name: str
     """Image name, sub-folders with '/'."""
     photo: Path | None
-    """File of the photo; None for cameras that are of none."""
+    """File of the photo; None for cameras without one."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     camera: ColmapCamera
     """Intrinsics."""
     is_moved: bool
-    """Pose or lens are Blender's, not the capture's."""
+    """True if pose or lens are Blender's, not the capture's."""
     is_lens_kept: bool = False
-    """The lens is the capture's though Blender's is another, which a bent photo would not fit."""
+    """True if a lens with distortion is the capture's although it was changed in Blender, because
+    the photo fits only that lens."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """What was written."""
+    """Result of an export."""
 
     path: Path
     """Folder of the model, or the transforms file."""
     views: int
-    """Cameras."""
+    """Number of cameras."""
     moved: int
-    """Number of these written with Blender's values instead of the capture's."""
+    """Cameras written with Blender's values instead of the capture's."""
     points: int
-    """SfM points."""
+    """Number of SfM points."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -66,7 +67,7 @@ def collect(
     *,
     photos: bool = True,
 ) -> list[ExportView]:
-    """The same as `collecting`, at once."""
+    """`collecting` in one call."""
     return run_blocking(collecting(cameras, scene, root, lambda: depsgraph, photos=photos))
 
 
@@ -78,15 +79,15 @@ def collecting(
     *,
     photos: bool = True,
 ) -> Pieces[list[ExportView]]:
-    """The cameras as they are to be written, with names that differ.
+    """The cameras to write, with unique names.
 
     Args:
-        cameras: As for `export_colmap`; so are the others.
-        scene: Gives resolution and pixel aspect of cameras that are of no photo.
+        cameras: As for `export_colmap`, like the following.
+        scene: Defines resolution and pixel aspect of cameras without a photo.
         root: A capture's empty; None: Blender's world.
-        depsgraph: Gives the animated poses.
-        photos: Photos belong to them, as they were taken; else a camera whose photo is straightened
-            is the pinhole camera that it is in Blender.
+        depsgraph: Source of the animated poses.
+        photos: Write the lens of the original photos; else the pinhole camera of the undistorted
+            photo.
 
     Raises:
         ValueError: there are none, one is orthographic, panoramic or sheared, or the scene was
@@ -94,7 +95,7 @@ def collecting(
     """
     if not cameras:
         raise ValueError("There are no cameras to export. Select some, or import a capture.")
-    watched = Watched(cameras, scene, root)
+    tracked = Tracked(cameras, scene, root)
     frame = scene.frame_current_final
     views: list[ExportView] = []
     taken: set[str] = set()
@@ -102,17 +103,17 @@ def collecting(
     for done in range(len(cameras)):
         if time.perf_counter() > until:
             yield f"Reading cameras: {done} of {len(cameras)}"
-            watched.look_again()
-            if watched.scene.frame_current_final != frame:
+            tracked.look_again()
+            if tracked.scene.frame_current_final != frame:
                 raise ValueError(
                     "The frame was changed while cameras were exported: export them again."
                 )
             graph, until = depsgraph(), time.perf_counter() + BUDGET
-        ob = watched.cameras[done]
+        ob = tracked.cameras[done]
         if co.is_camera(ob):
-            view = _photo_view(ob, watched.root, graph, photos=photos)
+            view = _photo_view(ob, tracked.root, graph, photos=photos)
         else:
-            view = _plain_view(ob, watched.scene, watched.root, graph)
+            view = _plain_view(ob, tracked.scene, tracked.root, graph)
         name, count = view.name, 1
         while name in taken:
             path = PurePosixPath(view.name)
@@ -123,14 +124,13 @@ def collecting(
 
 
 def about_none(views: Sequence[ExportView], origin: np.ndarray | None) -> list[ExportView]:
-    """Views in a world about a local origin, in the coordinates of the capture's own files."""
+    """Views about a local origin, converted to the coordinates of the capture's files."""
     shift = offset_between(None, origin)
     return [replace(view, viewmat=moved_viewmats(view.viewmat, shift)) for view in views]
 
 
-class Watched:
-    """Cameras that are read in pieces. They are looked up anew after each: undo replaces
-    objects."""
+class Tracked:
+    """Cameras, scene and capture, looked up again after each step: undo replaces objects."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class Watched:
         scene: bpy.types.Scene,
         root: bpy.types.Object | None,
     ) -> None:
-        """Remember the cameras, which exist now."""
+        """Store the session uids."""
         self.cameras, self.scene, self.root = list(cameras), scene, root
         self._uids = [ob.session_uid for ob in cameras]
         self._others = scene.session_uid, None if root is None else root.session_uid
@@ -158,20 +158,20 @@ class Watched:
 
 @contextmanager
 def all_or_none(check: Check) -> Iterator[None]:
-    """Within it several files are written: none where the export was given up before the first."""
+    """Write several files within; cancellation counts only before the first."""
     first = iter([check])
     with file_errors(lambda: next(first, lambda: None)()):
         yield
 
 
 def kept_lenses(views: Sequence[ExportView]) -> list[str]:
-    """What to tell of lenses that are not written as they are in Blender, a sentence at most."""
+    """At most one sentence about lenses that are not written as changed in Blender."""
     names = [view.name for view in views if view.is_lens_kept]
     if not names:
         return []
     return [
-        f"The lens of {first_few(names)} was changed in Blender; it is written as the "
-        f"capture states it, for such photos are bent by that lens."
+        f"The lens of {first_few(names)} was changed in Blender; the capture's lens is written, "
+        f"because the photos have its distortion."
     ]
 
 
@@ -232,7 +232,7 @@ def _intrinsics(
 
 
 def _data(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None) -> bpy.types.Camera:
-    """With its animated lens: of a scene that no window has shown the object's own has another."""
+    """Camera data with the animated lens, which the object lacks before its scene is shown."""
     return (ob.evaluated_get(depsgraph) if depsgraph else ob).data
 
 

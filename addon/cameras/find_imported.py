@@ -18,7 +18,7 @@ from .lookup import roots_of
 from .reading import ReadCamera
 
 _SAMPLES = 20
-"""Number of cameras compared to detect a changed world of the files."""
+"""Number of compared cameras to detect a changed world of the files."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,20 +32,20 @@ class Present:
 
 
 def find_present(scene: bpy.types.Scene, source: Path, into: int) -> Present | None:
-    """A capture that a scene has, and that may be changed.
+    """An editable capture of a scene.
 
     Args:
-        scene: It.
+        scene: The scene.
         source: Folder that it was imported from.
-        into: Session number of the empty that is meant; 0: any of that folder.
+        into: Session uid of the capture's empty; 0: any capture of that folder.
     """
     roots = roots_of(scene)
-    asked = [root for root in roots if root.session_uid == into]
-    for root in chain(asked, (root for root in roots if _is_of(root, source))):
+    chosen = [root for root in roots if root.session_uid == into]
+    for root in chain(chosen, (root for root in roots if _is_of(root, source))):
         cameras, points = co.parts_of(root)
-        found = Present(root=root, cameras=cameras, points=points)
-        if _may_change(found):
-            return found
+        present = Present(root=root, cameras=cameras, points=points)
+        if _may_change(present):
+            return present
     return None
 
 
@@ -55,14 +55,14 @@ def uid_of(there: Present | None) -> int:
 
 
 def known_origins(scene: bpy.types.Scene, into: int) -> list[tuple[Path | None, np.ndarray]]:
-    """Local origins of the captures of a scene, as `reading.read` takes them."""
-    found: list[tuple[Path | None, np.ndarray]] = []
+    """Local origins of the captures of a scene, for `reading.read`."""
+    origins: list[tuple[Path | None, np.ndarray]] = []
     for root in roots_of(scene):
         source = stored_paths.read(root, stored_paths.SOURCE)
         folder = None if root.session_uid == into else Path(source)
         if source or folder is None:
-            found.append((folder, offset_between(noted_origin(root), None)))
-    return sorted(found, key=lambda one: one[0] is not None)
+            origins.append((folder, offset_between(noted_origin(root), None)))
+    return sorted(origins, key=lambda one: one[0] is not None)
 
 
 def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, ...]:
@@ -71,12 +71,10 @@ def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, 
     for other in roots_of(scene):
         apart = offset_between(own, noted_origin(other))
         if other != root and apart.any():
-            words = (origin_words(value) for value in (offset_between(own, None), apart))
-            at, distance = words
+            at, distance = map(origin_words, (offset_between(own, None), apart))
             return (
-                f"{root.name} is about the local origin {at}, which lies {distance} from that of "
-                f"{other.name}: here both stand near the scene's origin, and not where they are "
-                f"to each other.",
+                f"{root.name} has the local origin {at}, at {distance} from that of {other.name}: "
+                f"both are placed near the scene's origin, not in their true relation.",
             )
     return ()
 
@@ -86,9 +84,9 @@ def _is_of(root: bpy.types.Object, source: Path) -> bool:
     return bool(own) and same_folder(Path(own), source)
 
 
-def _may_change(found: Present) -> bool:
+def _may_change(capture: Present) -> bool:
     """True if all of a capture is local to this file, without overrides."""
-    obs = [found.root, *found.cameras, *filter(None, [found.points])]
+    obs = [capture.root, *capture.cameras, *filter(None, [capture.points])]
     blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
     return all(block.library is None and block.override_library is None for block in blocks)
 
@@ -106,8 +104,8 @@ def in_another_world(
     if 2 * moved <= len(some):
         return ()
     return (
-        "The files have the photos elsewhere than before. Align to Ground turns the capture anew; "
-        "splats that were trained before may no longer fit.",
+        "The camera poses in the files have changed. Use Align to Ground again; splats trained "
+        "before may no longer fit.",
     )
 
 
@@ -117,7 +115,6 @@ def constrained_warning(cameras: list[bpy.types.Object]) -> tuple[str, ...]:
     if not names:
         return ()
     return (
-        f"Keyframes, drivers or constraints may keep cameras away from where their photos were "
-        f"taken: {first_few(names)}. Clear them, else renders and exports have these cameras as "
-        f"they stand.",
+        f"Keyframes, drivers or constraints may move cameras away from the poses of their photos: "
+        f"{first_few(names)}. Clear them, or renders and exports use the moved poses.",
     )

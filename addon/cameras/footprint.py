@@ -17,8 +17,8 @@ _GAP = 0.1
 
 
 def frame_capture(scene: bpy.types.Scene, root: bpy.types.Object) -> list[bpy.types.SpaceView3D]:
-    """Turn the 3D views of a scene's windows to a capture's cameras and most of its points; these
-    views."""
+    """Frame a capture's cameras and most of its points in the 3D views of a scene's windows;
+    returns these views."""
     views = framing.views_of(scene)
     reach = reach_of(matrix_to_numpy(root.matrix_basis), *co.parts_of(root)) if views else []
     for space in views if len(reach) else ():
@@ -29,35 +29,33 @@ def frame_capture(scene: bpy.types.Scene, root: bpy.types.Object) -> list[bpy.ty
 def reach_of(
     matrix: np.ndarray, cameras: Sequence[bpy.types.Object], points: bpy.types.Object | None
 ) -> np.ndarray:
-    """[N, 3] float64: where cameras and points of a capture are in Blender's world, with as many
-    rows of either where there are any of both.
+    """[N, 3] float64 positions of a capture's cameras and points in Blender's world; cameras are
+    repeated to equal the number of points.
 
     Args:
         matrix: [4, 4] of the capture's empty.
-        cameras: Directly below it.
-        points: The same; None: there are none, or they are in Edit Mode.
+        cameras: Direct children of the empty.
+        points: Direct child of the empty; None: no points. In Edit Mode they are ignored.
     """
-    found = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras]).reshape(-1, 3)
+    places = np.array([co.local_matrix(ob)[:3, 3] for ob in cameras]).reshape(-1, 3)
     if points is not None and points.mode != "EDIT" and len(points.data.vertices):
         cloud = sfm_points.positions_of(points).astype(np.float64)
         cloud = cloud[:: -(-len(cloud) // _POINTS)]
-        found = (
-            found[np.linspace(0, len(found) - 1, len(cloud)).astype(int)] if len(found) else found
-        )
-        found = np.concatenate([found, cloud])
-    return found @ matrix[:3, :3].T + matrix[:3, 3]
+        if len(places):
+            places = places[np.linspace(0, len(places) - 1, len(cloud)).astype(int)]
+        places = np.concatenate([places, cloud])
+    return places @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def place_next_to(
     matrix: np.ndarray, reach: np.ndarray, others: Sequence[bpy.types.Object]
 ) -> np.ndarray:
-    """[4, 4]: the matrix of a capture's empty, moved along +x until the capture stands beside those
-    that it would stand in.
+    """[4, 4], the matrix of a capture's empty, moved along +x until the capture overlaps no other.
 
     Args:
         matrix: [4, 4] of the empty.
-        reach: [N, 3] as `reach_of` gives with this matrix.
-        others: The empties of the other captures.
+        reach: [N, 3] of `reach_of` for this matrix.
+        others: Empties of the other captures.
     """
     taken = [_box(reach_of(matrix_to_numpy(o.matrix_basis), *co.parts_of(o))) for o in others]
     taken = sorted((box for box in taken if box is not None), key=lambda box: box[0, 0])
@@ -65,7 +63,7 @@ def place_next_to(
     if own is None:
         return matrix
     moved, gap = 0.0, _GAP * (own[1, 0] - own[0, 0])
-    for low, high in taken:  # from left to right, so that none is met again
+    for low, high in taken:  # from left to right, so that one pass suffices
         if (own[0] < high).all() and (own[1] > low).all():
             step = high[0] - own[0, 0] + gap
             own[:, 0] += step

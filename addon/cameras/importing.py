@@ -68,46 +68,46 @@ def importing(
     align: bool = True,
     into: bpy.types.Object | None = None,
 ) -> Pieces[ImportedCapture]:
-    """Import a capture into the scene, all at once at the end.
+    """Import a capture into the scene, in one change at the end.
 
-    Where the scene has it already, its cameras and points become what the files say now: those of
-    photos that are gone go too. The empty, and all else that hangs from it, stay as they are.
+    If the scene has the capture already, its cameras and points are updated from the files;
+    cameras without a photo are removed. The empty and its other children stay unchanged.
 
     Args:
-        scene: Gets everything.
+        scene: Receives the objects.
         path: A capture's folder, or a folder or file inside it.
         images: Folder of the photos in a COLMAP capture.
-        photos: Put the photos into the cameras' backgrounds; Blender decodes them when drawn. Those
-            of lenses that bend lines are straightened in the background, in a window.
-        points: Make an object of the SfM points.
-        align: Put z up and the ground at z = 0, beside the captures that are there; else the empty
-            keeps COLMAP's axes.
-        into: The empty of the capture, which has it already; None: one of the same folder.
+        photos: Set the photos as the cameras' backgrounds; Blender decodes them when drawn. Photos
+            with lens distortion are undistorted in the background, unless Blender has no window.
+        points: Create an object of the SfM points.
+        align: Put z up and the ground at z = 0, next to other captures; else the empty keeps
+            COLMAP's axes.
+        into: The empty of the capture to update; None: a capture of the same folder.
 
     Raises:
         GsError: the capture cannot be read.
-        ValueError: no view of it can be a Blender camera, or the scene is gone.
+        ValueError: none of its views can be a Blender camera, or the scene was removed.
     """
     uid, place = scene.session_uid, Path(bpy.path.abspath(str(path)))
     there = 0 if into is None else into.session_uid
-    wanted = {"images": images, "photos": photos, "points": points, "align": align}
+    choices = {"images": images, "photos": photos, "points": points, "align": align}
     origins = known_origins(scene, there)
     with garbage.put_off():
-        found = yield from run_in_thread(
-            partial(read, place, **wanted, origins=origins), f"Reading {place}"
+        capture = yield from run_in_thread(
+            partial(read, place, **choices, origins=origins), f"Reading {place}"
         )
         while True:
             yield from clearing()
             known = KnownImages()
-            coming = _Coming(found, known, there, align)
+            pending = _PendingCapture(capture, known, there, align)
             try:
-                yield from coming.fill(find_present(_scene(uid), found.source, there))
-                made = coming.arrive(_scene(uid))
+                yield from pending.fill(find_present(_scene(uid), capture.source, there))
+                made = pending.link(_scene(uid))
             finally:
-                clear(chain(coming.dropping(), known.dropping()))
+                clear(chain(pending.dropping(), known.dropping()))
             if made is not None:
                 if not bpy.app.background:
-                    undistort_jobs.begin(found.copies)
+                    undistort_jobs.begin(capture.copies)
                 return made
 
 
@@ -120,45 +120,45 @@ class _Compared:
     lacking: co.Lacking | None
     """Changes to write; None: none."""
     has_photo: bool
-    """True if it shows the photo of the files."""
+    """True if it shows the photo named in the files."""
 
 
 def _state_of(ob: bpy.types.Object) -> tuple[Any, ...]:
-    """Identity of an object, and properties that users are likely to change."""
+    """Identity of a camera, and properties that users are likely to change."""
     return ob.session_uid, ob.matrix_basis.copy().freeze(), ob.data.lens
 
 
-class _Coming:
+class _PendingCapture:
     """Cameras and points being created, in a collection outside all scenes."""
 
-    def __init__(self, found: ReadCapture, known: KnownImages, into: int, align: bool) -> None:
+    def __init__(self, read: ReadCapture, known: KnownImages, into: int, align: bool) -> None:
         """Create the collection with the capture's empty."""
-        self._found, self._known, self._into, self._align = found, known, into, align
+        self._read, self._known, self._into, self._align = read, known, into, align
         self._there = 0
-        """Session uid of the capture's empty in the scene, at the start of the cameras."""
+        """Session uid of the capture's empty in the scene when `fill` starts."""
         self._compared: dict[str, _Compared] = {}
         """Existing cameras, by image."""
-        outer = bpy.data.collections.new(found.name)
+        outer = bpy.data.collections.new(read.name)
         self._temporary = Temporary(outer)
-        inner = bpy.data.collections.new(f"{found.name} cameras")
+        inner = bpy.data.collections.new(f"{read.name} cameras")
         outer.children.link(inner)
-        root = bpy.data.objects.new(found.name, None)
+        root = bpy.data.objects.new(read.name, None)
         root[co.KIND] = "capture"
-        root.empty_display_size = 0.1 * found.drawing.extent
-        set_root_matrix(root, found.matrix)
+        root.empty_display_size = 0.1 * read.drawing.extent
+        set_root_matrix(root, read.matrix)
         outer.objects.link(root)
         for one in (inner, root):
             self._temporary.hold(one)
 
     def fill(self, there: Present | None) -> Pieces[None]:
-        """Create all that is missing in `there`."""
+        """Create everything that `there` lacks."""
         self._there = uid_of(there)
         have = {} if there is None else _by_image(there.cameras)
         known = {image: (ob.name, ob.session_uid) for image, ob in have.items()}
         until = time.perf_counter() + BUDGET
-        for done, one in enumerate(self._found.cameras):
+        for done, one in enumerate(self._read.cameras):
             if time.perf_counter() > until:
-                yield f"Importing cameras: {done} of {len(self._found.cameras)}"
+                yield f"Importing cameras: {done} of {len(self._read.cameras)}"
                 until = time.perf_counter() + BUDGET
             if (outer := self._temporary.found()) is None:
                 return
@@ -167,36 +167,36 @@ class _Coming:
                 self._make(one, outer)
             elif (ob := bpy.data.objects.get(name)) is not None and ob.session_uid == uid:
                 self._compare(one, ob)
-        if self._found.points is not None:
-            yield from self._fill_points(self._found.points)
+        if self._read.points is not None:
+            yield from self._fill_points(self._read.points)
 
-    def arrive(self, scene: bpy.types.Scene) -> ImportedCapture | None:
-        """Bring all into the scene, in one moment; None: undo, or a user, has taken it meanwhile,
-        or the scene has the capture by now, or no longer, so that something else has to be made.
+    def link(self, scene: bpy.types.Scene) -> ImportedCapture | None:
+        """Put everything into the scene in one change; None if it must be created again, because
+        undo or the user removed it, or the capture was added to the scene or removed meanwhile.
 
         Raises:
             ValueError: the capture's points are being edited.
         """
-        outer, found = self._temporary.found(), self._found
+        outer, read = self._temporary.found(), self._read
         if outer is None:
             return None
-        before, warnings = find_present(scene, found.source, self._into), found.warnings
+        before, warnings = find_present(scene, read.source, self._into), read.warnings
         if self._there != uid_of(before):
             return None
         if before is None:
-            there = self._bring(outer, scene)
+            there = self._add(outer, scene)
         else:
-            there, said = self._renew(before, outer, scene)
-            warnings += said
+            there, more = self._renew(before, outer, scene)
+            warnings += more
         root = there.root
-        root["gs_images"] = found.images
-        for key, up in ((UP, found.up), (HELD_UP, found.held_up)):
+        root["gs_images"] = read.images
+        for key, up in ((UP, read.up), (HELD_UP, read.held_up)):
             root.pop(key, None)
             if up is not None:
                 root[key] = up.tolist()
-        note_origin(root, found.origin)
+        note_origin(root, read.origin)
         warnings += other_origins(scene, root)
-        stored_paths.write(root, stored_paths.SOURCE, found.source)
+        stored_paths.write(root, stored_paths.SOURCE, read.source)
         return ImportedCapture(
             scene=scene,
             root=root,
@@ -208,17 +208,17 @@ class _Coming:
         )
 
     def dropping(self) -> Iterator[None]:
-        """Remove objects that did not enter the scene or have left it, some per step."""
+        """Remove objects that did not enter the scene or were taken out of it, some per step."""
         return self._temporary.dropping()
 
     def _make(self, one: ReadCamera, outer: bpy.types.Collection) -> bpy.types.Object:
         ob = co.make(one.setup, one.name, outer.children[0])
         self._temporary.hold(ob)
-        size_drawing(ob.data, self._found.drawing, 1.0)
-        self._hand_photo(ob, one)
+        size_drawing(ob.data, self._read.drawing, 1.0)
+        self._set_photo(ob, one)
         return ob
 
-    def _hand_photo(self, ob: bpy.types.Object, one: ReadCamera) -> None:
+    def _set_photo(self, ob: bpy.types.Object, one: ReadCamera) -> None:
         if one.photo is not None:
             set_photo(ob, one.photo, self._known)
         else:
@@ -234,22 +234,22 @@ class _Coming:
             has_photo=one.photo is not None and shows_photo(ob, one.photo),
         )
 
-    def _fill_points(self, found: ReadPoints) -> Pieces[None]:
-        name = f"{self._found.name} points"
+    def _fill_points(self, points: ReadPoints) -> Pieces[None]:
+        name = f"{self._read.name} points"
         if (outer := self._temporary.found()) is None:
             return
         ob = bpy.data.objects.new(name, bpy.data.meshes.new(name))
         ob[co.KIND] = "points"
         outer.objects.link(ob)
         self._temporary.hold(ob)
-        attributes.add_points(ob.data, found.count)
-        for step in _steps(found):
-            yield f"Importing {found.count:,} points"
+        attributes.add_points(ob.data, points.count)
+        for step in _steps(points):
+            yield f"Importing {points.count:,} points"
             if (outer := self._temporary.found()) is None:
                 return
             step(co.points_among(outer.objects))
 
-    def _bring(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> Present:
+    def _add(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> Present:
         """Link the collection to the scene."""
         root = next(ob for ob in outer.objects if co.is_kind(ob, "capture"))
         for ob in outer.all_objects:
@@ -257,7 +257,7 @@ class _Coming:
                 ob.parent = root
         cameras, points = co.by_image(outer.children[0].objects), co.points_among(outer.objects)
         if self._align and (others := roots_of(scene)):
-            matrix = self._found.matrix
+            matrix = self._read.matrix
             reach = footprint.reach_of(matrix, cameras, points)
             set_root_matrix(root, footprint.place_next_to(matrix, reach, others))
         self._temporary.take()
@@ -266,19 +266,19 @@ class _Coming:
 
     def _restate(self, one: ReadCamera, ob: bpy.types.Object, root: bpy.types.Object) -> None:
         image = one.setup.own.image
-        seen = self._compared.get(image)
-        if seen is None or seen.state != _state_of(ob):  # somebody has changed it meanwhile
+        compared = self._compared.get(image)
+        if compared is None or compared.state != _state_of(ob):  # changed meanwhile
             self._compare(one, ob)
-            seen = self._compared[image]
-        if seen.lacking is not None:
-            co.give(ob, seen.lacking)
-            _hang(ob, root)
-        if not seen.has_photo:
-            self._hand_photo(ob, one)
+            compared = self._compared[image]
+        if compared.lacking is not None:
+            co.give(ob, compared.lacking)
+            _parent(ob, root)
+        if not compared.has_photo:
+            self._set_photo(ob, one)
 
     def _take_away(self, gone: set[bpy.types.Object], outer: bpy.types.Collection) -> None:
         """Unlink cameras from the scene; their removal takes longer and follows later."""
-        # `users_collection` would look through all of this for each camera.
+        # `users_collection` would search all of this for each camera.
         for collection in [*bpy.data.collections, *(one.collection for one in bpy.data.scenes)]:
             for ob in [ob for ob in collection.objects if ob in gone]:
                 collection.objects.unlink(ob)
@@ -298,70 +298,70 @@ class _Coming:
                 f"{old.name} is in Edit Mode: leave it before its capture is imported."
             )
         there = _by_image(cameras)
-        place = _beside(cameras[0] if cameras else root, scene)
+        place = _collection_of(cameras[0] if cameras else root, scene)
         made = _by_image(outer.children[0].objects)
-        others = in_another_world(self._found.cameras, there)
-        scale, come = root_scale(root), []
-        for one in self._found.cameras:
+        others = in_another_world(self._read.cameras, there)
+        scale, added = root_scale(root), []
+        for one in self._read.cameras:
             image = one.setup.own.image
             ob = there.get(image)
             if ob is None:
                 ob = made.get(image) or self._make(one, outer)
                 _move(ob, outer.children[0], place)
-                _hang(ob, root)
-                size_drawing(ob.data, self._found.drawing, scale)
-                come.append(ob)
+                _parent(ob, root)
+                size_drawing(ob.data, self._read.drawing, scale)
+                added.append(ob)
             else:
                 self._restate(one, ob, root)
-                if others:  # else the user may have sized it
-                    size_drawing(ob.data, self._found.drawing, scale)
-        wanted = {one.setup.own.image for one in self._found.cameras}
-        gone = {ob for ob in cameras if ob.get("gs_image") not in wanted}
+                if others:  # else keep the user's display size
+                    size_drawing(ob.data, self._read.drawing, scale)
+        images = {one.setup.own.image for one in self._read.cameras}
+        gone = {ob for ob in cameras if ob.get("gs_image") not in images}
         if gone:
             self._take_away(gone, outer)
         if new is not None and old is not None:
             _exchange(old, new)
         elif new is not None:
-            _move(new, outer, _beside(root, scene))
-            _hang(new, root)
+            _move(new, outer, _collection_of(root, scene))
+            _parent(new, root)
         now = Present(
             root=root,
-            cameras=co.by_image([*(ob for ob in cameras if ob not in gone), *come]),
+            cameras=co.by_image([*(ob for ob in cameras if ob not in gone), *added]),
             points=old or new,
         )
         return now, others + constrained_warning(
-            [there[image] for image in wanted if image in there]
+            [there[image] for image in images if image in there]
         )
 
 
 def _by_image(cameras: Sequence[bpy.types.Object]) -> dict[str, bpy.types.Object]:
-    """Cameras by image; among copies by a user the first by name."""
+    """Cameras by image; of copies made by a user the first by name."""
     return {str(ob.get("gs_image")): ob for ob in reversed(list(cameras))}
 
 
-def _steps(found: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
+def _steps(points: ReadPoints) -> Iterator[Callable[[bpy.types.Object], object]]:
     """Steps that complete an object of points."""
-    for name, kind, values in found.columns:
+    for name, kind, values in points.columns:
         yield lambda ob, name=name, kind=kind: attributes.declare(ob.data, name, kind)
-        yield lambda ob, given=(name, kind, values): attributes.fill(ob.data, *given)
+        yield lambda ob, column=(name, kind, values): attributes.fill(ob.data, *column)
     yield lambda ob: sfm_points.complete(ob.data)
-    yield lambda ob: sfm_points.display(ob, found.radius)
+    yield lambda ob: sfm_points.display(ob, points.radius)
 
 
-def _beside(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
+def _collection_of(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Collection for a new object next to another one in a scene."""
     own = {scene.collection, *scene.collection.children_recursive}
     return editable_check.taking([one for one in ob.users_collection if one in own], scene)[0]
 
 
 def _move(ob: bpy.types.Object, before: bpy.types.Collection, after: bpy.types.Collection) -> None:
-    """Move objects from a temporary collection to one of the scene."""
+    """Move an object from a temporary collection to one of the scene."""
     release(ob)
     after.objects.link(ob)
     before.objects.unlink(ob)
 
 
-def _hang(ob: bpy.types.Object, root: bpy.types.Object) -> None:
+def _parent(ob: bpy.types.Object, root: bpy.types.Object) -> None:
     """Parent an object to the capture's empty."""
     if ob.parent != root or ob.parent_type != "OBJECT":
         ob.parent, ob.parent_type = root, "OBJECT"
@@ -370,17 +370,16 @@ def _hang(ob: bpy.types.Object, root: bpy.types.Object) -> None:
 
 
 def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
-    """Give an object of points the points of another one, which has its own then and goes; how it
-    is shown stays."""
+    """Swap the meshes of two objects of points; display settings stay."""
     mesh, name = old.data, old.data.name
     old.data, new.data = new.data, mesh
     if mesh.users == 1:
-        mesh.name = new.name  # removed later, for which Blender looks through the whole file
+        mesh.name = new.name  # frees the name now; removal scans the whole file and follows later
     old.data.name = name
 
 
 def _scene(uid: int) -> bpy.types.Scene:
-    found = with_uid(bpy.data.scenes, uid)
-    if found is None:
-        raise ValueError("The scene that cameras were imported into is gone; import them again.")
-    return found
+    scene = with_uid(bpy.data.scenes, uid)
+    if scene is None:
+        raise ValueError("The scene of this import was removed; import the cameras again.")
+    return scene

@@ -1,4 +1,4 @@
-"""Missing undistorted copies of captures' backgrounds, for panels: checked in threads, since each
+"""Missing undistorted copies of captures' backgrounds, for panels; checked in threads, because each
 photo needs a disk access.
 """
 
@@ -17,7 +17,7 @@ from .backgrounds import StraightBackground, straight_background
 _AGE = 3.0
 """Lifetime of a cached result, seconds."""
 _NEVER = 1e9
-"""Seconds that no Blender runs for: what was looked up grows old here alone."""
+"""Maximum age for `Lookup`, seconds: results expire only here."""
 
 
 @dataclass(frozen=True)
@@ -25,44 +25,44 @@ class Lack:
     """Missing copies of some cameras."""
 
     copies: tuple[Path, ...] = ()
-    """Tasks of the photos to undistort."""
+    """Files of the missing copies."""
     problems: tuple[str, ...] = ()
     """Errors of unreadable cameras, sentences."""
 
 
 def lack_of(cameras: Iterable[bpy.types.Object]) -> Lack:
     """Missing copies of cameras; reads the disk."""
-    return _looked(*_taken(cameras))
+    return _check(*_backgrounds(cameras))
 
 
 class Lacking:
     """Missing copies of captures by session uid of their empty; main thread only."""
 
     def __init__(self) -> None:
-        self._taken: dict[int, tuple[list[StraightBackground], list[str]]] = {}
+        self._inputs: dict[int, tuple[list[StraightBackground], list[str]]] = {}
         self._times: dict[int, float] = {}
         self._lookup: Lookup[int, Lack] = Lookup(
-            lambda uid: _looked(*self._taken.get(uid, ((), ()))), max_age=_NEVER
+            lambda uid: _check(*self._inputs.get(uid, ((), ()))), max_age=_NEVER
         )
 
     def of(self, root: bpy.types.Object, cameras: Iterable[bpy.types.Object]) -> Lack:
         """Cached result for the cameras of a capture."""
         uid, now = root.session_uid, time.monotonic()
         if not self.busy and now - self._times.get(uid, float("-inf")) > _AGE:
-            self._taken[uid], self._times[uid] = _taken(cameras), now
+            self._inputs[uid], self._times[uid] = _backgrounds(cameras), now
             self._lookup.expire()
-        found = self._lookup.get(uid)[0] or Lack()
+        lack = self._lookup.get(uid)[0] or Lack()
         poll_timer.ensure()
-        return found
+        return lack
 
     def expire(self) -> None:
-        """Drop the cached result of a capture."""
+        """Check all captures again at their next request."""
         self._times.clear()
 
     def clear(self) -> None:
         """Drop all results after a file load."""
         self._times.clear()
-        self._taken.clear()
+        self._inputs.clear()
 
     def collect(self) -> bool:
         """Collect results of threads; True if any is new."""
@@ -74,9 +74,9 @@ class Lacking:
         return self._lookup.busy
 
 
-def _taken(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground], list[str]]:
+def _backgrounds(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground], list[str]]:
     """Backgrounds of cameras as read from bpy, and errors."""
-    found, problems = [], []
+    backgrounds, problems = [], []
     for ob in cameras:
         try:
             background = straight_background(ob)
@@ -84,11 +84,11 @@ def _taken(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground
             problems.append(error_words(error))
             continue
         if background is not None:
-            found.append(background)
-    return found, problems
+            backgrounds.append(background)
+    return backgrounds, problems
 
 
-def _looked(backgrounds: Iterable[StraightBackground], problems: Iterable[str]) -> Lack:
+def _check(backgrounds: Iterable[StraightBackground], problems: Iterable[str]) -> Lack:
     """Missing copies on disk; no bpy."""
     copies = (background.lacks() for background in backgrounds)
     return Lack(tuple(copy for copy in copies if copy is not None), tuple(problems))

@@ -13,11 +13,12 @@ from ..core import rotmat_to_quat
 from . import camera_math as cm
 
 KIND = "gs_kind"
-"""Custom property that says what an object is: capture, camera, points or splats."""
+"""Custom property with the kind of an object: capture, camera, points or splats."""
 TURNED, MOVED = "gs_turned_degrees", "gs_moved"
-"""Custom properties of a camera that a training moved: degrees, and world units of the capture."""
+"""Custom properties of a camera whose pose a training refined: degrees, and world units of the
+capture."""
 _TURN, _MOVE, _LENS = 1e-5, 1e-6, 1e-6
-"""Rounding of unmoved cameras by Blender's single precision: radians, and relative."""
+"""Tolerances of unmoved cameras for Blender's single precision: radians, and relative."""
 
 _PLAIN = {
     "scale": (1.0, 1.0, 1.0),
@@ -26,7 +27,7 @@ _PLAIN = {
     "delta_rotation_quaternion": (1.0, 0.0, 0.0, 0.0),
     "delta_scale": (1.0, 1.0, 1.0),
 }
-"""What leaves an object where location and rotation put it."""
+"""Values of the transforms other than location and rotation that have no effect."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +51,12 @@ class PhotoCamera:
     params: tuple[float, ...] = ()
     """Parameters of the model in COLMAP's order."""
     photo_size: tuple[int, int] | None = None
-    """Width and height of the photo before it is straightened, pixels; None: `K` sees the photo as
-    it is, or its lens cannot be straightened."""
+    """Width and height of the photo before undistortion, pixels; None: the lens has no distortion,
+    or it cannot be undistorted."""
 
     @property
     def taken(self) -> tuple[int, int]:
-        """Width and height of the photo as it was taken, pixels."""
+        """Width and height of the original photo, pixels."""
         return self.photo_size or (self.width, self.height)
 
 
@@ -70,7 +71,7 @@ def is_camera(ob: bpy.types.Object | None) -> bool:
 
 
 def root_of(ob: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The empty that carries the alignment of the capture an object belongs to, or None."""
+    """The empty of the capture that an object belongs to, or None."""
     while ob is not None and not is_kind(ob, "capture"):
         ob = ob.parent
     return ob
@@ -94,8 +95,8 @@ def points_of(root: bpy.types.Object) -> bpy.types.Object | None:
 def parts_of(
     root: bpy.types.Object,
 ) -> tuple[list[bpy.types.Object], bpy.types.Object | None]:
-    """As `cameras_of` and `points_of`. To find what is below an object Blender looks through all
-    that there are, which is done once here."""
+    """`cameras_of` and `points_of` with a single search, because Blender scans all objects for the
+    children of one."""
     below = root.children_recursive
     points = points_among(ob for ob in below if ob.parent == root)
     return by_image(filter(is_camera, below)), points
@@ -171,12 +172,12 @@ def lacking(ob: bpy.types.Object, setup: Setup) -> Lacking:
     )
 
 
-def give(ob: bpy.types.Object, found: Lacking) -> None:
+def give(ob: bpy.types.Object, changes: Lacking) -> None:
     """Write the changes."""
-    for owner, values in ((ob.data, found.lens), (ob, found.place)):
+    for owner, values in ((ob.data, changes.lens), (ob, changes.place)):
         for name, value in values.items():
             setattr(owner, name, value)
-    for name, value in found.properties.items():
+    for name, value in changes.properties.items():
         if value is None:
             ob.pop(name, None)
         else:
@@ -202,7 +203,7 @@ def stated(ob: bpy.types.Object) -> PhotoCamera:
     """The photo camera of an object, the argument of `make`.
 
     Raises:
-        ValueError: a custom property is missing or has been changed into something else.
+        ValueError: a custom property is missing or invalid.
     """
     try:
         width, height = (int(v) for v in ob["gs_size"])
@@ -220,14 +221,14 @@ def stated(ob: bpy.types.Object) -> PhotoCamera:
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise ValueError(
-            f"Camera {ob.name} has lost what the capture says about it (custom property {error}). "
+            f"Camera {ob.name} has lost a custom property of its capture ({error}). "
             f"Import the capture again."
         ) from error
 
 
 def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]]) -> None:
-    """Say on the cameras below `root` how far a training moved them: custom properties in degrees
-    and world units of the capture; none on those that it did not.
+    """Store how far a training moved the cameras below `root`, in custom properties `TURNED` and
+    `MOVED`; removes them from other cameras.
 
     Args:
         root: The empty of the capture.
@@ -249,8 +250,8 @@ def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
 
 
 def _lacking_lens(data: bpy.types.Camera, lens: cm.Lens) -> dict[str, Any]:
-    wanted = {"lens_unit": "MILLIMETERS", **vars(lens)}
-    single = {k: float(np.float32(v)) if isinstance(v, float) else v for k, v in wanted.items()}
+    values = {"lens_unit": "MILLIMETERS", **vars(lens)}
+    single = {k: float(np.float32(v)) if isinstance(v, float) else v for k, v in values.items()}
     return {name: value for name, value in single.items() if getattr(data, name) != value}
 
 
@@ -304,16 +305,15 @@ def is_lens_changed(data: bpy.types.Camera, own: PhotoCamera) -> bool:
 
 
 def local_matrix(ob: bpy.types.Object) -> np.ndarray:
-    """[4, 4] in the parent's space, without constraints and animation that are not yet applied."""
+    """[4, 4] in the parent's space, without constraints and animation not yet applied."""
     return matrix_to_numpy(ob.matrix_parent_inverse) @ matrix_to_numpy(ob.matrix_basis)
 
 
 def viewmat_in(
     ob: bpy.types.Object, root: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None
 ) -> np.ndarray:
-    """Current world-to-camera matrix [4, 4] of a camera, in the capture's world.
-
-    Without `root`, in Blender's.
+    """Current world-to-camera matrix [4, 4] of a camera, in the capture's world; without `root` in
+    Blender's.
 
     Raises:
         ValueError: the camera is mirrored or sheared, or the capture's empty is flat.
@@ -331,7 +331,7 @@ def viewmat_in(
 
 
 def rigid_viewmat(matrix: np.ndarray, name: str) -> np.ndarray:
-    """World to camera of a camera's matrix [4, 4], refused where that is no rotation.
+    """World to camera of a camera's matrix [4, 4], checked to be a rigid transform.
 
     Raises:
         ValueError: the camera is mirrored, sheared or flat.
@@ -358,17 +358,17 @@ def _pose(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _lacking_place(
     ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray
 ) -> dict[str, Any]:
-    """What gives an object a pose as exactly as Blender can, as far as it has another."""
-    wanted = {
+    """Properties to change for a pose, as exact as Blender's single precision allows."""
+    values = {
         "rotation_mode": "QUATERNION",  # Euler angles lose up to 5e-6 rad
         "location": tuple(location.astype(np.float32).tolist()),
         "rotation_quaternion": tuple(rotation.astype(np.float32).tolist()),
         **_PLAIN,
     }
-    found = {name: value for name, value in wanted.items() if _differs(ob, name, value)}
-    if "rotation_mode" in found:  # with which Blender writes the quaternion anew
-        found["rotation_quaternion"] = wanted["rotation_quaternion"]
-    return found
+    changes = {name: value for name, value in values.items() if _differs(ob, name, value)}
+    if "rotation_mode" in changes:  # a change of it overwrites the quaternion
+        changes["rotation_quaternion"] = values["rotation_quaternion"]
+    return changes
 
 
 def _differs(ob: bpy.types.Object, name: str, value: Any) -> bool:

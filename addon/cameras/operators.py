@@ -26,15 +26,15 @@ class OnCapture(BaseOperator):
 
     capture: StringProperty(
         name="Capture",
-        description="Name of the capture's empty; without one, that of the active object, of the "
-        "scene camera, or the only one there is",
+        description="Name of the capture's empty; empty: the capture of the active object, of the "
+        "scene camera, or the only one",
         options={"SKIP_SAVE"},
     )
 
 
 class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
-    """Bring a capture's cameras, photos and SfM points into the scene. Where they are there, they
-    become what the capture's files say now; alignment and splats stay"""
+    """Import a capture's cameras, photos and SfM points. An imported capture is updated from its
+    files; alignment and splats stay"""
 
     bl_idname = "gscore.import_cameras"
     bl_label = "Import Cameras"
@@ -44,7 +44,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         name="Capture",
         subtype="DIR_PATH",
         description="Folder with the COLMAP model and the photos, or with a transforms.json; "
-        "empty: the one of the Capture panel",
+        "empty: the folder of the Capture panel",
         options={"SKIP_SAVE"},
     )
     images: StringProperty(
@@ -55,33 +55,33 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
     photos: BoolProperty(
         name="Photos as Backgrounds",
         default=True,
-        description="Show each photo behind its camera; Blender reads it when it is first seen",
+        description="Show each photo as the background of its camera; it is read when first drawn",
     )
     points: BoolProperty(
-        name="SfM Points", default=True, description="Make an object of the coloured points"
+        name="SfM Points", default=True, description="Create an object with the colored points"
     )
     align: BoolProperty(
         name="Align to Ground",
         default=True,
-        description="Turn the capture so that up is up and the ground at height 0; else keep "
-        "COLMAP's axes",
+        description="Rotate the capture upright and put its ground at height 0; off: keep COLMAP's "
+        "axes",
     )
     set_up_views: BoolProperty(
         name="Set Up Views",
         default=True,
-        description="Let 3D views show the points' colors in Solid shading, and hide outlines and "
+        description="Show the points' colors in Solid shading of 3D views, and hide outlines and "
         "the lines from each camera to its capture",
     )
 
     capture: StringProperty(
-        name="Anew",
-        description="Name of the empty of a capture whose cameras are imported anew; empty: one of "
-        "the same folder",
+        name="Update Capture",
+        description="Name of the empty of the capture to update; empty: a capture of the same "
+        "folder",
         options={"HIDDEN", "SKIP_SAVE"},
     )
     browse: BoolProperty(
         name="Browse",
-        description="Ask for the folder, though the Capture panel names one",
+        description="Open the file browser even if the Capture panel names a folder",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -90,9 +90,8 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         """Tooltip of the menu, and of the panel."""
         if properties.browse:
             return (
-                "Bring the cameras, photos and SfM points of a folder into the scene: one with a "
-                "COLMAP model and its photos, a transforms.json, or cameras of RealityScan, "
-                "Metashape or OpenSfM"
+                "Import the cameras, photos and SfM points of a folder with a COLMAP model and its "
+                "photos, a transforms.json, or cameras of RealityScan, Metashape or OpenSfM"
             )
         return cls.__doc__ or ""
 
@@ -112,20 +111,20 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         images = self.images
         if not self.properties.is_property_set("images"):
             images = getattr(_settings(context), "images", self.images)
-        wanted = {name: getattr(self, name) for name in ("photos", "points", "align")}
+        choices = {name: getattr(self, name) for name in ("photos", "points", "align")}
         set_up_views = self.set_up_views
         into = find_root(context, self.capture) if self.capture else None
-        made = yield from importing(scene, path, images=images, into=into, **wanted)
+        made = yield from importing(scene, path, images=images, into=into, **choices)
         choose(made.scene, made, set_up_views=set_up_views)
         self.warn(made.warnings)
         count = f"{len(made.cameras)} cameras"
         points = f", {len(made.points.data.vertices):,} points" if made.points else ""
-        again = ", as its files have them now" if made.renewed else ""
+        again = ", updated from its files" if made.renewed else ""
         return f"{made.root.name}: {count}{points}{again}"
 
 
 class RelinkCapture(OnCapture, bpy.types.Operator):
-    """Find a capture's photos again after its folder or this file has been moved"""
+    """Choose the folder of a capture's photos after it or this file was moved"""
 
     bl_idname = "gscore.relink_capture"
     bl_label = "Find Photos"
@@ -166,7 +165,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
 
 
 class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
-    """Write cameras and SfM points as a COLMAP model or a transforms.json"""
+    """Export cameras and SfM points as a COLMAP model or a transforms.json"""
 
     bl_idname = "gscore.export_cameras"
     bl_label = "Export Cameras"
@@ -175,34 +174,34 @@ class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
     directory: StringProperty(
         name="Folder",
         subtype="DIR_PATH",
-        description="Folder to write into: sparse/0 with a COLMAP model, or transforms.json",
+        description="Output folder; receives sparse/0 with a COLMAP model, or transforms.json",
         options={"SKIP_SAVE"},
     )
     kind: EnumProperty(
         name="Format",
         items=(
             ("COLMAP", "COLMAP", "cameras.bin, images.bin and points3D.bin in sparse/0"),
-            ("COLMAP_TEXT", "COLMAP Text", "The same as text files"),
-            ("TRANSFORMS", "transforms.json", "For nerfstudio and its relatives"),
+            ("COLMAP_TEXT", "COLMAP Text", "cameras.txt, images.txt and points3D.txt in sparse/0"),
+            ("TRANSFORMS", "transforms.json", "For nerfstudio and compatible programs"),
         ),
-        description="What to write",
+        description="File format",
     )
     which: EnumProperty(
         name="Cameras",
         items=(
             ("CAPTURE", "Capture", "All cameras of the capture"),
-            ("SELECTED", "Selected", "The selected cameras, of photos or not"),
-            ("SCENE", "Scene", "Every camera of the scene"),
+            ("SELECTED", "Selected", "The selected cameras, with or without a photo"),
+            ("SCENE", "Scene", "All cameras of the scene"),
         ),
-        description="Which cameras to write",
+        description="Cameras to export",
     )
     world: EnumProperty(
         name="World",
         items=(
-            ("CAPTURE", "Capture", "The world of the capture's own files, whatever the alignment"),
+            ("CAPTURE", "Capture", "World of the capture's own files, without the alignment"),
             ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled; without points"),
         ),
-        description="Whose axes, origin and scale to write in",
+        description="Axes, origin and scale of the exported cameras",
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -227,7 +226,7 @@ class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
             work = exporting_colmap(folder, objects, scene, binary=binary, **shared)
         done = yield from work
         self.warn(done.warnings)
-        moved = f", {done.moved} of them as they stand in Blender" if done.moved else ""
+        moved = f", {done.moved} of them as moved in Blender" if done.moved else ""
         return f"{done.path}: {done.views} cameras{moved}, {done.points} points"
 
 
@@ -250,7 +249,7 @@ def on_unregister() -> None:
 
 
 def _settings(context: bpy.types.Context) -> Any:
-    """The scene's settings, or None where only these operators are registered."""
+    """The scene's settings; None if only these operators are registered."""
     return getattr(context.scene, "gscore", None)
 
 

@@ -24,7 +24,7 @@ _FACES = np.array([(1, 2, 3), (1, 3, 4)])
 
 
 def colored_cameras(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The colored cameras that a 3D view shows, without the one that it looks through."""
+    """The visible colored cameras of a 3D view, without the one of a camera view."""
     space = context.space_data
     through = space.camera if space.region_3d.view_perspective == "CAMERA" else None
     return [
@@ -35,7 +35,7 @@ def colored_cameras(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def corners(cameras: list[bpy.types.Object], scene: bpy.types.Scene) -> np.ndarray:
-    """[C, 5, 3] places of C cameras and the corners of their drawn frames, Blender's world."""
+    """[C, 5, 3] positions of C cameras and the corners of their drawn frames, Blender's world."""
     frames = np.array([[tuple(c) for c in ob.data.view_frame(scene=scene)] for ob in cameras])
     matrices = np.array([[tuple(row) for row in ob.matrix_world] for ob in cameras])
     sides = np.abs(frames[..., :2] - frames[..., :2].mean(axis=1, keepdims=True)).max(axis=(1, 2))
@@ -50,7 +50,7 @@ def corners(cameras: list[bpy.types.Object], scene: bpy.types.Scene) -> np.ndarr
 def geometry(
     cameras: list[bpy.types.Object], scene: bpy.types.Scene
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What is drawn of C cameras, S of which are selected and keep Blender's lines.
+    """Lines and faces of C cameras; the S selected ones keep Blender's lines.
 
     Returns:
         Lines [16 (C - S), 3] with colors [16 (C - S), 4] and triangles [6 C, 3] with colors
@@ -69,7 +69,7 @@ def geometry(
 
 
 def draw() -> None:
-    """Blender calls this for each 3D view, after its own overlays."""
+    """Draw the overlay; called by Blender for each 3D view, after its own overlays."""
     context = bpy.context
     overlay = context.space_data.overlay
     if not (overlay.show_overlays and overlay.show_extras):
@@ -94,14 +94,14 @@ def draw() -> None:
 
 
 def _nearer(projection: Matrix) -> Matrix:
-    """The same picture a little nearer, so that Blender's own lines do not shine through."""
+    """The projection with a small depth offset, so that Blender's lines do not show through."""
     result = projection.copy()
     result[2] = projection[2] - _NEARER * projection[3]
     return result
 
 
 class _Drawing:
-    """The handle that has `draw` called, and what was drawn last."""
+    """Draw handler and the last batches."""
 
     def __init__(self) -> None:
         self._handle: Any = None
@@ -124,7 +124,7 @@ class _Drawing:
         faces: np.ndarray,
         face_colors: np.ndarray,
     ) -> tuple[Any, Any]:
-        """Shader and batch of the planes, and of the lines; made anew when something changed."""
+        """Shader and batch of the planes, and of the lines; cached until something changes."""
         key = (edges.tobytes(), edge_colors.tobytes(), faces.tobytes(), face_colors.tobytes())
         if self._key != key:
             flat = gpu.shader.from_builtin("FLAT_COLOR")

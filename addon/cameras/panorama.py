@@ -35,9 +35,9 @@ class Panorama:
     kind: str
     """One of `KINDS`."""
     settings: tuple[float, ...]
-    """Values of what `KINDS` names, radians and millimetres."""
+    """Values of the settings in `KINDS`, radians and millimetres."""
     shift: tuple[float, float] = (0.0, 0.0)
-    """Of the picture, in widths to the left and in heights down."""
+    """Shift of the picture, in widths to the left and in heights down."""
     pixel: tuple[float, float] = (0.0, 0.0)
     """Width and height of a pixel on the sensor, millimetres."""
 
@@ -53,7 +53,7 @@ class Panorama:
 
     @property
     def density(self) -> float:
-        """Largest pixels per radian."""
+        """Largest number of pixels per radian."""
         if self.kind == EQUIRECTANGULAR:
             low, high, left, right = self.settings
             across = self.width / max(abs(right - left), 1e-6)
@@ -70,8 +70,8 @@ class Panorama:
             y: [...] pixels from the upper side.
 
         Returns:
-            [..., 3] unit vectors in camera axes (OpenCV), and [...] bool: whether anything is seen
-            there.
+            [..., 3] unit vectors in camera axes (OpenCV), and [...] bool, True inside the picture
+            of the lens.
         """
         right = x / self.width - 0.5 + self.shift[0]
         up = 0.5 - y / self.height + self.shift[1]
@@ -79,27 +79,27 @@ class Panorama:
             return self._on_a_map(right, up)
         if self.kind == EQUIDISTANT:
             reach = np.hypot(right, up) * 2
-            angle, seen = reach * self.settings[0] / 2, reach <= 1
+            angle, inside = reach * self.settings[0] / 2, reach <= 1
         else:
             lens, fov = self.settings
             right, up = right * self.width * self.pixel[0], up * self.height * self.pixel[1]
             reach = np.hypot(right, up)
-            seen = reach <= 2 * lens * np.sin(fov / 4)
+            inside = reach <= 2 * lens * np.sin(fov / 4)
             angle = 2 * np.arcsin(np.minimum(reach / (2 * lens), 1))
         across = np.sin(angle) / np.maximum(np.hypot(right, up), 1e-30)
-        return np.stack([right * across, -up * across, np.cos(angle)], -1), seen
+        return np.stack([right * across, -up * across, np.cos(angle)], -1), inside
 
     def _on_a_map(self, right: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         low, high, left, end = self.settings
         longitude = left + (right + 0.5) * (end - left)
         latitude = low + (up + 0.5) * (high - low)
         level = np.cos(latitude)
-        found = level * np.sin(longitude), -np.sin(latitude), level * np.cos(longitude)
-        return np.stack(found, -1), np.ones(right.shape, bool)
+        axes = level * np.sin(longitude), -np.sin(latitude), level * np.cos(longitude)
+        return np.stack(axes, -1), np.ones(right.shape, bool)
 
 
 def kind_of(data: bpy.types.Camera) -> str:
-    """Blender's name of the kind of a panoramic camera; empty where it is not known."""
+    """Blender's name of the kind of a panoramic camera; empty if unknown."""
     return getattr(panorama_settings(data), "panorama_type", "")
 
 
@@ -115,7 +115,7 @@ def panorama_of(
         height: Pixels.
 
     Raises:
-        ValueError: a kind of panorama that is not known here, or a matrix that is no pose.
+        ValueError: the kind of panorama is unsupported, or the matrix is no pose.
     """
     own, kind = panorama_settings(ob.data), kind_of(ob.data)
     if kind not in KINDS:

@@ -20,7 +20,7 @@ _BLENDER = ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled"
 
 
 class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, ExportHelper):
-    """Write the scene camera's animation as a file with a camera for each frame"""
+    """Export the scene camera's animation as a file with one camera per frame"""
 
     bl_idname = "gscore.export_camera_path"
     bl_label = "Export Camera Path"
@@ -29,30 +29,30 @@ class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Expor
     filename_ext = ".json"
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
     kind: EnumProperty(
-        name="Files",
+        name="Format",
         items=(
-            (CAMERAS, "cameras.json", "For gscore render and viewers of 3DGS; has no times"),
+            (CAMERAS, "cameras.json", "For gscore render and 3DGS viewers; without times"),
             (
                 TRANSFORMS,
                 "transforms.json",
-                "For gscore render and others, with times from 0 to 1 and frames a second",
+                "For gscore render and others, with times from 0 to 1 and the frame rate",
             ),
             (
                 NERFSTUDIO,
                 "camera_path.json",
-                "For nerfstudio's viewer and ns-render, and gscore render; without lens shift. "
-                "nerfstudio turns and scales captures, unless it is told not to",
+                "For nerfstudio's viewer, ns-render and gscore render; without lens shift. By "
+                "default nerfstudio rotates and scales captures",
             ),
         ),
-        description="What to write",
+        description="File format",
     )
     world: EnumProperty(
         name="World",
         items=(
-            ("CAPTURE", "Capture", "The world of the capture's own files, where its splats lie"),
+            ("CAPTURE", "Capture", "World of the capture's own files and of its splat files"),
             _BLENDER,
         ),
-        description="Whose axes, origin and scale to write in",
+        description="Axes, origin and scale of the exported cameras",
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -65,13 +65,13 @@ class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Expor
         if camera is None:
             raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        name, given = camera.name, {"root": root, "kind": self.kind}
-        count = yield from exporting_path(path, camera, context.scene, **given)
+        name = camera.name
+        count = yield from exporting_path(path, camera, context.scene, root=root, kind=self.kind)
         return f"{path}: {count} frames of {name}"
 
 
 class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, ImportHelper):
-    """Make an animated camera of a file with a camera for each frame: a cameras.json, the
+    """Create an animated camera from a file with one camera per frame: a cameras.json, the
     camera_path.json of nerfstudio's viewer, or a transforms.json"""
 
     bl_idname = "gscore.import_camera_path"
@@ -82,15 +82,15 @@ class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Impor
     world: EnumProperty(
         name="World",
         items=(
-            ("CAPTURE", "Capture", "The file is in the world of the capture's own files"),
+            ("CAPTURE", "Capture", "World of the capture's own files"),
             _BLENDER,
         ),
-        description="Whose axes, origin and scale the file has",
+        description="Axes, origin and scale of the file",
     )
     numbered: BoolProperty(
-        name="As Numbered",
-        description="Where the cameras' names end with numbers that rise, take these as frames of "
-        "the timeline, whatever Start says",
+        name="Frames from Names",
+        description="Use increasing numbers at the end of the cameras' names as timeline frames, "
+        "in place of Start",
         default=True,
     )
     start: IntProperty(
@@ -98,7 +98,7 @@ class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Impor
     )
     set_up_scene: BoolProperty(
         name="Set Up Scene",
-        description="Render through this camera, at the size, range and pace of the file",
+        description="Make it the scene camera, with the file's resolution, range and frame rate",
         default=True,
     )
 
@@ -113,12 +113,12 @@ class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Impor
         return (context.scene,)
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Read it in a thread, then make the camera."""
+        """Read the file in a thread, then create the camera."""
         path = absolute(self.filepath, "File")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
-        given = {"root": root, "start": self.start, "numbered": self.numbered}
+        options = {"root": root, "start": self.start, "numbered": self.numbered}
         set_up_scene = self.set_up_scene
-        made = yield from importing_path(path, context.scene, **given)
+        made = yield from importing_path(path, context.scene, **options)
         if set_up_scene:
             use_path(made.scene, made)
         activate(made.scene, made.camera)
@@ -140,5 +140,5 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take it back."""
+    """Remove the entry."""
     bpy.types.TOPBAR_MT_file_import.remove(_draw_import)

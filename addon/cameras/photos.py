@@ -8,19 +8,19 @@ from .objects import cameras_of
 
 
 def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
-    """The data of the cameras of the sidebar's capture that have a photo."""
+    """Camera data of the sidebar's capture, of cameras with a photo."""
     root = panel_root(scene)
     obs = [] if root is None else cameras_of(root)
     return [ob.data for ob in obs if ob.data.background_images]
 
 
 def changeable(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
-    """Those whose photos can be shown, hidden and faded: not the ones that are linked."""
+    """Cameras whose photos can be shown, hidden and faded: linked ones are left out."""
     return list(filter(editable_check.keeps, _cameras(scene)))
 
 
 def show(scene: bpy.types.Scene, shown: bool) -> None:
-    """Show or hide the photos of the sidebar's capture; cameras of others stay as they are."""
+    """Show or hide the photos of the sidebar's capture; other captures stay unchanged."""
     for camera in changeable(scene):
         camera.show_background_images = shown
 
@@ -44,7 +44,7 @@ def _set_opacity(self: "PhotoSettings", opacity: float) -> None:
 
 
 class PhotoSettings(bpy.types.PropertyGroup):
-    """`Scene.gscore_photos`; kept by the cameras themselves, so that nothing can disagree."""
+    """`Scene.gscore_photos`; the cameras store the values, so that they cannot disagree."""
 
     shown: bpy.props.BoolProperty(
         name="Show Photos",
@@ -54,7 +54,7 @@ class PhotoSettings(bpy.types.PropertyGroup):
     )
     opacity: bpy.props.FloatProperty(
         name="Opacity",
-        description="Of the photos; below 1 what is behind them shines through",
+        description="Opacity of the photos; below 1 the scene behind them shows through",
         subtype="FACTOR",
         min=0.0,
         max=1.0,
@@ -67,10 +67,10 @@ CLASSES = (PhotoSettings,)
 
 
 def on_register() -> None:
-    """Make the settings a property of scenes."""
+    """Add the settings to scenes."""
     bpy.types.Scene.gscore_photos = bpy.props.PointerProperty(type=PhotoSettings)
 
 
 def on_unregister() -> None:
-    """Take the property back."""
+    """Remove the settings."""
     del bpy.types.Scene.gscore_photos

@@ -11,27 +11,27 @@ from .objects import PhotoCamera
 
 
 class Decoded(NamedTuple):
-    """A picture file as Blender gives it."""
+    """A picture file decoded by Blender."""
 
     path: str
     values: np.ndarray
     """[H, W, 1, 3 or 4] float32, the bottom row first."""
     is_linear: bool
-    """Whether it is linear light: 16 bits and more are decoded to it, bytes left as they are."""
+    """True for linear light: Blender decodes 16 bits and more to it, and keeps bytes."""
 
     def arranged(self, own: PhotoCamera) -> np.ndarray:
         """As [H, W, 4] float32, straight alpha, sRGB values, the top row first; touches no bpy.
 
         Raises:
-            ValueError: it has another shape than its camera.
+            ValueError: its aspect ratio differs from its camera's.
         """
         height, width, channels = self.values.shape
         across, down = own.taken
         # Copies of a photo at other sizes (images_2) are rounded to whole pixels.
         if abs(width * down - height * across) > across + down:
             raise ValueError(
-                f"{self.path} is {width} x {height} pixels, its camera was made for {across} x "
-                f"{down}: find the photo that COLMAP saw."
+                f"{self.path} has {width} x {height} pixels, but its camera {across} x {down}: use "
+                f"the photo that COLMAP has read."
             )
         pixels = np.ones((height, width, 4), np.float32)
         pixels[..., : 3 if channels == 1 else channels] = self.values[::-1]
@@ -44,19 +44,19 @@ def read_picture(path: str, own: PhotoCamera) -> np.ndarray:
     """A picture file as `Decoded.arranged`.
 
     Raises:
-        ValueError: it is not there, cannot be decoded, or has another shape than its camera.
+        ValueError: it is missing, cannot be decoded, or differs from its camera in aspect ratio.
     """
     return decode(path).arranged(own)
 
 
 def decode(path: str) -> Decoded:
-    """A picture file.
+    """Decode a picture file.
 
     Raises:
-        ValueError: it is not there, or cannot be decoded.
+        ValueError: it is missing, or cannot be decoded.
     """
     if Path(path).suffix.lower() in bpy.path.extensions_movie:
-        raise ValueError(f"{path} is a film, of which Blender would open what it refers to.")
+        raise ValueError(f"{path} is a video file, which may refer to other files; use pictures.")
     try:
         image = bpy.data.images.load(path, check_existing=False)
     except RuntimeError as error:

@@ -1,4 +1,4 @@
-"""Capture reading for an import: all that can run in any thread; reads no bpy data."""
+"""Capture reading for an import, in any thread; reads no bpy data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ from .capture_transform import Drawing, centers_of, drawing_of
 from .undistort_program import task_of
 
 FAR = 1e4
-"""Distance of a capture from its origin where single precision is visible, in extents."""
+"""Distance of a capture from its origin, in extents, at which single precision becomes visible."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class ReadCamera:
     """A camera to create."""
 
     name: str
-    """Of the object."""
+    """Name of the object."""
     setup: co.Setup
     photo: Photo | None
     """Photo; None: not requested."""
@@ -63,17 +63,17 @@ class ReadCapture:
     images: str
     """Folder of the photos."""
     up: np.ndarray | None
-    """[3] where its files state it, or EXIF says how photos were held."""
+    """[3] up direction from its files, or from the EXIF orientation of photos; None: unknown."""
     held_up: np.ndarray | None
-    """[3] where EXIF says how photos were held."""
+    """[3] up direction from the EXIF orientation of photos; None: unknown."""
     origin: np.ndarray | None
     """[3] local origin of its world; None: there is none."""
     matrix: np.ndarray
-    """[4, 4] that aligns it."""
+    """[4, 4] alignment."""
     cameras: tuple[ReadCamera, ...]
     """By image name."""
     points: ReadPoints | None
-    """None: there are none, or they are not wanted."""
+    """None: there are none, or they were not requested."""
     drawing: Drawing
     copies: tuple[dict[str, Any], ...]
     """Undistortion tasks of missing copies."""
@@ -101,14 +101,14 @@ def read(
 
     Args:
         path: Its folder, or a folder or file inside it.
-        check: Raises where it is no longer wanted.
-        images: As `captures.import_capture`; so are the others.
-        origins: Local origins, zeros for none, of captures that are there already, by their
-            folders; None: of the one that is meant, whatever its folder. They stay.
+        check: Raises after cancellation.
+        images: As `captures.import_capture`, like the following.
+        origins: Local origins of imported captures, zeros for none, with their folders; None: the
+            capture to update, in any folder. A capture that is imported again keeps its origin.
 
     Raises:
         GsError: it cannot be read.
-        ValueError: no view of it can be a Blender camera.
+        ValueError: none of its views can be a Blender camera.
     """
     source = find_capture(path).absolute()
     there = (at for folder, at in origins if folder is None or same_folder(folder, source))
@@ -136,12 +136,12 @@ def read(
             copies.append(task_of(own, copy))
         cameras.append(ReadCamera(name=Path(view.name).stem, setup=co.setup_of(own), photo=photo))
     centers = centers_of(viewmats)
-    found = None
+    read_points = None
     if points and len(cloud):
         columns = sfm_points.columns(cloud, capture.points.colors[finite], np.flatnonzero(finite))
         radius = sfm_points.point_radius(cloud, centers)
-        found = ReadPoints(count=len(cloud), columns=columns, radius=radius)
-    said = map(panel_words, capture.warnings)
+        read_points = ReadPoints(count=len(cloud), columns=columns, radius=radius)
+    reader_warnings = map(panel_words, capture.warnings)
     return ReadCapture(
         source=source,
         images=images,
@@ -150,10 +150,10 @@ def read(
         origin=capture.origin,
         matrix=matrix,
         cameras=tuple(cameras),
-        points=found,
+        points=read_points,
         drawing=drawing_of(centers),
         copies=tuple(copies),
-        warnings=(*said, *lenses.problems, *_warnings(views, centers)),
+        warnings=(*reader_warnings, *lenses.problems, *_warnings(views, centers)),
     )
 
 
@@ -162,11 +162,11 @@ class _Lenses:
 
     def __init__(self) -> None:
         self.problems: list[str] = []
-        """Of lenses that cannot be straightened, sentences."""
+        """Sentences about lenses that cannot be undistorted."""
         self._known: dict[tuple, Undistortion | None] = {}
 
     def undistortion(self, camera: ColmapCamera) -> Undistortion | None:
-        """How to straighten a camera's photos; None: they are straight, or cannot be."""
+        """Undistortion of a camera's photos; None: no distortion, or it cannot be undistorted."""
         key = (camera.model, camera.width, camera.height, *camera.params.tolist())
         if key not in self._known:
             try:
@@ -181,14 +181,14 @@ class _Lenses:
 
 def _stated(view: View, plan: Undistortion | None) -> co.PhotoCamera:
     camera = view.camera
-    seen = camera if plan is None else plan
+    pinhole = camera if plan is None else plan
     return co.PhotoCamera(
         image=view.name,
         photo=str(view.image),
         viewmat=view.viewmat,
-        K=seen.K,
-        width=seen.width,
-        height=seen.height,
+        K=pinhole.K,
+        width=pinhole.width,
+        height=pinhole.height,
         model=camera.model,
         params=tuple(camera.params.tolist()),
         photo_size=None if plan is None else (camera.width, camera.height),
@@ -200,23 +200,23 @@ def _warnings(views: list[View], centers: np.ndarray) -> list[str]:
     usable = [view for view in views if view.camera.model not in NO_PINHOLE]
     if len(usable) < len(views):
         out.append(
-            f"{len(views) - len(usable)} panoramas were left out: Blender has no K for them."
+            f"{len(views) - len(usable)} panoramas were left out: they are no pinhole cameras."
         )
     Ks = np.stack([view.camera.K for view in usable])
     if np.abs(Ks[:, 1, 1] / Ks[:, 0, 0] - 1).max() > 1e-3:
         out.append(
-            "fx and fy differ. Blender keeps pixel aspect per scene: choose cameras with Use "
+            "fx and fy differ. Blender stores the pixel aspect per scene: choose cameras with Use "
             "Camera, which sets it."
         )
     if len({(view.camera.width, view.camera.height) for view in usable}) > 1:
         out.append(
-            "The photos differ in size. Blender keeps resolution per scene: choose cameras with "
-            "Use Camera, which sets it."
+            "The photos differ in size. Blender stores the resolution per scene: choose cameras "
+            "with Use Camera, which sets it."
         )
     extent = alignment.camera_extent(centers)
     if extent > 0 and np.linalg.norm(centers, axis=1).max() > FAR * extent:
         out.append(
-            "The capture lies far from its origin, where Blender's single precision moves cameras "
-            "visibly. Delete it here and import it again."
+            "The capture is far from its origin, where Blender's single precision visibly shifts "
+            "cameras. Delete it here and import it again."
         )
     return out

@@ -1,4 +1,4 @@
-"""Render camera: a Blender camera in the rasterizer's terms."""
+"""Render camera: pose and intrinsics of a Blender camera for the rasterizer."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from . import objects as co
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCamera:
-    """A Blender camera in the rasterizer's terms."""
+    """Pose and intrinsics of a Blender camera."""
 
     viewmat: np.ndarray
     """[4, 4] float64, Blender's world to camera, OpenCV axes."""
@@ -27,7 +27,7 @@ class RenderCamera:
     orthographic: bool
     """True if `K` is applied without division by z."""
     name: str
-    """Of the object."""
+    """Name of the object."""
 
     def same(self, other: object) -> bool:
         """True if another camera has the same view, regardless of names."""
@@ -48,17 +48,17 @@ def render_camera(
     width: int | None = None,
     height: int | None = None,
 ) -> RenderCamera:
-    """A Blender camera as Blender itself would project with it.
+    """The projection of a Blender camera, equal to Blender's own.
 
     Args:
         camera_object: The camera.
-        scene: Gives resolution, percentage and pixel aspect.
-        depsgraph: Gives the animated pose and lens; without it, those of the object as it stands.
-        width: Pixels instead of the scene's.
-        height: Pixels instead of the scene's.
+        scene: Defines resolution, percentage and pixel aspect.
+        depsgraph: Source of the animated pose and lens; None: the object's current ones.
+        width: Pixels; None: the scene's.
+        height: Pixels; None: the scene's.
 
     Raises:
-        ValueError: no camera, a panoramic or custom one, or one with a matrix that is no pose.
+        ValueError: the object is no camera, is panoramic or custom, or its matrix is no pose.
     """
     ob = camera_object.evaluated_get(depsgraph) if depsgraph else camera_object
     if ob.type != "CAMERA":

@@ -1,4 +1,4 @@
-"""Selection of imported objects: selected, chosen in the panel, framed in views."""
+"""Selection of imported objects: select them, choose their capture, frame them in views."""
 
 import bpy
 
@@ -10,28 +10,30 @@ from .importing import ImportedCapture
 
 
 def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool = True) -> None:
-    """Let the user find a capture that was imported into a scene, which no window has to show.
+    """Select and frame an imported capture; the scene need not be shown in a window.
 
     Args:
-        scene: Has it.
-        made: It.
-        set_up_views: Let the 3D views of the scene's windows show its points' colors, and turn them
-            to it unless it was there before.
+        scene: The scene.
+        made: The imported capture.
+        set_up_views: Show the points' colors in the 3D views of the scene's windows, and frame a
+            new capture there.
     """
     activate(scene, made.root)
     if set_up_views:
         for space in framing.views_of(scene) if made.renewed else frame_capture(scene, made.root):
             _set_up_view(space)
-    settings = getattr(scene, "gscore", None)  # None where cameras alone are registered
+    settings = getattr(scene, "gscore", None)  # None if only cameras are registered
     if settings is not None and not settings.capture_path.strip():
         settings.capture_path = made.root[stored_paths.SOURCE]
         settings.images = made.root["gs_images"]
 
 
 def activate(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
-    """Select an object and no other, and make it the active one, in a scene which no window has to
-    show; not where the view layer leaves it out, nor while the user edits or paints another one,
-    who could then not leave that mode any more."""
+    """Select only one object and make it active, in a scene that need not be shown in a window.
+
+    Does nothing if the view layer excludes it, or while the user edits or paints another object,
+    because Blender could then not leave that mode.
+    """
     if bpy.context.scene == scene:
         layers = [bpy.context.view_layer]
     else:
@@ -47,5 +49,5 @@ def _windows(scene: bpy.types.Scene) -> list[bpy.types.Window]:
 
 def _set_up_view(space: bpy.types.SpaceView3D) -> None:
     space.shading.color_type = "VERTEX"
-    space.shading.show_object_outline = False  # around a dot it leaves nothing but outline
+    space.shading.show_object_outline = False  # it would cover the small points
     space.overlay.show_relationship_lines = False

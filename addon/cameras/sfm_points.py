@@ -6,28 +6,27 @@ import numpy as np
 from .. import attributes, compat
 
 COLOR = "gs_color"
-"""Attribute of the colours, linear RGBA. Cycles draws point clouds black whose colours are called
-`color`."""
+"""Attribute of the colours, linear RGBA; Cycles draws point clouds with `color` black."""
 INDEX = "gs_point"
-"""Attribute with each point's place in the capture, by which an export finds its track again."""
+"""Attribute with each point's index in the capture, for an export to find its track."""
 GROUP = "Capture Points"
 """Name of the node group and of its material."""
 SOLID_MOST = 200_000
-"""Points up to which each becomes a small octahedron, so that solid view has faces to colour; more
-become a point cloud, which only Material Preview and renders colour."""
+"""Largest number of points drawn as small octahedra, whose faces Solid shading can colour. More
+become a point cloud, coloured only in Material Preview and renders."""
 ANGLE = 0.002
-"""Radius of a point as the nearest camera sees it, radians: two or three pixels of a photo."""
+"""Angular radius of a point from the nearest camera, radians: two or three pixels of a photo."""
 
 
 def columns(
     points: np.ndarray, colors: np.ndarray, indices: np.ndarray
 ) -> tuple[tuple[str, str, np.ndarray], ...]:
-    """What a mesh has of points, as `attributes.fill` wants it; needs no bpy.
+    """Mesh attributes of points, for `attributes.fill`; no bpy.
 
     Args:
         points: [P, 3] float.
         colors: [P, 3] uint8 sRGB.
-        indices: [P] int, places of the points in the capture.
+        indices: [P] int, indices of the points in the capture.
     """
     rgba = np.ones((len(points), 4), np.float32)
     rgba[:, :3] = _linear(colors)
@@ -48,11 +47,11 @@ def complete(mesh: bpy.types.Mesh) -> None:
 def display(ob: bpy.types.Object, radius: float) -> None:
     """Display an object of points by a node group.
 
-    It stays out of renders (`hide_render`) until the user wants it there.
+    It is hidden in renders (`hide_render`) until the user shows it.
 
     Args:
         ob: The object.
-        radius: Of a displayed point, in the parent's units.
+        radius: Radius of a displayed point, in the parent's units.
     """
     ob.hide_render = True
     modifier = ob.modifiers.new(GROUP, "NODES")
@@ -61,10 +60,10 @@ def display(ob: bpy.types.Object, radius: float) -> None:
 
 
 def point_radius(points: np.ndarray, centers: np.ndarray) -> float:
-    """Radius at which points [P, 3] are visible to cameras [C, 3] and still apart; P, C > 0."""
+    """Display radius of points [P, 3] for cameras [C, 3]; P, C > 0."""
     few = points[:: max(1, len(points) // 1000)]
-    seen_from = centers[:: max(1, len(centers) // 300)]
-    distances = np.linalg.norm(few[:, None] - seen_from[None], axis=2).min(axis=1)
+    some = centers[:: max(1, len(centers) // 300)]
+    distances = np.linalg.norm(few[:, None] - some[None], axis=2).min(axis=1)
     return ANGLE * max(float(np.median(distances)), 1e-9)
 
 
@@ -85,8 +84,7 @@ def places_of(ob: bpy.types.Object) -> np.ndarray:
 
 
 def unique_places(places: np.ndarray) -> np.ndarray:
-    """Place of each vertex in the capture; -1 where it has none, or another's: copies of a point
-    carry its number too."""
+    """[P] int32, `places_of` with -1 for the later copies of a point."""
     out = np.full(len(places), -1, np.int32)
     first = np.unique(places, return_index=True)[1]
     out[first] = places[first]
@@ -94,7 +92,7 @@ def unique_places(places: np.ndarray) -> np.ndarray:
 
 
 def linear_of(ob: bpy.types.Object) -> np.ndarray | None:
-    """[P, 4] float32, scene-linear colours of an object of points; None: they are gone."""
+    """[P, 4] float32, scene-linear colours of an object of points; None: it has none."""
     attribute = ob.data.attributes.get(COLOR)
     if attribute is None or attribute.data_type != "FLOAT_COLOR" or attribute.domain != "POINT":
         return None
@@ -112,7 +110,7 @@ def encoded(rgba: np.ndarray) -> np.ndarray:
 
 def lost_colors(name: str) -> str:
     """Error message for an object without `linear_of` colours."""
-    return f"{name} has no colour attribute {COLOR!r} any more. Import the capture again."
+    return f"{name} has lost its color attribute {COLOR!r}. Import the capture again."
 
 
 def _linear(colors: np.ndarray) -> np.ndarray:
@@ -139,7 +137,7 @@ def _node_group() -> bpy.types.NodeTree:
 
 
 def _fill(group: bpy.types.NodeTree) -> None:
-    """Vertices -> octahedra, or a point cloud where there are too many -> material."""
+    """Vertices -> octahedra, or a point cloud for too many -> material."""
     place = iter(range(-800, 2000, 200))
 
     def node(kind: str) -> bpy.types.Node:
@@ -157,8 +155,8 @@ def _fill(group: bpy.types.NodeTree) -> None:
     shape = node("GeometryNodeMeshUVSphere")
     shape.inputs["Segments"].default_value, shape.inputs["Rings"].default_value = 4, 2
     spread, real = node("GeometryNodeInstanceOnPoints"), node("GeometryNodeRealizeInstances")
-    # One bare vertex comes along because it knows which colour attribute is the active one. More
-    # would be drawn as black dots over the colours.
+    # One bare vertex is joined, because it has the active color attribute. More would be drawn as
+    # black dots over the colors.
     index, rest = node("GeometryNodeInputIndex"), node("GeometryNodeDeleteGeometry")
     join = node("GeometryNodeJoinGeometry")
     cloud, switch = node("GeometryNodeMeshToPoints"), node("GeometryNodeSwitch")
@@ -187,7 +185,7 @@ def _fill(group: bpy.types.NodeTree) -> None:
 
 
 def _material() -> bpy.types.Material:
-    """Emission of the colours, as photographed: not lit again."""
+    """Emission of the photographed colours, without lighting."""
     material = bpy.data.materials.get(GROUP)
     if material is not None:
         return material

@@ -29,26 +29,25 @@ _PAUSE = 0.05
 
 
 def ask(cameras: Iterable[bpy.types.Object]) -> int:
-    """Have the copies made that the backgrounds of cameras lack, the first camera's first; how many
-    they are.
+    """Queue the missing copies of the cameras' backgrounds, in this order; returns their number.
 
-    Backgrounds are led to their copies. Without a window nothing is begun until `wait` is called.
-    Cameras that have lost what the capture says about them are left out.
+    Backgrounds are set to their copies. Without a window nothing starts until `wait` is called.
+    Cameras without their custom properties are left out.
     """
-    tasks, astray = [], []
+    tasks, outdated = [], []
     for ob in cameras:
         with suppress(ValueError):
-            found = straight_background(ob)
-            copy = None if found is None else found.lacks()
+            background = straight_background(ob)
+            copy = None if background is None else background.lacks()
             if copy is None:
                 continue
-            if found.file != copy:
-                astray.append((ob, copy))
+            if background.file != copy:
+                outdated.append((ob, copy))
             if not copy.is_file():
-                tasks.append(task_of(found.own, copy))
-    if astray:
+                tasks.append(task_of(background.own, copy))
+    if outdated:
         known = KnownImages()
-        for ob, copy in astray:
+        for ob, copy in outdated:
             lead_to(ob, copy, known)
     begin(tasks)
     return len(tasks)
@@ -71,8 +70,8 @@ def wait() -> None:
 
 def problems_of(lack: Lack) -> list[str]:
     """Errors of missing copies, as sentences."""
-    told = (QUEUE.problems.get(str(copy)) for copy in lack.copies)
-    return [*lack.problems, *(problem for problem in told if problem)]
+    problems = (QUEUE.problems.get(str(copy)) for copy in lack.copies)
+    return [*lack.problems, *filter(None, problems)]
 
 
 def collect() -> bool:
@@ -107,7 +106,7 @@ def _program() -> tuple[list[str], Mapping[str, str]]:
 
 @persistent
 def _file_loaded(*_: object) -> None:
-    """Copies may be missing here, or be of photos that have changed."""
+    """Queue copies that are missing on this computer or outdated."""
     LACKING.clear()
     if not bpy.app.background:
         ask(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
@@ -128,7 +127,7 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Follow no more; a copy that is half made is left undone."""
+    """Remove the pollers and kill the program; a partly written copy is discarded."""
     for poller in _POLLERS:
         poll_timer.POLLERS.remove(poller)
     QUEUE.kill()

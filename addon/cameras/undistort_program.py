@@ -19,11 +19,11 @@ from .undistort_queue import ANSWER, READY
 from .undistorted_photos import earlier_copies, part_of, remove, undistortion_of
 
 _QUALITY = 95
-"""Of JPEGs, per cent."""
+"""Quality of JPEGs, per cent."""
 
 
 def task_of(own: PhotoCamera, copy: Path) -> dict[str, Any]:
-    """A photo, its camera and where its copy belongs, as JSON has it."""
+    """A photo, its camera and the file of its copy, as JSON values."""
     return {
         "copy": str(copy),
         "image": own.image,
@@ -37,24 +37,24 @@ def task_of(own: PhotoCamera, copy: Path) -> dict[str, Any]:
 
 
 def main(lines: Iterable[str] = sys.stdin, out: TextIO = sys.stdout) -> None:
-    """Straighten one photo after the other until the input ends."""
+    """Undistort one photo after the other until the input ends."""
     print(READY, file=out, flush=True)
     for line in lines:
         task = json.loads(line)
         problem = ""
         try:
-            straighten(_camera(task), Path(task["copy"]))
+            undistort(_camera(task), Path(task["copy"]))
         except (OSError, ValueError, RuntimeError, MemoryError) as error:
             problem = str(error) or type(error).__name__
         answer = json.dumps({"copy": task["copy"], "problem": problem})
         print(f"{ANSWER}{answer}", file=out, flush=True)
 
 
-def straighten(own: PhotoCamera, copy: Path) -> None:
-    """Write the straightened copy of a photo, completely or not at all, and remove earlier ones.
+def undistort(own: PhotoCamera, copy: Path) -> None:
+    """Write the undistorted copy of a photo, completely or not at all, and remove earlier ones.
 
     Raises:
-        ValueError: the photo cannot be decoded, or has another shape than its camera.
+        ValueError: the photo cannot be decoded, or differs from its camera in aspect ratio.
         OSError, RuntimeError: the copy cannot be written.
     """
     plan = undistortion_of(own)
@@ -85,11 +85,11 @@ def _camera(task: dict[str, Any]) -> PhotoCamera:
 
 
 def _write(file: Path, photo: np.ndarray, plan: Undistortion, *, jpeg: bool) -> None:
-    """Straighten [H, W, 4] uint8, and have Blender encode it."""
-    straight = plan.straighten(photo[..., :3] if jpeg else photo)
-    height, width = straight.shape[:2]
+    """Undistort [H, W, 4] uint8, and encode the result with Blender."""
+    pixels = plan.straighten(photo[..., :3] if jpeg else photo)
+    height, width = pixels.shape[:2]
     rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., : straight.shape[2]] = straight[::-1] / np.float32(255)
+    rgba[..., : pixels.shape[2]] = pixels[::-1] / np.float32(255)
     image = bpy.data.images.new(file.name, width, height, alpha=not jpeg)
     try:
         image.alpha_mode = "STRAIGHT"

@@ -7,9 +7,9 @@ from typing import Any
 
 from ..process.child_program import Process
 
-READY = "ready to straighten"
+READY = "ready to undistort"
 """First line of the program, among other output of Blender."""
-ANSWER = "straightened "
+ANSWER = "undistorted "
 """Prefix of the program's answers."""
 _STARTS = 2
 """Largest number of starts of a program that never becomes ready."""
@@ -32,7 +32,7 @@ class UndistortQueue:
         self._closing = False
         """True after the end of the program's input."""
         self._starts = 0
-        """Of the program since it was last ready."""
+        """Starts of the program since it was last ready."""
 
     @property
     def busy(self) -> bool:
@@ -48,21 +48,21 @@ class UndistortQueue:
         """Queue these copies first, after the current one."""
         if not self.busy:
             self.done = 0
-        wanted = {task["copy"]: task for task in tasks}
-        for copy in wanted:
+        requested = {task["copy"]: task for task in tasks}
+        for copy in requested:
             self.problems.pop(copy, None)
         current = {copy: t for copy, t in self._tasks.items() if copy == self._current}
-        self._tasks = {**current, **wanted, **self._tasks}
+        self._tasks = {**current, **requested, **self._tasks}
 
     def stop(self) -> None:
         """Clear the queue; the current copy is completed."""
         self._tasks = {copy: t for copy, t in self._tasks.items() if copy == self._current}
 
     def poll(self, program: Callable[[], tuple[list[str], Mapping[str, str]]]) -> list[str]:
-        """Take in what the program has told, and hand it the next task; the copies that were made.
+        """Read the program's answers, and send it the next task; returns the written copies.
 
         Args:
-            program: Arguments and variables of the program, where it has to be started.
+            program: Arguments and variables for starting the program.
         """
         if not self.busy:
             return []
@@ -89,7 +89,7 @@ class UndistortQueue:
             arguments, variables = program()
             self._process = Process(arguments, variables=MappingProxyType(dict(variables)))
         except OSError as error:
-            self._give_up(f"Blender cannot be started once more: {error}.")
+            self._give_up(f"A second Blender cannot be started: {error}.")
             return False
         self._starts += 1
         return True
@@ -108,8 +108,8 @@ class UndistortQueue:
             self._starts = 0
         if not line.startswith(ANSWER):
             return ""
-        told = json.loads(line.removeprefix(ANSWER))
-        copy, problem = str(told["copy"]), str(told["problem"])
+        answer = json.loads(line.removeprefix(ANSWER))
+        copy, problem = str(answer["copy"]), str(answer["problem"])
         self._tasks.pop(copy, None)
         self._current = ""
         if problem:
@@ -119,16 +119,15 @@ class UndistortQueue:
         return copy
 
     def _ended(self, process: Process) -> None:
-        """Where it ended in the middle of a photo, that one is left out; where it was never ready,
-        it is started once more."""
+        """Drop the photo at which the program ended; start it again if it was never ready."""
         last = next((line for line in reversed(process.stderr_tail) if line.strip()), "")
         how = f"(exit code {process.returncode}). {last}".rstrip()
         if self._starts >= _STARTS:
-            self._give_up(f"The Blender that straightens photos ended before it began {how}")
+            self._give_up(f"The Blender that undistorts photos ended at its start {how}")
         elif self._current and not self._starts:
             self._tasks.pop(self._current, None)
             self.problems[self._current] = (
-                f"The Blender that straightens photos ended by itself at {self._current} {how}"
+                f"The Blender that undistorts photos ended unexpectedly at {self._current} {how}"
             )
         self._forget_process()
 

@@ -18,14 +18,14 @@ from .objects import PhotoCamera
 _VERSION = 1
 """Version of the copies' contents; a new one invalidates all."""
 _STEM, _DIGITS = 40, 16
-"""Letters of the photo's name in that of its copy, and of what makes it another than its likes."""
+"""Characters of the photo's name in the copy's name, and of each of its two hashes."""
 _JPEG = frozenset({".jpg", ".jpeg"})
 _PART = ".part"
 """Suffix of partially written files."""
 
 
 def lens_of(own: PhotoCamera) -> ColmapCamera:
-    """The camera of a photo as the capture states it."""
+    """The camera of a photo in the capture."""
     width, height = own.taken
     K = own.K
     params = own.params or (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -38,8 +38,8 @@ def undistortion_of(own: PhotoCamera) -> Undistortion | None:
     """Undistortion of a photo for its Blender camera; None: it needs none.
 
     Raises:
-        ValueError: the lens bends lines, and cannot be straightened, or the camera is not made for
-            straightened photos.
+        ValueError: the lens distortion cannot be undone, or the camera was imported without
+            undistortion.
     """
     lens = lens_of(own)
     if own.photo_size is not None:
@@ -49,10 +49,10 @@ def undistortion_of(own: PhotoCamera) -> Undistortion | None:
     try:
         plan_undistortion(lens)
     except GsError as error:
-        raise ValueError(f"{own.image} cannot be straightened. {error_words(error)}") from error
+        raise ValueError(f"{own.image} cannot be undistorted. {error_words(error)}") from error
     raise ValueError(
-        f"The lens of {own.image} bends lines ({own.model}), and its camera was imported without "
-        f"straightening: import the capture's cameras again."
+        f"The lens of {own.image} has distortion ({own.model}), and its camera was imported "
+        f"without undistortion: import the capture's cameras again."
     )
 
 
@@ -62,27 +62,27 @@ def copies_folder() -> Path:
 
 
 def copy_of(own: PhotoCamera, photo: Path) -> Path:
-    """The file of a photo's straightened copy, whether it is there or not; another one where the
-    photo or its lens has changed.
+    """The file of a photo's undistorted copy, which may be missing; it changes with the photo and
+    its lens.
 
     Args:
-        own: The camera, made for straightened photos.
-        photo: The photo, which is there.
+        own: The camera, imported with undistortion.
+        photo: The photo, which must exist.
     """
     lens = [own.model, own.params, own.photo_size, own.K.tolist(), own.width, own.height]
     stat = photo.stat()
     which = _digits([_VERSION, str(photo), lens])
     state = _digits([stat.st_mtime_ns, stat.st_size])
-    # JPEGs stay small; all others may be transparent.
+    # JPEGs stay small; other formats may have alpha.
     ending = ".jpg" if photo.suffix.lower() in _JPEG else ".png"
     return copies_folder() / f"{photo.stem[:_STEM]}-{which}-{state}{ending}"
 
 
 def earlier_copies(copy: Path) -> list[Path]:
-    """Copies of the same photo through the same lens, from before the photo changed."""
+    """Copies of the same photo and lens, from before the photo changed."""
     which = copy.stem.rsplit("-", 1)[0]
-    likes = (file for file in copies(copy.parent) if file != copy)
-    return [file for file in likes if file.stem.rsplit("-", 1)[0] == which]
+    others = (file for file in copies(copy.parent) if file != copy)
+    return [file for file in others if file.stem.rsplit("-", 1)[0] == which]
 
 
 def copies(folder: Path) -> list[Path]:
@@ -92,7 +92,7 @@ def copies(folder: Path) -> list[Path]:
 
 
 def part_of(copy: Path) -> Path:
-    """The file of a copy while it is written."""
+    """Temporary file of a copy that is being written."""
     return copy.with_name(f".{copy.name}{_PART}")
 
 

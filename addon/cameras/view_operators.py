@@ -12,11 +12,11 @@ from .objects import cameras_of
 from .operators import OnCapture
 
 _shown: list[tuple[str, str, str]] = []
-"""Items of the last search: Blender keeps no copies of their strings."""
+"""Items of the last search, kept because Blender does not copy their strings."""
 
 
 def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    """The photos of the capture that is meant."""
+    """The photos of the operator's capture."""
     try:
         listed = cameras_of(find_root(context, self.capture)) if context else []
     except ValueError:
@@ -27,7 +27,7 @@ def _image_items(self: Any, context: bpy.types.Context | None) -> list[tuple[str
 
 
 class UseCamera(OnScene, OnCapture, bpy.types.Operator):
-    """Look through a photo's camera: scene camera, resolution, pixel aspect and photo are set"""
+    """Look through a photo's camera; sets the scene camera, resolution and pixel aspect"""
 
     bl_idname = "gscore.use_camera"
     bl_label = "Use Camera"
@@ -41,8 +41,8 @@ class UseCamera(OnScene, OnCapture, bpy.types.Operator):
         name="Index",
         default=-1,
         min=-1,
-        description="Place among the photos by name, from 0; -1: the active camera, else the "
-        "scene's, else the first",
+        description="Index of the photo in the order of names, from 0; -1: the active camera, else "
+        "the scene camera, else the first",
         options={"SKIP_SAVE"},
     )
     look_through: BoolProperty(
@@ -50,7 +50,7 @@ class UseCamera(OnScene, OnCapture, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Use it."""
+        """Set the camera, and look through it."""
         root = find_root(context, self.capture)
         ob = find_camera(context, root, self.camera, self.index)
         self.warn(captures.use_camera(context.scene, ob))
@@ -65,7 +65,7 @@ class StepCamera(OnScene, OnCapture, bpy.types.Operator):
     bl_idname = "gscore.step_camera"
     bl_label = "Next Camera"
 
-    step: IntProperty(name="Step", default=1, description="Photos to go on by name; negative: back")
+    step: IntProperty(name="Step", default=1, description="Photos to advance; negative: backwards")
     look_through: BoolProperty(
         name="Look Through", default=True, description="Turn the 3D view to the camera"
     )
@@ -86,7 +86,7 @@ class StepCamera(OnScene, OnCapture, bpy.types.Operator):
 
 
 class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
-    """Search a photo by name and look through its camera"""
+    """Search for a photo by name and look through its camera"""
 
     bl_idname = "gscore.choose_camera"
     bl_label = "Choose Photo"
@@ -100,12 +100,12 @@ class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Let the user search."""
+        """Open the search."""
         context.window_manager.invoke_search_popup(self)
         return {"RUNNING_MODAL"}
 
     def act(self, context: bpy.types.Context) -> str:
-        """Use it."""
+        """Set the camera, and look through it."""
         ob = find_camera(context, find_root(context, self.capture), self.image)
         self.warn(captures.use_camera(context.scene, ob))
         _look_through(context)

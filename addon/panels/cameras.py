@@ -48,7 +48,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         opacity = row.row(align=True)
         opacity.enabled = photos.shown
         opacity.prop(photos, "opacity")
-        draw_straightening(layout, context, empty, cameras)
+        draw_undistortion(layout, context, empty, cameras)
         draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
             sentence(layout, context, "The scene camera is not one of the capture's.")
@@ -71,7 +71,7 @@ def draw_import(
         again.images = str(there.get("gs_images", "images"))
 
 
-def draw_straightening(
+def draw_undistortion(
     layout: bpy.types.UILayout,
     context: bpy.types.Context,
     empty: bpy.types.Object,
@@ -81,7 +81,7 @@ def draw_straightening(
     queue = undistort_jobs.QUEUE
     if queue.busy:
         row, total = layout.row(align=True), max(queue.total, 1)
-        text = f"Straightening photos: {queue.done} of {queue.total}"
+        text = f"Undistorting photos: {queue.done} of {queue.total}"
         row.progress(factor=queue.done / total, text=text)
         row.operator("gscore.stop_straightening", text="", icon="X")
         return

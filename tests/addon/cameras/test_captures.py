@@ -358,7 +358,7 @@ def test_another_machine(scene, tmp_path: Path) -> None:
     scene = bpy.context.scene
     root = next(ob for ob in scene.objects if co.is_kind(ob, "capture"))
     ob = cameras_of(root)[0]
-    assert "is not there" in captures.use_camera(scene, ob)[0]
+    assert "is missing" in captures.use_camera(scene, ob)[0]
     assert capture_transform.align_root(root).ground_found
     with pytest.raises(ValueError, match="none of the 60 photos"):
         captures.relink(root, tmp_path)

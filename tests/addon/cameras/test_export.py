@@ -301,7 +301,7 @@ def test_a_source_that_was_made_anew(made, scene, capture: Path, tmp_path: Path)
     imported = {ob["gs_image"]: co.stated(ob).viewmat for ob in made.cameras}
     write_capture(capture, np.random.default_rng(7))
     done = export_colmap(tmp_path / "o", made.cameras, scene, root=made.root, depsgraph=graph())
-    assert "14 cameras stand elsewhere" in done.warnings[0]
+    assert "14 cameras have changed" in done.warnings[0]
     for image in read_colmap(tmp_path / "o").images:
         np.testing.assert_allclose(image.viewmat, imported[image.name], atol=1e-13)
         assert len(image.xys) == 0
@@ -321,7 +321,7 @@ def test_transforms_file(made, scene, tmp_path: Path) -> None:
     """Oracle: gscore's reader; distortion and sizes of every camera; OpenGL axes by hand."""
     path = tmp_path / "t" / "transforms.json"
     done = export_transforms(path, made.cameras, scene, root=made.root, depsgraph=graph())
-    assert done.points == 300 and "14 photos do not lie below" in done.warnings[0]
+    assert done.points == 300 and "14 photos are not inside" in done.warnings[0]
     data = json.loads(path.read_text())
     frame = data["frames"][0]
     own = co.stated(made.cameras[0])

@@ -233,7 +233,7 @@ def test_a_scene_that_is_gone(scene, folder: Path) -> None:
     work = going(directory=str(folder))
     until(work, half)
     bpy.data.scenes.remove(bpy.context.scene)
-    with pytest.raises(ValueError, match="scene that cameras were imported into is gone"):
+    with pytest.raises(ValueError, match="scene of this import was removed"):
         until(work, lambda: False)
     incremental_removal.finish()
     assert not bpy.data.objects and not bpy.data.cameras and not _begun()
@@ -280,7 +280,7 @@ def test_anew(scene, folder: Path) -> None:
         assert photo_of(ob) is not None
     assert again.points.name == "cloud" and again.points.hide_viewport
     assert len(again.points.data.vertices) == len(model.points)
-    assert "elsewhere than before" in again.warnings[-1]
+    assert "poses in the files have changed" in again.warnings[-1]
     assert [one.name for one in bpy.data.collections if "studio" in one.name] == [
         "studio",
         "studio cameras",
@@ -433,9 +433,9 @@ def test_a_camera_that_is_changed_after_it_was_compared(
     camera = captures.import_capture(scene, folder).cameras[0]
     before = state()
     camera.data.lens += 3
-    done, compare = [], importing._Coming._compare
+    done, compare = [], importing._PendingCapture._compare
     monkeypatch.setattr(
-        importing._Coming, "_compare", lambda *given: (compare(*given), done.append(given))
+        importing._PendingCapture, "_compare", lambda *given: (compare(*given), done.append(given))
     )
     work = going(directory=str(folder))
     assert not until(work, lambda: len(done) >= 30)
@@ -479,7 +479,7 @@ def test_python_searches_for_garbage_again(scene, folder: Path, ends: str) -> No
     elif ends == "fails":
         bpy.ops.scene.new()
         bpy.data.scenes.remove(scene)
-        with pytest.raises(ValueError, match="is gone"):
+        with pytest.raises(ValueError, match="was removed"):
             until(work, lambda: False)
     else:
         until(work, lambda: False)

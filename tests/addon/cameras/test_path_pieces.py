@@ -304,7 +304,7 @@ def test_import_into_what_is_gone(file: Path, what: str) -> None:
     for ob in list(bpy.data.objects):
         if "gs_temporary" not in ob:
             bpy.data.objects.remove(ob)
-    with pytest.raises(ValueError, match=f"{what} that a camera path was imported into is gone"):
+    with pytest.raises(ValueError, match=f"{what} of this import was removed"):
         until(work, lambda: False)
     assert not bpy.data.objects and not bpy.data.actions
 

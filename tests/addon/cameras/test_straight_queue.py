@@ -78,7 +78,7 @@ def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
         poll_until(queue, program, lambda _: not queue.busy)
         assert set(queue.problems) == {"a", "b", "c"}
         assert set(queue.problems.values()) == {
-            "The Blender that straightens photos ended before it began (exit code 1). no display"
+            "The Blender that undistorts photos ended at its start (exit code 1). no display"
         }
     assert told.read_text().split() == ["begun"] * 4
 

@@ -165,7 +165,7 @@ def test_backgrounds_fit_up_to_the_corners(scene, tmp_path: Path, ending: str) -
     assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
     bpy.context.view_layer.update()
     for ob in made.cameras:
-        assert not any("not there" in note for note in captures.use_camera(scene, ob))
+        assert not any("is missing" in note for note in captures.use_camera(scene, ob))
         own, picture = stated(ob), shown(photo_of(ob))
         assert picture.shape == (own.height, own.width)
         assert picture.shape == (scene.render.resolution_y, scene.render.resolution_x)
@@ -200,9 +200,9 @@ def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_co
     """Oracle: the files in the folder, and the picture, which is that of the photo as it is now."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     ob = made.cameras[0]
-    assert copy_needed(ob) is not None and "(Straighten Photos)" in panel()
+    assert copy_needed(ob) is not None and "(Undistort Photos)" in panel()
     bpy.ops.gscore.straighten_photos()
-    assert copy_needed(ob) is None and "(Straighten Photos)" not in panel()
+    assert copy_needed(ob) is None and "(Undistort Photos)" not in panel()
     (first,) = own_copies.iterdir()
     before = shown(photo_of(ob)).copy()
 
@@ -263,7 +263,7 @@ def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) ->
     undistort_jobs.collect()
     assert time.monotonic() - began < 0.5
     begun = copy_needed(made.cameras[0])
-    assert "Straightening photos: 0 of 3" in drawn(CamerasPanel)
+    assert "Undistorting photos: 0 of 3" in drawn(CamerasPanel)
     assert not bpy.ops.gscore.remove_straight_photos.poll()
     assert bpy.ops.gscore.stop_straightening() == {"FINISHED"}
     undistort_jobs.wait()
@@ -281,7 +281,7 @@ def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: 
     chosen = bpy.data.images.load(str(tmp_path / "own.png"))
     ob.data.background_images[0].image = chosen
     assert undistort_jobs.ask([ob]) == 0 and copy_needed(ob) is None
-    assert "(Straighten Photos)" not in panel()
+    assert "(Undistort Photos)" not in panel()
     captures.relink(made.root, tmp_path / "c")
     assert [slot.image for slot in ob.data.background_images] == [chosen]
     assert not own_copies.exists()
@@ -302,7 +302,7 @@ def test_a_wrong_link_is_led_to_a_copy_that_is_there(
     slot = ob.data.background_images[0]
     slot.image.filepath, slot.alpha = str(tmp_path / "elsewhere.png"), 0.5
     ob.data.show_background_images = False
-    assert copy_needed(ob) == copy and "(Straighten Photos)" in panel()
+    assert copy_needed(ob) == copy and "(Undistort Photos)" in panel()
     assert undistort_jobs.ask([ob]) == 0 and not undistort_jobs.QUEUE.busy
     assert slot.image.filepath == str(copy) and copy_needed(ob) is None
     assert slot.alpha == 0.5 and not ob.data.show_background_images
@@ -314,8 +314,8 @@ def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> N
     del made.cameras[0]["gs_K"]
     assert undistort_jobs.ask(made.cameras) == 1
     undistort_jobs.QUEUE.kill()
-    assert "has lost what the capture says" in panel() and "(Straighten Photos)" in panel()
-    with pytest.raises(RuntimeError, match="has lost what the capture says"):
+    assert "has lost a custom property" in panel() and "(Undistort Photos)" in panel()
+    with pytest.raises(RuntimeError, match="has lost a custom property"):
         bpy.ops.gscore.straighten_photos()
     assert copy_needed(made.cameras[1]) is None
 
@@ -331,7 +331,7 @@ def test_panels_wait_for_no_disk(scene, tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(backgrounds, "copy_of", copy_of)
     for _ in range(5):
-        assert "(Straighten Photos)" in panel()
+        assert "(Undistort Photos)" in panel()
     assert sorted(model for model, _ in looks) == sorted(LENSES)
     assert main not in [thread for _, thread in looks]
 
@@ -359,7 +359,7 @@ def test_why_a_lens_is_not_straightened() -> None:
     known = {"image": "a.png", "photo": "", "viewmat": np.eye(4), "K": np.eye(3)}
     known |= {"width": SIZE[0], "height": SIZE[1], "model": "SIMPLE_RADIAL"}
     folded = PhotoCamera(**known, params=(260.0, 160.0, 120.0, -1.5))
-    with pytest.raises(ValueError, match=r"^a\.png cannot be straightened.*folds back"):
+    with pytest.raises(ValueError, match=r"^a\.png cannot be undistorted.*folds back"):
         undistorted_photos.undistortion_of(folded)
     with pytest.raises(ValueError, match="import the capture's cameras again"):
         undistorted_photos.undistortion_of(PhotoCamera(**known, params=LENSES["SIMPLE_RADIAL"]))
@@ -382,4 +382,4 @@ def test_preferences_tell_the_copies_once_they_are_counted(
     while poll_timer.poll():
         time.sleep(0.01)
     undistort_operators.draw_copies(layout, preferences.get())
-    assert "1 files, 3 MB" in layout.text and "(Remove Straightened Photos)" in layout.text
+    assert "1 files, 3 MB" in layout.text and "(Remove Undistorted Photos)" in layout.text

@@ -159,7 +159,7 @@ def test_what_is_said_of_cameras(
     bent = next(
         ob for ob in made.cameras if not undistorted_photos.lens_of(co.stated(ob)).is_pinhole
     )
-    with pytest.raises(ValueError, match=f"cannot be straightened. {SHOWN}"):
+    with pytest.raises(ValueError, match=f"cannot be undistorted. {SHOWN}"):
         undistorted_photos.undistortion_of(co.stated(bent))
     monkeypatch.setattr(export_colmap, "read_colmap", refuse)
     done = export_colmap.export_colmap(tmp_path / "out", made.cameras, scene, root=made.root)

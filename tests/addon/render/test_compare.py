@@ -333,10 +333,10 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (film, "is a film"),
+        (film, "is a video file"),
         (no_photo, "find the capture's folder again"),
         (other_photo, "30 x 20 pixels"),
-        (distorted, "bends lines (SIMPLE_RADIAL)"),
+        (distorted, "has distortion (SIMPLE_RADIAL)"),
         (no_picture, "decode"),
     ],
 )
