@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from .paired import Difference
 
 BETTER = 0.10
-"""dB of colour-corrected PSNR that are worth a change."""
+"""Gain of colour-corrected PSNR that justifies a change, dB."""
 EQUAL_SECONDS = 1.02
-"""Times as long that still counts as equally long."""
+"""Relative time that still counts as equal."""
 FASTER = 0.95
-"""Times as long that is worth a change."""
+"""Relative time that justifies a change."""
 FASTER_MAY_LOSE = 0.03
-"""dB of colour-corrected PSNR that a faster training may lose."""
+"""Loss of colour-corrected PSNR that a faster training may have, dB."""
 MOST_LOST_DB, MOST_LOST_SSIM = 0.15, 0.002
-"""What no capture may lose."""
+"""Losses that no capture may reach."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class CaptureChange:
     lpips: float | None
     """None: not measured."""
     seconds: float
-    """How many times as long."""
+    """Relative time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +47,12 @@ def decide_default(
     """Apply the rule.
 
     Args:
-        overall: Of the colour-corrected PSNR over all captures, dB.
-        seconds: How many times as long the change takes.
+        overall: Difference of the colour-corrected PSNR over all captures, dB.
+        seconds: Relative time of the change.
         captures: The change on each capture.
     """
     for name, change in captures.items():
-        # Figures are compared as they are shown: 0.15 dB is no less for its thirtieth digit.
+        # Figures are rounded as they are displayed, so that 0.15 dB counts as 0.15.
         if round(change.psnr_cc.median, 6) <= -MOST_LOST_DB:
             return Verdict(accepted=False, why=f"{name} loses {-change.psnr_cc.median:.2f} dB")
         if change.ssim is not None and round(change.ssim, 6) <= -MOST_LOST_SSIM:

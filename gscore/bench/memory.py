@@ -15,9 +15,9 @@ from .child_process import run_child
 from .synthetic import SyntheticPhotos
 
 MIN_STEPS = 10
-"""So that refinements, a snapshot and a checkpoint each have a step of their own."""
+"""Minimum steps, so that refinements, a snapshot and a checkpoint have different steps."""
 _REFINEMENTS = 3
-"""One after the other in the middle of the run: each moves all rows about."""
+"""Consecutive refinements in the middle of the run, each of which moves all rows."""
 
 _WRITER = """
 import sys
@@ -38,12 +38,12 @@ class MemoryBench:
     height: int
     steps: int
     said_bytes: int
-    """Told before the run."""
+    """Estimate before the run."""
     peak_bytes: int
     """Largest resident memory."""
     parts: dict[str, int]
-    """Bytes at that moment: what the process took before the run, photos, parameters, their
-    gradients and moments, and the rest, most of which is the rasterizer's."""
+    """Bytes at the peak: the process before the run, photos, parameters, their gradients and
+    moments, and the rest, mostly of the rasterizer."""
 
 
 def bench_memory(
@@ -56,35 +56,35 @@ def bench_memory(
     threads: int = 0,
     on_event: Callable[[Event], None] | None = None,
 ) -> MemoryBench | None:
-    """Train for some steps at full size from given splats of SH degree 3, with refinements,
-    snapshots, checkpoints and an evaluation: everything that a long run does.
+    """Train for some steps at full size from given splats of SH degree 3, with all parts of a long
+    run: refinements, snapshots, checkpoints and an evaluation.
 
-    Call it once in a process that did nothing else: the peak is that of the process so far.
+    Call it once in a new process: the peak is that of the whole process.
 
     Args:
-        splats: In the cloud, and at most in the training.
-        views: Photos of it, of which every eighth is held out.
-        width: Of each, px.
-        height: Of each, px.
-        steps: Of the training, at least MIN_STEPS.
+        splats: Number of splats of the cloud, and maximum of the training.
+        views: Number of photos, of which every eighth is held out.
+        width: Width of a photo, px.
+        height: Height of a photo, px.
+        steps: Steps of the training, at least MIN_STEPS.
         threads: 0: all cores.
-        on_event: Told of the run.
+        on_event: Receives the events of the run.
 
     Returns:
-        What was found; None where the system does not tell a process's memory.
+        The measurement; None if the system does not report the memory of a process.
     """
     before = peak_memory_bytes()
-    said: list[int] = []
+    estimates: list[int] = []
 
-    def tell(event: Event) -> None:
+    def on_any_event(event: Event) -> None:
         if isinstance(event, Estimated):
-            said.append(event.peak_bytes)
+            estimates.append(event.peak_bytes)
         if on_event is not None:
             on_event(event)
 
     with tempfile.TemporaryDirectory(prefix="gscore-") as name:
         folder = Path(name)
-        # In another process, whose memory does not count.
+        # In another process, whose memory is not measured.
         values = [str(value) for value in (folder, splats, views, width, height)]
         run_child(["-c", _WRITER, *values], what="writes the capture")
         config = TrainConfig(
@@ -101,7 +101,7 @@ def bench_memory(
             threads=threads,
         )
         data = DataConfig(source=folder / "capture", resolution=1, eval=True)
-        train(config, data, folder / "out", tell)
+        train(config, data, folder / "out", on_any_event)
     peak = peak_memory_bytes()
     if peak is None or before is None:
         return None
@@ -119,14 +119,14 @@ def bench_memory(
         width=width,
         height=height,
         steps=steps,
-        said_bytes=said[0],
+        said_bytes=estimates[0],
         peak_bytes=peak,
         parts=parts | {"the rest": peak - sum(parts.values())},
     )
 
 
 def write_capture(folder: Path, splats: int, views: int, width: int, height: int) -> None:
-    """Write `splats.ply` and `capture` with photos of it into a folder; arguments as those of
+    """Write `splats.ply` and `capture`, with photos of the splats, into a folder; arguments as in
     `bench_memory`."""
     photos = SyntheticPhotos(splats, width, height)
     write_splats(folder / "splats.ply", photos.splats)

@@ -11,12 +11,12 @@ _TRIMMED = 0.2
 _RESAMPLES = 2000
 """Draws of a bootstrap."""
 _COVERED = 0.95
-"""Share of the draws that an interval holds."""
+"""Share of the draws inside an interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Difference of a change to its baseline, over pairs of measurements."""
+    """Difference between a change and its baseline, over pairs of measurements."""
 
     median: float
     low: float
@@ -37,13 +37,13 @@ def paired_difference(
 ) -> Difference:
     """Median of paired differences, and its interval by a bootstrap over views.
 
-    Seeds of one view are no independent evidence, so views are drawn, each with all of its
-    differences; of every capture as many views as it has (percentile bootstrap over clusters,
-    Davison and Hinkley 1997, sections 2.4 and 5.3).
+    Seeds of one view are not independent, so views are drawn with all their differences, and from
+    each capture its number of views (percentile bootstrap over clusters, Davison and Hinkley 1997,
+    sections 2.4 and 5.3).
 
     Args:
-        captures: Of each capture, of each view, its differences, at least one each.
-        seed: Of the draws.
+        captures: Differences by capture and view, at least one per view.
+        seed: Seed of the draws.
 
     Returns:
         The median over all differences, and the interval of 2,000 draws.

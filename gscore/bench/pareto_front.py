@@ -1,5 +1,5 @@
 """Pareto front of model sizes: trainings by number of splats, photo width and steps, all measured
-on photos of one size, of which no other is both cheaper and better."""
+on photos of one size, such that no other training is both cheaper and better."""
 
 import itertools
 import math
@@ -15,13 +15,13 @@ from .training import train_measured
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """How large and how long a training is."""
+    """Size and length of a training."""
 
     preset: str
-    """Where everything else comes from."""
+    """Preset with the other options."""
     max_splats: int
     width: int
-    """Photos are at most so wide, px."""
+    """Maximum width of photos, px."""
     iterations: int
 
     def __str__(self) -> str:
@@ -55,11 +55,10 @@ def measure_sizes(
     on_step: Callable[[Size, int, int], None] | None = None,
     on_outcome: Callable[[SizeOutcome], None] | None = None,
 ) -> list[SizeOutcome]:
-    """Train each size once a seed and measure all of them on the same photos.
+    """Train each size with each seed and measure all of them on the same photos.
 
     Args:
-        runs: Sizes of one capture, each with its config and photos, as `sizes_of` and `open_sizes`
-            give them.
+        runs: Sizes of one capture with config and photos, from `sizes_of` and `open_sizes`.
         judged: Photos to measure on.
         seeds: At least one.
         on_step: Called with size, seed and step after each step, outside the clock.
@@ -103,10 +102,10 @@ def sizes_of(
     widths: Sequence[int],
     iterations: Sequence[int],
 ) -> list[tuple[Size, DataConfig, TrainConfig]]:
-    """All combinations of the given numbers; what is empty is as the preset has it.
+    """All combinations of the given numbers; empty sequences keep the value of the preset.
 
     Raises:
-        ConfigError: no training has such a number.
+        ConfigError: an invalid number.
     """
     combinations = itertools.product(
         widths or (data.max_width,),
@@ -126,8 +125,7 @@ def sizes_of(
 def unbeaten(
     outcomes: Sequence[SizeOutcome], cost: Callable[[SizeOutcome], float]
 ) -> list[SizeOutcome]:
-    """Those of which no other costs at most as much and is better, by rising cost (Pareto's front
-    of cost and PSNR)."""
+    """The Pareto front of cost and PSNR, by increasing cost."""
     front: list[SizeOutcome] = []
     known = [o for o in outcomes if math.isfinite(o.psnr)]
     for outcome in sorted(known, key=lambda o: (cost(o), -o.psnr)):

@@ -1,4 +1,4 @@
-"""Peer curves: results of other programs, from the small JSON that docs/metrics.md describes."""
+"""Peer curves: results of other programs, from the JSON format of docs/metrics.md."""
 
 import math
 from pathlib import Path
@@ -16,11 +16,11 @@ def read_peers(path: Path) -> tuple[str, list[Curve]]:
     """Curves of another program for one capture.
 
     Returns:
-        The capture's name and the curves.
+        Name of the capture, and the curves.
 
     Raises:
         DatasetError: the file cannot be read.
-        FormatError: not such a file; says which value is missing or wrong.
+        FormatError: not such a file; the message names the missing or wrong value.
     """
     try:
         content = parse_json(read_bytes(path))
@@ -41,13 +41,13 @@ def _curve(entry: dict[str, Any], where: str) -> Curve:
     counts = sorted({len(points) for points in seeds})
     if len(counts) > 1 or not counts[0]:
         raise ValueError(
-            f"{where}: every seed needs as many points, at least one, got {counts}; measure all "
-            "runs at the same moments"
+            f"{where}: all seeds need the same number of points, at least one, got {counts}; "
+            "measure all runs at the same steps or times"
         )
     for points in seeds:
         times = [point.seconds for point in points]
         if times != sorted(times):
-            raise ValueError(f"{where}: points must come in the order of their seconds")
+            raise ValueError(f"{where}: points must be sorted by seconds")
     return Curve(
         label=str(entry["label"]),
         width=_count(entry["width"], f"{where}: width", least=1),

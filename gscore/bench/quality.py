@@ -17,12 +17,12 @@ from .paired import Difference, paired_difference, trimmed_mean
 from .training import Color, PictureOf, train_measured
 
 COMPARED = ("psnr", "psnr_cc", "ssim", "lpips")
-"""What is known of a view."""
+"""Metrics of a view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredView:
-    """A held-out view; a number that does not exist is None, as in metrics.json."""
+    """Metrics of a held-out view; None if undefined, as in metrics.json."""
 
     name: str
     psnr: float | None
@@ -45,18 +45,18 @@ class Training:
     """Spent in steps."""
     splats: int
     gap: float | None
-    """Median PSNR of the training views above that of the held-out ones, dB."""
+    """Median PSNR of the training views minus that of the held-out ones, dB."""
     views: tuple[ScoredView, ...]
 
     @property
     def key(self) -> tuple[str, str, int, int]:
-        """Which training it is."""
+        """Identifier of the training."""
         return self.capture, self.variant, self.seed, self.offset
 
 
 @dataclass(frozen=True, kw_only=True)
 class Worst:
-    """The view of the lowest colour-corrected PSNR."""
+    """The view with the lowest colour-corrected PSNR."""
 
     view: str
     seed: int
@@ -70,26 +70,26 @@ class Summary:
     """One variant on one capture, over all views, seeds and offsets."""
 
     median: dict[str, float | None]
-    """By metric; None where no view has it."""
+    """By metric; None if no view has it."""
     trimmed: dict[str, float | None]
     """Mean without the lowest and the highest fifth."""
     worst: Worst | None
     gap: float | None
-    """Median over the trainings, as those below; dB."""
+    """Median over the trainings, like the fields below; dB."""
     splats: int
     seconds: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A variant against the first one."""
+    """Comparison of a variant with the first one."""
 
     variant: str
     captures: dict[str, CaptureChange]
     psnr_cc: Difference
     """Over all captures, dB."""
     seconds: float
-    """How many times as long, median over pairs of trainings."""
+    """Relative time, median over pairs of trainings."""
     verdict: Verdict
 
 
@@ -107,10 +107,10 @@ def train_scored(
     """Train once and measure every held-out view, and the PSNR of the training views.
 
     Args:
-        config: How to train, with the seed.
-        photos: To train on.
-        judged: The same views at the size they are measured at; may be `photos`.
-        capture, variant, offset: What the training is called.
+        config: Options with the seed.
+        photos: Training photos.
+        judged: The same views at the size for measurements; may be `photos`.
+        capture, variant, offset: Identifier of the training.
         lpips: Network of LPIPS, or None.
         on_step: Called after each step, outside the clock.
     """
@@ -169,17 +169,17 @@ def training_json(training: Training) -> dict[str, Any]:
 
 
 def read_training(content: Any) -> Training:
-    """What `training_json` wrote.
+    """Inverse of `training_json`.
 
     Raises:
-        FormatError: a value is missing or of another kind.
+        FormatError: a value is missing or has another type.
     """
     try:
         views = tuple(ScoredView(**view) for view in content["views"])
         training = Training(**content | {"views": views})
         texts = [training.capture, training.variant, *(view.name for view in views)]
         if not (all(isinstance(text, str) for text in texts) and training.seconds > 0):
-            raise ValueError("names are no text, or it took no time")
+            raise ValueError("names are not text, or the time is not positive")
         numbers = [training.seconds, training.splats, training.seed, training.offset]
         numbers += [getattr(view, key) for view in views for key in COMPARED]
         math.fsum(0.0 if number is None else number for number in (*numbers, training.gap))
@@ -224,9 +224,9 @@ def _worst(trainings: Iterable[Training]) -> Worst | None:
 
 
 def compare(trainings: Sequence[Training], base: str, variant: str) -> Comparison | None:
-    """A variant against `base`, over the trainings that both have; None where they share no view.
+    """Compare a variant with `base` over their common trainings; None if they share no view.
 
-    A view without a number in one of them (an infinite PSNR) makes no pair.
+    A view without a metric in one of them (an infinite PSNR) is no pair.
     """
     mine = {training.key: training for training in trainings}
     pairs: dict[str, list[tuple[Training, Training]]] = {}
@@ -265,7 +265,7 @@ def _change(pairs: Sequence[tuple[Training, Training]], judged: list[list[float]
 
 
 def _differences(pairs: Iterable[tuple[Training, Training]], key: str) -> list[list[float]]:
-    """What the second training of each pair has above the first, by view that was held out."""
+    """Second minus first training of each pair, by held-out view."""
     views: dict[str, list[float]] = {}
     for before, after in pairs:
         known = {view.name: getattr(view, key) for view in before.views}

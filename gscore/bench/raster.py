@@ -25,7 +25,7 @@ STAGES = (
 
 @dataclass(frozen=True, kw_only=True)
 class RasterBench(BenchSetting):
-    """Means over views of the fastest of several passes."""
+    """Means over views, each of the fastest of several passes."""
 
     gpairs_per_s: float
     """Pairs / (forward + backward blending time) / 1e9, a pair counted once."""
@@ -38,9 +38,9 @@ class RasterBench(BenchSetting):
     pairs_per_pixel: float
     """Splats evaluated at a pixel after culling and early termination."""
     useful_share: float
-    """Of these pairs, those that add to their pixel; the others fill up blocks of 4 x 4."""
+    """Share of these pairs that contribute to their pixel; the others fill blocks of 4 x 4."""
     entries_per_tile: float
-    """Splats in a tile of `header.LIST_TILE`."""
+    """Splats per tile of `header.LIST_TILE`."""
     visible: float
     forward_ms: float
     """All stages of a forward pass."""
@@ -54,7 +54,7 @@ class RasterBench(BenchSetting):
 def synthetic_scene(
     count: int = 100_000, width: int = 640, height: int = 360, seed: int = 0
 ) -> tuple[Splats, Cameras]:
-    """A seeded cloud of small splats before one camera, for machines without a capture."""
+    """A seeded cloud of small splats in front of one camera, for machines without a capture."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(2, 5, count)
     means = np.stack(
@@ -120,7 +120,7 @@ def bench_raster(
             raster.forward(arrays, frustum, counting, pictures)
             useful += raster.stats().as_dict()["useful_pairs"]
             passes = []
-            for _ in range(repeats + 1):  # the first one warms buffers up
+            for _ in range(repeats + 1):  # the first one warms up buffers
                 raster.forward(arrays, frustum, settings, pictures)
                 raster.backward(arrays, frustum, settings, {"rgb": v_rgb}, grads)
                 passes.append(raster.stats().as_dict())

@@ -1,5 +1,5 @@
-"""Scaling bench: cost by splats, pixels, threads and views, each point in a process of its own,
-with a straight line fitted through the points."""
+"""Scaling bench: cost by splats, pixels, threads and views, each point in its own process, with a
+line fitted to the points."""
 
 import shutil
 import tempfile
@@ -20,18 +20,18 @@ SIZES = ((400, 250), (640, 400), (1280, 800), (1920, 1200), (2560, 1600), (3584,
 """0.1 to 8 megapixels."""
 VIEW_COUNTS = (10, 30, 100, 300, 1000)
 CACHE_MB = 64
-"""Photos that stay in memory in the second row of each number of views."""
+"""Photo cache in the second row of each number of views, MB."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """The straight line through some points, and how well it fits."""
+    """A fitted line."""
 
     base: float
-    """At zero."""
+    """Value at zero."""
     slope: float
     r2: float
-    """Share of the variance that the line explains."""
+    """Coefficient of determination."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,14 +41,14 @@ class Scaling:
     quantity: str
     """`splats`, `pixels`, `threads` or `views`."""
     rows: list[dict[str, Any]]
-    """What `gscore bench step --json` says of each point, but for the machine; of views, with
+    """Output of `gscore bench step --json` for each point, without the machine; for views with
     `cache_mb`."""
     lines: dict[str, Line]
     """Lines of step_ms and of each part over splats or pixels; empty for the others."""
 
 
 def fit_line(xs: Sequence[float], ys: Sequence[float]) -> Line:
-    """Least squares, each point weighted by 1 / y^2, as errors are relative."""
+    """Least-squares fit, each point weighted by 1 / y^2, as errors are relative."""
     x, y = np.asarray(xs, np.float64), np.asarray(ys, np.float64)
     weight = 1 / np.maximum(np.abs(y), 1e-12)
     columns = np.stack([np.ones_like(x), x], axis=1) * weight[:, None]
@@ -70,17 +70,17 @@ def bench_scaling(
     on_row: Callable[[str, dict[str, Any]], None] | None = None,
 ) -> list[Scaling]:
     """Measure steps of the synthetic cloud: over splats at 640 x 400 px; over pixels, threads and
-    views with `cloud` splats. Views are JPEG files; each number of them is measured with all photos
-    in memory and with no more than CACHE_MB of them, at least a step a view.
+    views with `cloud` splats. Views are JPEG files, measured with all photos in memory and with a
+    cache of CACHE_MB, for at least one step per view.
 
     Args:
         splats: Sizes of the cloud.
         sizes: Widths and heights, px.
         threads: Numbers of threads.
         views: Numbers of views.
-        cloud: Splats where another quantity varies.
-        steps: Steps a point.
-        on_row: Called with the quantity and each row as it is done.
+        cloud: Number of splats while another quantity varies.
+        steps: Steps per point.
+        on_row: Called with the quantity and each finished row.
     """
     found = []
 

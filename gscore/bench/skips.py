@@ -16,7 +16,7 @@ class SkipRow:
     """A training with some skips disabled, compared with the one with all of them."""
 
     without: list[str]
-    """Skips switched off; empty: the training as it is."""
+    """Disabled skips; empty: the unchanged training."""
     seconds: float
     """Spent in steps."""
     slowdown: float
@@ -29,7 +29,7 @@ class SkipRow:
     ssim: float
     splats: int
     identical: bool
-    """Whether every number of the trained splats has the same bits as with all skips."""
+    """Whether the trained splats are bit-identical to those with all skips."""
 
 
 def bench_skips(
@@ -39,16 +39,16 @@ def bench_skips(
     skips: Sequence[Skip] = tuple(Skip),
     on_row: Callable[[SkipRow], None] | None = None,
 ) -> list[SkipRow]:
-    """Train with all skips, without each of `skips` alone, and without these together.
+    """Train with all skips, without each of `skips`, and without all of these.
 
     Args:
-        config: How to train; what its `without` names stays off in every row.
-        photos: Decoded, with held-out views.
-        skips: Which to measure.
-        on_row: Called with each row as it is done.
+        config: Options; the skips in its `without` stay disabled in every row.
+        photos: Decoded photos, with held-out views.
+        skips: Skips to measure.
+        on_row: Called with each finished row.
 
     Returns:
-        The row with all skips, one a skip, and if there are several one without these together.
+        The row with all skips, one per skip, and for several one without all of these.
     """
     tried: list[tuple[Skip, ...]] = [(), *((skip,) for skip in skips)]
     if len(skips) > 1:

@@ -16,23 +16,23 @@ from .bench_setting import BenchSetting
 from .raster import STAGES
 
 _WARM_UP = 5
-"""Steps that are not counted: the first ones allocate."""
+"""Steps that are not measured, because the first ones allocate memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepBench(BenchSetting):
-    """Steps of one training at a fixed number of splats; the views are those to train on."""
+    """Steps of one training with a fixed number of splats; `views` are the training views."""
 
     steps: int
     """Steps measured."""
     step_ms: float
     """Median time of a step."""
     mean_ms: float
-    """Mean time of a step; the parts below add up to it."""
+    """Mean time of a step, the sum of the parts below."""
     laps_ms: dict[str, float]
     """Mean by part of the step."""
     raster_ms: dict[str, float]
-    """Mean by stage of the rasterizer, within the laps of drawing and its gradients."""
+    """Mean by stage of the rasterizer, within the laps of rendering and its gradients."""
     raster_share: float
     """Stages of the rasterizer / the whole step."""
     pairs_per_pixel: float
@@ -49,16 +49,16 @@ def bench_step(
     config: TrainConfig,
     photo_cache: int | None = None,
 ) -> StepBench:
-    """Train for some steps from given splats, without adding or removing any.
+    """Train for some steps from given splats, without densification.
 
     Args:
-        photos: What to train on.
-        splats: Where to start, in COLMAP world.
+        photos: Training photos.
+        splats: Initial splats, in COLMAP world.
         steps: Steps to measure.
         threads: 0: all cores.
-        config: Method; its length, size and schedules are set here.
-        photo_cache: Bytes of photos that may stay in memory, the others being decoded again and
-            again; None: all of them do.
+        config: Method; its length, size and schedules are overridden here.
+        photo_cache: Memory for decoded photos, bytes; others are decoded at each use. None: no
+            limit.
     """
     total = steps + _WARM_UP
     given = {name: getattr(config, name) for name in ("strategy", "without", "ssim_weight")}

@@ -17,11 +17,11 @@ _VIEWS = 6
 _POINTS = 1000
 """Splats whose means become the points of a capture on disk."""
 _QUALITY = 90
-"""Of its JPEG files."""
+"""Quality of its JPEG files."""
 
 
 class SyntheticPhotos:
-    """Pictures of a synthetic cloud from a few places, as a trainer takes them."""
+    """Pictures of a synthetic cloud from a few positions, with the interface of a dataset."""
 
     def __init__(self, count: int, width: int, height: int) -> None:
         """Draw a cloud of `count` splats in views of `width` x `height` px."""
@@ -45,7 +45,7 @@ class SyntheticPhotos:
         self._images = [self._photo(i, width, height) for i in self.train]
 
     def content_hash(self) -> str:
-        """The hash of the contents of the pictures."""
+        """Hash of the pictures."""
         return hashlib.sha256(b"".join(i.tobytes() for i in self._images)).hexdigest()[:16]
 
     def image(self, index: int) -> np.ndarray:
@@ -53,18 +53,18 @@ class SyntheticPhotos:
         return self._images[index]
 
     def mask(self, index: int) -> None:
-        """There is none."""
+        """None: there are no masks."""
 
     def _photo(self, index: int, width: int, height: int) -> np.ndarray:
         cameras = self.scene.cameras
         rgb = render(
             self.splats, cameras.Ks[index], cameras.viewmats[index], width, height, depths=False
         ).rgb
-        # Half as bright, so that the gradients are those of a picture that does not fit yet.
+        # Half as bright, so that gradients are as large as early in a training.
         return (np.clip(rgb, 0, 1) * 127 + 0.5).astype(np.uint8)
 
     def write(self, folder: Path, views: int) -> None:
-        """Write a capture of `views` photos: those of the few places, again and again."""
+        """Write a capture of `views` photos, which repeat those of the few positions."""
         from PIL import Image
 
         folder.mkdir(parents=True, exist_ok=True)

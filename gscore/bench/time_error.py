@@ -16,7 +16,7 @@ from .training import Point, first_size, train_measured
 _POINTS = 12
 """Measurements along a training, evenly spread over the logarithm of the step."""
 _BELOW = (1.0, 0.5, 0.0)
-"""dB below the best final PSNR for which the table lists the time."""
+"""Distances from the best final PSNR whose times the table lists, dB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Variant:
     config: TrainConfig
     photos: Dataset
     judged: Dataset
-    """The views at the size on which they are measured; may be `photos`."""
+    """The views at the size for measurements; may be `photos`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +36,12 @@ class Curve:
 
     label: str
     width: int
-    """Of the first picture measured on, px."""
+    """Of the first measured picture, px."""
     height: int
     seeds: list[list[Point]]
-    """Measurements of each seed, as many of each."""
+    """Measurements of each seed, the same number for all."""
     trained_width: int | None = None
-    """Of the first photo trained on, px; as those below None where nobody told."""
+    """Of the first training photo, px; None if unknown, like the fields below."""
     iterations: int | None = None
     max_splats: int | None = None
 
@@ -64,19 +64,19 @@ def _median_splats(values: Sequence[int]) -> int:
 
 
 def _median(values: Sequence[float]) -> float:
-    """NaN if any is."""
+    """Median; NaN if any value is."""
     return math.nan if any(map(math.isnan, values)) else statistics.median(values)
 
 
 def labels(curves: Sequence[Curve]) -> list[str]:
-    """Names of the curves, with the width of the pictures where not all have the same."""
+    """Names of the curves, with the width of the pictures if widths differ."""
     if len({curve.width for curve in curves}) < 2:
         return [curve.label for curve in curves]
     return [f"{curve.label}, {curve.width} px" for curve in curves]
 
 
 def measured_steps(iterations: int, count: int = _POINTS) -> list[int]:
-    """About `count` steps from a fiftieth of the run to its end, evenly spread in factors."""
+    """About `count` steps from 1/50 of the run to its end, evenly spaced in the logarithm."""
     first = max(iterations // 50, 1)
     return sorted({int(s) for s in np.geomspace(first, iterations, count).round()})
 
@@ -87,10 +87,10 @@ def measure_variant(
     *,
     on_step: Callable[[str, int, int, int], None] | None = None,
 ) -> Curve:
-    """Train a variant once a seed.
+    """Train a variant with each seed.
 
     Args:
-        variant: What to train.
+        variant: The variant.
         seeds: Seeds, at least one.
         on_step: Called with label, seed, step and number of steps after each step.
     """
@@ -123,12 +123,12 @@ def measure_variant(
 
 
 def time_to_psnr(curves: Sequence[Curve]) -> list[dict[str, Any]]:
-    """When each curve first reached the best final PSNR less 1, 0.5 and 0 dB; only curves measured
-    on pictures of the same width are compared.
+    """Times at which each curve first reached the best final PSNR minus 1, 0.5 and 0 dB, compared
+    among curves with pictures of the same width.
 
     Returns:
-        One row a curve: `label`, `width`, `psnr` (final, dB) and `seconds`, a mapping from the PSNR
-        aimed at to seconds, interpolated between measurements, or None where it was not reached.
+        One row per curve: `label`, `width`, `psnr` (final, dB) and `seconds`, a mapping from target
+        PSNR to seconds, interpolated between measurements, or None if not reached.
     """
     best: dict[int, float] = {}
     for curve in curves:
@@ -163,7 +163,7 @@ def _when(points: Sequence[Point], aim: float) -> float | None:
 
 
 def curve_json(curve: Curve) -> dict[str, Any]:
-    """A curve as JSON values, None for what nobody measured; `read_peers` reads them."""
+    """A curve as JSON values, None for unknown ones; `read_peers` reads them."""
     content = finite(asdict(curve))
     for point in (point for points in content["seeds"] for point in points):
         point["splats"] = point["splats"] or None

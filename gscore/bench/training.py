@@ -23,12 +23,12 @@ from ..trainer.views.photo_analysis import analyze_photos
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""
 PictureOf = Callable[[int], np.ndarray]
-"""The picture of a view, [H, W, 3] float."""
+"""Renders a view by index, [H, W, 3] float."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """The state of a training at one moment."""
+    """State of a training at one step."""
 
     step: int
     seconds: float
@@ -46,19 +46,19 @@ class Trained:
     """A training from its first to its last step."""
 
     seconds: float
-    """Spent in steps, and before them on the points to start from."""
+    """Spent in steps, and before them on the initial points."""
     points: list[Point]
     """Measurements, the last one after the last step."""
     forward_pairs: float
-    """Pairs of splat and pixel evaluated by all forward passes."""
+    """Pairs of splat and pixel evaluated in all forward passes."""
     backward_pairs: float
-    """The same by all backward passes."""
+    """The same in all backward passes."""
     splats: Splats = field(repr=False)
     """The result, in COLMAP world."""
 
 
 def open_for_bench(data: DataConfig) -> Dataset:
-    """A capture whose photos are not decoded yet.
+    """Open a capture without decoding photos.
 
     Raises:
         DatasetError: no views are held out.
@@ -66,14 +66,14 @@ def open_for_bench(data: DataConfig) -> Dataset:
     photos = load_dataset(data)
     if not photos.test:
         raise DatasetError(
-            f"{data.source}: no views are held out, so there is no error to measure; hold some out "
-            "with --eval or --hold-out."
+            f"{data.source}: no views are held out to measure on; hold some out with --eval or "
+            "--hold-out."
         )
     return photos
 
 
 def load_for_bench(data: DataConfig) -> Dataset:
-    """A capture with all photos decoded; errors as those of `open_for_bench`."""
+    """Open a capture and decode all photos; errors as in `open_for_bench`."""
     photos = open_for_bench(data)
     photos.preload()
     return photos
@@ -83,8 +83,8 @@ def open_sizes(datas: Sequence[DataConfig]) -> tuple[list[Dataset], Dataset]:
     """The photos of one capture at several sizes, not decoded yet.
 
     Returns:
-        Those of each config, the same object where sizes are the same, and the largest of them all:
-        what all are to be judged on.
+        The photos of each config, the same object for equal sizes; and the largest of them, for
+        all measurements.
 
     Raises:
         DatasetError: no views are held out.
@@ -114,11 +114,11 @@ def _pixels(photos: Dataset) -> int:
 
 
 def quality(photos: Photos, picture_of: PictureOf, background: Color) -> tuple[float, float]:
-    """Mean PSNR in dB, of the pixels that count, and mean SSIM of the held-out views.
+    """Mean PSNR of the counted pixels, dB, and mean SSIM of the held-out views.
 
     Args:
-        photos: What pictures are compared with.
-        picture_of: The picture of a view of `photos` over `background`, [H, W, 3] float.
+        photos: Reference photos.
+        picture_of: Renders a view of `photos` over `background`, [H, W, 3] float.
         background: RGB in [0, 1].
     """
     values = []
@@ -148,15 +148,14 @@ def train_measured(
     """Train and measure after the steps `at` and after the last one.
 
     Args:
-        config: How to train.
-        photos: With held-out views; decoded before the clock runs.
+        config: Training options.
+        photos: Photos with held-out views; decoded before the clock starts.
         at: Steps after which quality is measured.
-        limited: Whether photos limit steps and splats, as in `gscore train`; else all are taken.
-        judged: The same views, perhaps at another size, for quality to be measured on; None:
-            `photos`.
+        limited: Apply the limits of steps and splats by the photos, as in `gscore train`.
+        judged: The same views, perhaps at another size, for measurements; None: `photos`.
         on_step: Called after each step, outside the clock.
-        at_end: Called after the last step, outside the clock, with what draws the views of `judged`
-            over a background, and that background.
+        at_end: Called after the last step, outside the clock, with the renderer of the views of
+            `judged` and its background.
     """
     points: list[Point] = []
     if judged is photos:
@@ -195,8 +194,8 @@ def train_measured(
             backward += trainer.laps.raster.get("backward_pairs", 0)
             if step in at or step == config.iterations:
                 background = trainer.renderer.background
-                seen = trainer.photos if judged is None else judged
-                found = quality(seen, _pictures(trainer, judged), background)
+                targets = trainer.photos if judged is None else judged
+                found = quality(targets, _pictures(trainer, judged), background)
                 points.append(
                     Point(
                         step=step,
@@ -220,7 +219,7 @@ def train_measured(
 
 
 def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
-    """What draws the splats as they are over the fixed background; None: at the trained size."""
+    """Renderer of the current splats over the fixed background; None: at the trained size."""
     background = trainer.renderer.background
     if judged is None:
         return lambda index: trainer.renderer.picture(index, background=background).numpy()

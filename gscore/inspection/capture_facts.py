@@ -8,64 +8,64 @@ from ..depth.stated import StatedDepth
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Something to mend, or to know, before training."""
+    """An error or note before training."""
 
     is_error: bool
     """Training cannot start."""
     text: str
-    """What, where and what to do: the training's own sentence where it has one."""
+    """Problem, place and remedy, with the training's own sentence if it has one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureFacts:
-    """What a capture's files say, without decoding a photo."""
+    """Facts of a capture's files, without decoding photos."""
 
     source: Path
     """The folder (or transforms file) to train on."""
     kind: str = ""
     """`COLMAP`, `transforms.json`, `video`, or a `ProgramFile.program`; empty: no capture."""
     bare: str = ""
-    """`photos` or `a video`: these are all there is, and cameras can be found from them; empty:
-    they are there, or it is no source at all."""
+    """`photos` or `a video` without cameras, for SfM; empty: there are cameras, or it is no
+    source."""
     model: Path | None = None
     """Folder of the COLMAP model, or the file of the cameras; None for videos."""
     photos: int = 0
-    """Photos that are there."""
+    """Number of existing photos."""
     missing: tuple[str, ...] = ()
-    """Names of photos that are not."""
+    """Names of missing photos."""
     without_camera: int = 0
-    """Photos in the folder that the model has no camera for."""
+    """Photos in the folder without a camera in the model."""
     points: int = 0
-    """SfM points that can be used: finite, and not beyond reach."""
+    """Usable SfM points: finite, and within `scene.FARTHEST`."""
     error_px: float | None = None
     """Mean reprojection error of the points, pixels; None: not stated."""
     cameras: dict[str, int] = field(default_factory=dict)
-    """Number of sets of intrinsics by COLMAP's name of the camera model."""
+    """Number of distinct intrinsics by COLMAP camera model."""
     camera_models: dict[str, int] = field(default_factory=dict)
-    """Number of views by the same."""
+    """Number of views by COLMAP camera model."""
     sizes: dict[tuple[int, int], int] = field(default_factory=dict)
-    """Number of photos by width and height, turned as their cameras want them, pixels. A photo
-    whose header cannot be read here counts with the size of its camera."""
+    """Number of photos by width and height, px, in the orientation of their cameras. A photo whose
+    header cannot be read here counts with the size of its camera."""
     sideways: int = 0
-    """Photos that are stored on their side, as EXIF says, and turned."""
+    """Photos that are rotated according to EXIF."""
     distorted: dict[str, int] = field(default_factory=dict)
     """Number of views with lens distortion by camera model."""
     not_square: int = 0
     """Cameras whose focal lengths differ by more than 0.1 %."""
     aspect: float = 0.0
-    """The largest |fy / fx - 1| of them."""
+    """Largest |fy / fx - 1|."""
     masks: int = 0
     """Photos with a mask file."""
     alphas: int = 0
     """Photos with transparency."""
     depth: StatedDepth | None = None
-    """What is known of the depth maps without reading them; None: no capture."""
+    """Facts of the depth maps without reading them; None: no capture."""
     problems: tuple[Problem, ...] = ()
     """Errors first."""
 
     @property
     def can_train(self) -> bool:
-        """Whether nothing stands in the way."""
+        """Whether there is a capture without errors."""
         return bool(self.kind) and not any(problem.is_error for problem in self.problems)
 
     @property

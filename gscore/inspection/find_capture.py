@@ -10,10 +10,10 @@ from ..video import is_video
 
 
 def find_capture(path: str | Path) -> Path:
-    """The folder of the capture that a user means who picks `path`.
+    """The folder of the capture of a picked path.
 
-    People pick `sparse/0`, `sparse`, the photos or a file of the model; trainers want the folder
-    above. What already is a capture, and what is none, stays.
+    Users pick `sparse/0`, `sparse`, the photos or a file of the model; trainers need the folder
+    above. The path of a capture, and one without a capture, is returned unchanged.
     """
     path = Path(path)
     if path.suffix.lower() == ".json" or is_video(path):
@@ -29,7 +29,7 @@ def find_capture(path: str | Path) -> Path:
 
 
 def colmap_of(folder: Path) -> Path | None:
-    """The folder of the COLMAP model of a capture; None where there is none."""
+    """The folder of the COLMAP model of a capture; None if there is none."""
     try:
         return find_model(folder)[0]
     except (DatasetError, OSError):

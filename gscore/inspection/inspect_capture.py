@@ -31,24 +31,24 @@ from .find_capture import colmap_of, find_transforms
 from .photo_folder import bare_facts
 
 FEW_PHOTOS = 15
-"""Fewer photos than this seldom give a model that can be looked at from all sides."""
+"""Number of photos below which a model is rarely good from all sides."""
 FEW_POINTS = 200
-"""Fewer points than this leave the shape to chance."""
+"""Number of points below which the initial shape is poorly defined."""
 SQUARE = 1e-3
-"""Difference of two focal lengths, as a share, from which pixels count as not square."""
+"""Relative difference of focal lengths above which pixels are not square."""
 PHOTO_FOLDERS = ("images", "input", "photos", "rgb", "images_2", "images_4", "images_8")
-"""Folders looked into when the one that was named does not hold the photos."""
+"""Folders to search if the given one does not contain the photos."""
 
 
 def inspect(config: DataConfig, *, depths: str = DEPTH_FOLDER) -> CaptureFacts:
-    """Look into a capture; never raises on a bad one, the facts say what is wrong.
+    """Inspect a capture; errors are returned as facts, never raised.
 
-    Reads the model and the headers of photos and masks, decodes none: about a second for 1000
-    photos. What stands in the way of a training is told in the training's own words, and so is what
-    it would warn about, except for what only decoded photos show.
+    Reads the model and the headers of photos and masks, without decoding them: about a second for
+    1000 photos. Errors and warnings have the wording of the training; those that need decoded
+    photos are missing.
 
     Args:
-        config: Which capture, and how it is to be used.
+        config: The capture and its options.
         depths: Folder of the depth maps.
     """
     try:
@@ -74,20 +74,20 @@ def inspect(config: DataConfig, *, depths: str = DEPTH_FOLDER) -> CaptureFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """The photos of a capture that are there, by name, and what their headers say."""
+    """The existing photos of a capture by name, with their headers."""
 
     views: list[View]
     missing: tuple[str, ...]
     infos: list[ImageInfo | None]
-    """None: cannot be read, or not here."""
+    """None: unreadable, or unsupported on this machine."""
     errors: tuple[str, ...]
-    """Why photos cannot be read."""
+    """Messages on unreadable photos."""
     unknown: tuple[str, ...]
-    """Photos whose headers take a package that is not installed here."""
+    """Photos whose headers need a package that is not installed."""
 
     @classmethod
     def of(cls, capture: Capture) -> "_Seen":
-        """Look for the photos of `capture` and read their headers."""
+        """Find the photos of `capture` and read their headers."""
         views = sorted(capture.views, key=lambda view: view.name)
         there = [view for view in views if view.image.is_file()]
         infos, errors, unknown = [], [], []
@@ -116,12 +116,12 @@ class _Seen:
 
     @cached_property
     def fit(self) -> PhotoFit:
-        """How those photos fit their cameras."""
+        """Fit of these photos to their cameras."""
         return fit_photos(*self.known)
 
 
 def _capture_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iterator[Problem]:
-    """What reading it as a training does would say; which photos are somewhere else."""
+    """Problems that reading by a training would report, with the folder of missing photos."""
     warnings = capture.warnings
     if seen.missing:
         try:
@@ -133,7 +133,7 @@ def _capture_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iter
     yield from map(_note, warnings)
     if 0 < len(seen.views) < FEW_PHOTOS:
         count = count_words(len(seen.views), "photo")
-        yield _note(f"Only {count}; views between them will look rough.")
+        yield _note(f"Only {count}; views between them will be poor.")
 
 
 def _photos_elsewhere(capture: Capture, images: str) -> str | None:
@@ -153,8 +153,8 @@ def _photo_problems(seen: _Seen) -> Iterator[Problem]:
         yield _error(first + rest if others else first)
     if seen.unknown:
         yield _note(
-            f"{count_words(len(seen.unknown), 'photo')} cannot be looked into here, such as "
-            f"{seen.unknown[0]}; training does."
+            f"{count_words(len(seen.unknown), 'photo')} cannot be checked here, such as "
+            f"{seen.unknown[0]}; the training checks them."
         )
     views, infos = seen.known
     found = seen.fit
@@ -166,7 +166,7 @@ def _photo_problems(seen: _Seen) -> Iterator[Problem]:
 
 
 def _use_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iterator[Problem]:
-    """What is said of cameras, points and the split."""
+    """Problems of cameras, points and the split."""
     if seen.views:
         try:
             names = [view.name for view in seen.views]
@@ -186,7 +186,7 @@ def _use_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iterator
 
 
 def _scene(views: Sequence[View], points: PointCloud, usable: np.ndarray) -> Scene:
-    """Cameras as stated, before undistortion and scaling, and the points that can be used."""
+    """Cameras before undistortion and scaling, and the usable points."""
     cameras = Cameras(
         viewmats=np.stack([view.viewmat for view in views]),
         Ks=np.stack([view.camera.K for view in views]),
@@ -201,7 +201,7 @@ def _scene(views: Sequence[View], points: PointCloud, usable: np.ndarray) -> Sce
 def _masks(
     config: DataConfig, capture: Capture, seen: _Seen
 ) -> tuple[list[Path | None], list[Problem]]:
-    """The mask file of each photo, and what is said of them."""
+    """The mask file of each photo, and problems of masks."""
     none: list[Path | None] = [None] * len(seen.views)
     if config.mask_mode == "none" or not seen.views:
         return none, []
@@ -215,7 +215,7 @@ def _masks(
             file = file_of[view.name]
             if file is not None:
                 check_mask_size(view, file, size)
-    except BackendError:  # of no kind that can be looked into here
+    except BackendError:  # a format whose package is not installed
         return files, [*map(_note, warnings)]
     except GsError as error:
         return files, [_error(str(error)), *map(_note, warnings)]
@@ -231,8 +231,8 @@ def _depth_problems(stated: StatedDepth) -> list[Problem]:
         return []
     if not stated.entries:
         text = (
-            f"There is no {stated.params.name} for the depth maps; training finds their scales "
-            f"itself, and a check of the maps shows them."
+            f"There is no {stated.params.name} for the depth maps; the training estimates their "
+            f"scales, and a check of the maps shows them."
         )
         return [_note(text)]
     short = views - min(stated.entries, maps)
@@ -301,13 +301,13 @@ def _aspect(view: View) -> float:
 
 
 def _what_else(source: Path, error: Exception) -> str:
-    """The reader's sentence, with what the folder seems to be instead."""
+    """The error of the reader, with a hint on the content of the folder."""
     try:
         entries = list(source.iterdir()) if source.is_dir() else []
     except OSError:
         entries = []
     if source.is_dir() and not entries:
-        return f"{source} is empty. Choose the folder that holds `sparse` and the photos."
+        return f"{source} is empty. Choose the folder with `sparse` and the photos."
     if any(entry.suffix.lower() == ".db" for entry in entries):
         return f"{error} There is a COLMAP database; its mapper has not been run yet."
     return str(error)

@@ -1,4 +1,4 @@
-"""Photo folder facts: photos or a video without cameras, before a camera search."""
+"""Photo folder facts: photos or a video without cameras, before structure from motion."""
 
 from collections import Counter
 from pathlib import Path
@@ -20,7 +20,7 @@ PHOTOS, VIDEO = "photos", "a video"
 
 
 def bare_facts(source: Path) -> CaptureFacts:
-    """Facts of a source of which `has_no_cameras` is true; the headers of photos are read.
+    """Facts of a source without cameras (`has_no_cameras`), from the headers of photos.
 
     Args:
         source: A video, or a folder of photos.

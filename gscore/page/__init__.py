@@ -1,5 +1,5 @@
 """Browser page that shows splats: a single HTML file.
 
-`pack` and `ascii85` make few bytes of splats and text of the bytes, `page` puts the file together.
-What runs in the browser lies beside them, as files of its own.
+`pack` compresses splats, `ascii85` encodes the bytes as text, `page` assembles the file. Scripts
+and shaders for the browser are separate files in this folder.
 """

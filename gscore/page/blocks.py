@@ -5,17 +5,17 @@ import numpy as np
 from ..morton import distances_from_middle, morton_order
 
 BLOCK = 256
-"""Splats of a block at most."""
+"""Maximum number of splats of a block."""
 _WIDEST = 4.0
-"""Side of a box at most, in distances from the middle of the splats: that of its own nearest splat,
-or that of half of all splats where it is larger."""
+"""Maximum side of a box, relative to a distance from the middle of all splats: that of the nearest
+splat of the block, or the median of all splats if larger."""
 
 
 def blocks_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An order of places [N, 3], and the lengths of its blocks [B], 1 to 256, whose sum is N.
+    """An order [N] of positions [N, 3], and the lengths of its blocks [B], 1 to 256, with sum N.
 
-    Each is a stretch of 256 along a Morton curve, cut at its widest gaps where its box would be so
-    large that places in it became coarse: one splat far away takes none of its neighbours along.
+    Each is an interval of 256 along a Morton curve, split at its widest gaps if its box would be so
+    large that quantised positions become coarse. A single far splat does not affect its neighbours.
     """
     order = morton_order(means)
     away, usual = distances_from_middle(means)
@@ -37,7 +37,7 @@ def blocks_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _tight(rows: np.ndarray, means: np.ndarray, away: np.ndarray, usual: float) -> list[np.ndarray]:
-    """The rows in parts whose boxes are small enough, in the order of the curve within each."""
+    """The rows split into parts with small boxes, in the order of the curve within each."""
     left, found = [rows], []
     while left:
         part = left.pop()

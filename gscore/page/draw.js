@@ -1,6 +1,6 @@
-// The graphics card: a program, the splats in a texture, an order that changes.
+// Rendering with WebGL 2: a program, a texture of splats, and their order for each view.
 
-const ROW = 2048; // texels in a row of the texture, as the shader has it
+const ROW = 2048; // texels in a row of the texture, as in the shader
 
 class Painter {
   constructor(canvas, scene, splats) {
@@ -11,7 +11,7 @@ class Painter {
     this.setUp();
   }
 
-  // Once at first, and again when a lost context has come back.
+  // Called initially, and again after a lost context is restored.
   setUp() {
     const options = { alpha: false, antialias: false, depth: false, powerPreference: "high-performance" };
     const gl = (this.gl = this.canvas.getContext("webgl2", options));

@@ -1,4 +1,4 @@
-// Where one looks from: OpenCV axes (x right, y down, z forward), as rows of a rotation.
+// Camera of the viewer: OpenCV axes (x right, y down, z forward), as rows of a rotation.
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const plus = (a, b, times = 1) => a.map((value, i) => value + times * b[i]);
@@ -26,8 +26,8 @@ class Eye {
     this.focus = [0, 0, 1];
   }
 
-  // `camera` has the place and the rotation, world to camera; the focus moves to where the axis
-  // passes nearest to `around`.
+  // `camera` has a position and a world-to-camera rotation; the focus becomes the point of the
+  // optical axis nearest to `around`.
   take(camera, around) {
     this.position = [...camera.position];
     this.rotation = camera.rotation.map((row) => [...row]);
@@ -53,7 +53,7 @@ class Eye {
     this.straighten();
   }
 
-  // Rounding must not add up over many turns.
+  // Orthonormalise, so that rounding errors do not accumulate.
   straighten() {
     const forward = unit(this.forward);
     const right = unit(cross(this.rotation[1], forward));
@@ -73,7 +73,7 @@ class Eye {
     this.focus = plus(this.position, this.forward, distance);
   }
 
-  // Along its own axes; the focus comes along.
+  // Move along the camera axes, together with the focus.
   move(right, down, forward) {
     [right, down, forward].forEach((way, k) => {
       this.position = plus(this.position, this.rotation[k], way);
@@ -87,7 +87,7 @@ class Eye {
   }
 }
 
-// A picture of `camera`'s size as large as fits into the middle of a canvas.
+// Intrinsics of `camera` scaled to fit the middle of a canvas.
 function fitted(camera, canvas) {
   const scale = Math.min(canvas.width / camera.width, canvas.height / camera.height);
   return {

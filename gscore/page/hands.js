@@ -1,4 +1,4 @@
-// Mouse, fingers and keys, put into words of the viewer: orbit, look, shift, approach, step.
+// Mouse, touch and keyboard input, mapped to viewer methods: orbit, look, shift, approach, step.
 
 const TURN = 2.6; // radians for a drag over the whole height
 const KEYS = { w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], e: [0, -1, 0], q: [0, 1, 0] };

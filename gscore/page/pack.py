@@ -1,8 +1,8 @@
 """Packing of splats to at most 20 bytes each: quantised, ordered along a curve, deflated.
 
-Each number becomes a whole one; the bytes of a kind are stored behind one another, so that deflate
-finds how they are distributed. Spherical harmonics beyond the constant get what the other numbers
-leave of the budget: their step is the smallest that fits.
+Each number is quantised to an integer; bytes of one kind are stored together, so that deflate can
+use their distribution. Higher SH coefficients get the rest of the budget, with the smallest step
+that fits.
 """
 
 import zlib
@@ -18,19 +18,19 @@ from . import ascii85
 from .blocks import BLOCK, blocks_of
 
 PAGE_BYTES = 20
-"""Of the page, for a splat, as text."""
+"""Budget of text per splat, bytes."""
 PAGE_DEGREE = 3
-"""The highest SH degree that its scripts draw."""
+"""Highest SH degree of the scripts."""
 PLACE_LEVELS = 1 << 12
-"""Places along each side of the box of a block."""
+"""Levels of positions along each side of the box of a block."""
 TURN_LEVELS = 1 << 7
-"""Values of each of the three smaller components of a quaternion."""
+"""Levels of each of the three smaller components of a quaternion."""
 _SMALLEST_LOG = np.float32(-60.0)
-"""Of sizes."""
+"""Smallest log scale."""
 SIZE_STEP = 0.06
-"""Of the logarithm of a standard deviation: sizes are within 3 % of what they were."""
+"""Step of log scales: standard deviations have errors up to 3 %."""
 COLOR_STEP = 1 / 64
-"""Of the constant colour, along each of `COLOR_AXES`."""
+"""Step of the constant colour along each of `COLOR_AXES`."""
 COLOR_AXES = np.array(
     [
         [3**-0.5, 3**-0.5, 3**-0.5],
@@ -38,47 +38,47 @@ COLOR_AXES = np.array(
         [6**-0.5, -2 * 6**-0.5, 6**-0.5],
     ]
 )
-"""[3, 3], orthonormal rows: grey and two differences, in which colours vary least dependently."""
+"""[3, 3], orthonormal rows: grey and two differences, which decorrelate colours."""
 FAINTEST = 1 / 255
-"""Splats of less opacity are never drawn."""
+"""Splats with a lower opacity are never drawn."""
 _ENDS = (np.minimum, np.maximum)
 _STEPS = 0.004 * 1.15 ** np.arange(64)
-"""Steps of the higher harmonics to choose from; with the last, next to nothing is left of them."""
+"""Possible steps of higher SH coefficients; the last one removes nearly all of them."""
 _SAMPLE = 256
-"""Blocks that the choice considers first."""
+"""Number of blocks for the first estimate of the step."""
 _MOST = 127
-"""Largest whole number of a higher coefficient."""
+"""Largest quantised value of a higher coefficient."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Packed:
-    """Splats as the page holds them."""
+    """Packed splats of a page."""
 
     head: dict[str, Any]
-    """What the numbers mean, as JSON: `count` and `degree` of the splats, how many `blocks` there
-    are, levels of `places` and `turns`, and the steps of the other numbers."""
+    """Description of the numbers as JSON: `count` and `degree` of the splats, number of `blocks`,
+    levels of `places` and `turns`, and steps of the other numbers."""
     body: bytes
-    """The numbers, deflated."""
+    """Deflated numbers."""
 
     @property
     def text_bytes(self) -> int:
-        """Letters of the body in the page."""
+        """Size of the body as text in the page."""
         return ascii85.length(len(self.body))
 
 
 def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
-    """Quantise and deflate; splats that are never drawn, or have numbers that are not finite, are
-    left out, and the others come in another order, with SH coefficients up to `PAGE_DEGREE`.
+    """Quantise and deflate splats. Those that are never drawn or not finite are left out; the rest
+    is reordered, with SH coefficients up to `PAGE_DEGREE`.
 
     Args:
-        splats: What to pack.
-        budget: Letters a splat that the text of all of them may take. Below about a thousand
-            splats, what they share can need more.
+        splats: The splats.
+        budget: Mean text per splat, bytes. Below about a thousand splats, the shared parts can need
+            more.
     """
     kept = cut_degree(splats.subset(_drawn(splats)), PAGE_DEGREE)
     order, lengths = blocks_of(kept.means)
     kept = kept.subset(order)
-    # The sizes of all splats count from the smallest: what is smaller than any pixel is cut.
+    # Sizes are stored relative to the smallest, so sizes far below a pixel are clamped.
     kept = replace(kept, scales=np.maximum(kept.scales, _SMALLEST_LOG))
     count = len(kept)
     rest = _rest_along_axes(kept)
@@ -104,7 +104,7 @@ def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
 
 
 def unpack(packed: Packed) -> Splats:
-    """The splats that a page shows: what its script makes of the same bytes."""
+    """The splats of a page, as decoded by its script."""
     head, reader = packed.head, _Reader(zlib.decompress(packed.body))
     count, blocks = head["count"], head["blocks"]
     lengths = reader.take(blocks, "u1").astype(np.intp) + 1
@@ -131,7 +131,7 @@ def unpack(packed: Packed) -> Splats:
 
 
 class _Reader:
-    """Takes numbers from the front of bytes."""
+    """Reads numbers from bytes in sequence."""
 
     def __init__(self, content: bytes) -> None:
         self._content, self._at = content, 0
@@ -152,14 +152,14 @@ class _Reader:
 
 
 def _deflated(content: bytes) -> bytes:
-    """As deflate packs it that looks for repeated bytes alone: among such numbers nothing else does
-    repeat, and it is a hundred times as fast."""
+    """Deflate with run-length matches only: such numbers have no other repetitions, and it is a
+    hundred times as fast."""
     packer = zlib.compressobj(9, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
     return packer.compress(content) + packer.flush()
 
 
 def _drawn(splats: Splats) -> np.ndarray:
-    """[N] bool: which can ever be seen."""
+    """[N] bool: splats that can be visible."""
     good = np.ones(len(splats), bool)
     for name in PARAMETERS:
         numbers = getattr(splats, name)
@@ -169,7 +169,7 @@ def _drawn(splats: Splats) -> np.ndarray:
 
 
 def _geometry(splats: Splats, lengths: np.ndarray) -> bytes:
-    """Lengths and boxes of the blocks, places in them, turns and sizes."""
+    """Lengths and boxes of the blocks, positions within, rotations and sizes."""
     starts = np.cumsum(lengths) - lengths
     exact = splats.means.astype(np.float64)
     low, high = (end.reduceat(exact, starts) if len(exact) else exact for end in _ENDS)
@@ -196,12 +196,12 @@ def _rounded(values: np.ndarray, most: int) -> np.ndarray:
 
 
 def _bytes_of(whole: np.ndarray) -> bytes:
-    """Columns of [N, C] uint16, one behind the other: all low bytes, then all high ones."""
+    """Columns of [N, C] uint16 in sequence: all low bytes, then all high bytes."""
     return (whole & 0xFF).astype(np.uint8).T.tobytes() + (whole >> 8).astype(np.uint8).T.tobytes()
 
 
 def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[N] which component is largest, which is made positive, and [N, 3] uint8 the others."""
+    """Index [N] of the largest component, made positive, and the others [N, 3] uint8."""
     scaled = quats / np.abs(quats).max(axis=1, keepdims=True, initial=1e-18)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     largest, three = smallest_three(unit)
@@ -210,7 +210,7 @@ def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _quats(largest: np.ndarray, three: np.ndarray, levels: int) -> np.ndarray:
-    """[N, 4] float32 unit quaternions of what `_three_of` made of them."""
+    """[N, 4] float32 unit quaternions, the inverse of `_three_of`."""
     parts = (three / (levels - 1) - 0.5) * 2**0.5
     return with_largest(largest, parts).astype(np.float32)
 
@@ -226,7 +226,7 @@ def _whole(rest: np.ndarray, step: float) -> np.ndarray:
 
 
 def _step_that_fits(rest: np.ndarray, room: float) -> float:
-    """The first step at which some of the blocks, taken for all, fit into their share of `room`."""
+    """The first step at which a sample of the blocks fits into its share of `room`."""
     if not rest.size:
         return float(_STEPS[0])
     blocks = np.arange(0, len(rest), BLOCK)

@@ -15,19 +15,19 @@ from . import ascii85
 from .pack import Packed
 
 _SCRIPTS = ("unpack.js", "draw.js", "eye.js", "hands.js", "view.js")
-"""In the order in which they build on each other."""
+"""In the order of their dependencies."""
 _PLACE = re.compile("@([a-z]+)@")
 _TEXELS = 2048 * 16384
-"""Of a texture as draw.js makes it, at the height that most graphics cards take."""
+"""Texels of the texture of draw.js, at the maximum height of most graphics cards."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PageCamera:
-    """A view that can be chosen, or begun with."""
+    """A view of the page."""
 
     name: str
     label: str
-    """As the list shows it."""
+    """Text in the list."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     K: np.ndarray
@@ -37,7 +37,7 @@ class PageCamera:
     height: int
     """px."""
     photo: str = ""
-    """`data:image/jpeg;base64,...`; empty: none is shown."""
+    """`data:image/jpeg;base64,...`; empty: none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,24 +48,24 @@ class Page:
     splats: Packed
     cameras: Sequence[PageCamera]
     first: PageCamera
-    """What is seen at first; one of `cameras` or another."""
+    """Initial view; one of `cameras` or another."""
     focus: np.ndarray
-    """[3], world units: what the view turns about at first."""
+    """[3], world units, initial centre of rotation."""
     up: np.ndarray
     """[3], world direction."""
     background: tuple[float, float, float]
-    """Behind the splats."""
+    """Background colour."""
     near: float
     """Splats with z at or below this are not drawn; world units."""
     antialias: bool
-    """Whether opacities are compensated for the low-pass."""
+    """Opacity compensation of the low-pass filter."""
     facts: str
-    """A line on what is shown."""
+    """A line on the content."""
 
 
 def most_splats(degree: int) -> int:
-    """Splats of an SH degree that the texture of a page holds, by the texels that unpack.js gives
-    each: two, and one for every sixteen higher coefficients."""
+    """Maximum number of splats of an SH degree in the texture of a page. As in unpack.js, each has
+    two texels, and one per sixteen higher coefficients."""
     return _TEXELS // (2 + -(-3 * ((degree + 1) ** 2 - 1) // 16))
 
 
@@ -73,7 +73,7 @@ def write_page(path: Path, page: Page) -> int:
     """Write the file completely or not at all; returns its size in bytes.
 
     Raises:
-        GsError: it cannot be written.
+        GsError: the file cannot be written.
     """
     content = page_html(page).encode("utf-8", "backslashreplace")
     atomic_write(path, content)
@@ -81,7 +81,7 @@ def write_page(path: Path, page: Page) -> int:
 
 
 def page_html(page: Page) -> str:
-    """The text of the file."""
+    """The page as HTML."""
     parts = {
         "title": html.escape(page.title),
         "style": _asset("view.css"),

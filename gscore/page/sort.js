@@ -1,6 +1,6 @@
-// The worker: indices of the splats before a camera, farthest first.
-// Depths are positive floats, whose bits order like their values: two passes of a counting sort, 16
-// bits each, order them exactly, and equal ones by index.
+// Worker: indices of the splats in front of a camera, farthest first.
+// Bits of positive floats have the same order as their values: two passes of a counting sort, 16
+// bits each, sort depths exactly, and equal ones by index.
 "use strict";
 let means, keys, indices, spare, spareKeys;
 const counts = [new Uint32Array(65536), new Uint32Array(65536)];

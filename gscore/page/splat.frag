@@ -1,5 +1,5 @@
 #version 300 es
-// How much of a splat lies before a pixel; blended from back to front, multiplied by its alpha.
+// Contribution of a splat to a pixel, premultiplied by alpha and blended from back to front.
 precision highp float;
 in vec2 place;
 flat in vec4 shade;

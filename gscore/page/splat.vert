@@ -1,5 +1,5 @@
 #version 300 es
-// A splat as a rectangle around all it covers, by the formulas of docs/conventions.md.
+// A splat as its bounding rectangle, by the formulas of docs/conventions.md.
 precision highp float;
 precision highp int;
 precision highp usampler2D;
@@ -15,7 +15,7 @@ uniform vec4 lens;      // fx, fy, cx, cy, px
 uniform vec2 size;      // of the picture, px
 
 layout(location = 0) in uint index;
-out vec2 place;      // in deviations of the splat
+out vec2 place;      // in standard deviations of the splat
 flat out vec4 shade; // colour and opacity
 
 uvec4 texel(int k) {
@@ -57,7 +57,7 @@ void basis(vec3 d, out float b[15]) {
     b[14] = -0.5900435899266435 * x * (xx - 3.0 * yy);
 }
 
-// What the direction adds to a colour.
+// View-dependent part of the colour.
 vec3 seen(vec3 direction) {
     float b[15];
     basis(direction, b);

@@ -1,10 +1,10 @@
-// From the text in the page to numbers for the graphics card: pack.py's quantisation undone.
+// Decodes the text in the page for the graphics card, the inverse of pack.py.
 
 const ALPHABET = Array.from({ length: 94 }, (_, i) => String.fromCharCode(33 + i))
   .filter((letter) => !"\"&'<>\\`".includes(letter))
   .slice(0, 85);
 
-// Five letters are a big-endian number in base 85: four bytes.
+// Five characters are a big-endian number in base 85: four bytes.
 function decode85(text, length) {
   const digit = new Uint8Array(128);
   ALPHABET.forEach((letter, value) => (digit[letter.charCodeAt(0)] = value));
@@ -23,7 +23,7 @@ async function inflate(bytes) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Columns of numbers, one behind the other.
+// Columns of numbers in sequence.
 class Reader {
   constructor(bytes, count) {
     this.bytes = bytes;
@@ -71,9 +71,9 @@ const HALF = (() => {
   };
 })();
 
-// A texel of the card holds four 32-bit words. Those of a splat: 0: place (three floats), turn
-// (largest component and the three others in a byte each); 1: sizes, colour and opacity as halves;
-// then the higher harmonics, four to a word.
+// A texel has four 32-bit words. Those of a splat: 0: position (three floats), rotation (largest
+// component and the three others in a byte each); 1: sizes, colour and opacity as halves; then the
+// higher SH coefficients, four per word.
 function texelsOf(degree) {
   return 2 + Math.ceil((3 * ((degree + 1) ** 2 - 1)) / 16);
 }

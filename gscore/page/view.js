@@ -1,18 +1,18 @@
-// The viewer: what is shown, when it is sorted and drawn, and what the buttons do.
+// The viewer: state of the view, scheduling of sorting and drawing, and buttons.
 
 const MOST_PIXELS = 4e6;
-const SLOW = 34; // ms a frame: below 30 a second, pictures in motion get smaller
+const SLOW = 34; // ms per frame: below 30 fps the resolution in motion decreases
 const FAST = 18;
 const COARSEST = 0.35;
-const REST = 150; // ms without motion, after which the picture is drawn at its full size
-const PACE = 0.6; // of the distance to the focus that keys move in a second
+const REST = 150; // ms without motion before the picture is drawn at full resolution
+const PACE = 0.6; // share of the distance to the focus that keys move per second
 
 const SENTENCES = {
   webgl2:
-    "This browser shows no WebGL 2, which the page draws with. Switch on hardware acceleration in its settings, or open the page in a newer Firefox, Chrome, Edge or Safari.",
+    "This browser does not support WebGL 2, which the page needs. Turn on hardware acceleration in its settings, or open the page in a newer Firefox, Chrome, Edge or Safari.",
   inflate:
     "This browser cannot unpack the splats. Open the page in Firefox 113, Chrome 80, Safari 16.4 or newer.",
-  lost: "The graphics card has dropped the picture. It comes back by itself in most cases; if it does not, load the page again.",
+  lost: "The connection to the graphics card was lost. It usually recovers; if not, reload the page.",
 };
 
 const $ = (id) => document.getElementById(id);
@@ -26,13 +26,13 @@ class Viewer {
     this.eye = new Eye(scene.up);
     this.first = scene.cameras[scene.first.number] || scene.first;
     this.camera = this.first;
-    this.at = -1; // the camera that is chosen
+    this.at = -1; // index of the selected camera
     this.flies = false;
-    this.scale = 1; // of a picture in motion
+    this.scale = 1; // resolution in motion
     this.moved = -Infinity;
     this.version = 0; // of the view
-    this.sorted = -1; // the version whose order is drawn
-    this.waiting = []; // for a picture in its right order
+    this.sorted = -1; // version of the current order
+    this.waiting = []; // callbacks for a sorted picture
     this.startSorter();
     new ResizeObserver(() => this.wake()).observe(canvas);
     this.home();
@@ -53,7 +53,7 @@ class Viewer {
     };
   }
 
-  // Something else is to be seen from now on.
+  // The view has changed.
   change() {
     this.version++;
     this.moved = performance.now();
@@ -81,7 +81,7 @@ class Viewer {
     else if (this.sorted === this.version) this.waiting.splice(0).forEach((done) => done());
   }
 
-  // Smaller pictures in motion where frames take long, larger ones where they do not.
+  // Lower the resolution in motion if frames are slow, raise it if they are fast.
   pace(now, moves) {
     const took = now - (this.last ?? now);
     this.last = moves ? now : null;
@@ -98,7 +98,7 @@ class Viewer {
     if (this.canvas.height !== size[1]) this.canvas.height = size[1];
   }
 
-  // Resolves when the picture at rest is drawn in its right order.
+  // Resolves when the picture at rest is drawn in sorted order.
   settled() {
     this.wake();
     return new Promise((done) => this.waiting.push(done));
@@ -128,7 +128,7 @@ class Viewer {
     this.change();
   }
 
-  // Turn about the nearest solid splat close to a place of the canvas, given from 0 to 1.
+  // Set the centre of rotation to the nearest opaque splat near a position of the canvas, 0 to 1.
   focusOn(x, y) {
     const { means, opacity, count } = this.splats;
     const lens = fitted(this.camera, this.canvas);
@@ -150,7 +150,7 @@ class Viewer {
     this.eye.focus = ray.reduce((sum, part, k) => plus(sum, this.eye.rotation[k], part * nearest), this.eye.position);
   }
 
-  // From a camera of the capture, or from the first view where there is none of that number.
+  // Show a camera of the capture by number, or else the first view.
   show(number) {
     const { cameras } = this.scene;
     this.at = cameras[number] ? number : -1;
@@ -258,7 +258,7 @@ async function begin() {
     say("");
     window.viewer = viewer; // for consoles and tests
   } catch (error) {
-    say(`The splats cannot be shown here: ${error.message}. Load the page again, or open it in another browser.`);
+    say(`The splats cannot be shown: ${error.message}. Reload the page, or open it in another browser.`);
     throw error;
   }
 }

@@ -1,7 +1,7 @@
-"""Numerical stress tests: the library against its definition, on the user's own machine.
+"""Numerical stress tests: the native library compared to its definition, on the user's machine.
 
-A case is a function that draws its own input, asks an oracle, and returns errors with tolerances;
-`gscore stress` and the tests run the same cases. docs/accuracy-tests.md lists them.
+A case is a function that generates its input, computes an oracle, and returns errors with
+tolerances; `gscore stress` and the tests run the same cases. docs/accuracy-tests.md lists them.
 """
 
 from .run import Outcome, run_cases, select

@@ -13,7 +13,7 @@ from .truth import Truth
 
 
 def _seen_by(scene: SplatScene, others: SplatScene) -> SplatScene:
-    """Splats of the camera's own frame where the camera of `scene` sees them alike."""
+    """Splats in camera coordinates, moved to the world of `scene`."""
     means = (others.means - scene.viewmat[:3, 3]) @ scene.viewmat[:3, :3]
     return others.with_row(slice(None), means=means)
 
@@ -32,7 +32,7 @@ def _dots(low: float, high: float, logits: tuple[float, float]) -> tuple[SplatSc
 def dots(full: bool) -> Iterator[Measure]:
     """Oracle: the reference, whose gradient passes through the factor above its floor."""
     for name, low, high in (("0.15 to 0.6 px", 0.15, 0.6), ("1e-3 to 0.5 px", 1e-3, 0.5)):
-        # Among opaque ones, and a backdrop that fills the picture.
+        # Splats with high opacity, and a backdrop that fills the picture.
         scene, true = _dots(low, high, (3.0, 6.0))
         drawn = native.draw(scene, true.weights, antialias=True)
         factor = true.projected["opacities"] * (1 + np.exp(-scene.opacities.astype(np.float64)))

@@ -16,7 +16,7 @@ _NEAR = 0.01
 
 
 def _at_depths(depths: list[float], *, seed: int) -> SplatScene:
-    """A backdrop of splats, and before it one splat on the axis at each depth."""
+    """A backdrop of splats, and in front of it one splat on the axis at each depth."""
     back = draw_scene(seed, count=60, depths=(2.0, 5.0), posed=False, sigma_px=(2.0, 6.0))
     few = draw_scene(seed + 1, count=len(depths), posed=False)
     means = np.zeros((len(depths), 3), np.float32)
@@ -27,8 +27,8 @@ def _at_depths(depths: list[float], *, seed: int) -> SplatScene:
 
 @case("S07", "splats at the near plane")
 def near_plane(full: bool) -> Iterator[Measure]:
-    """Oracle: z > near in float32 for what is drawn; the same scene without the others, bit for
-    bit; finite numbers everywhere."""
+    """Oracle: drawn splats have z > near in float32; the scene without the others, bit for bit;
+    finite numbers everywhere."""
     near = np.float32(_NEAR)
     above = float(np.nextafter(near, np.float32(1)))
     limits = [_NEAR * (1 - 1e-6), _NEAR * (1 + 1e-6), float(near), above]
@@ -40,7 +40,7 @@ def near_plane(full: bool) -> Iterator[Measure]:
     without = native.draw(scene.rows(seen), weights, near=_NEAR)
     require_covered(drawn.pictures["alpha"])
     if not (seen[60:64] == [False, True, False, True]).all():
-        raise EmptyTestError("the splats on both sides of the plane are not told apart")
+        raise EmptyTestError("float32 does not separate the splats on both sides of the plane")
     yield Measure("splats on the wrong side", float(((drawn.radii > 0) & ~seen).sum()), 0)
     same = sum(int((drawn.pictures[k] != without.pictures[k]).sum()) for k in drawn.pictures)
     yield Measure("pixels changed by culled splats", float(same), 0)
@@ -77,7 +77,7 @@ def far_away(full: bool) -> Iterator[Measure]:
     z = drawn.projected["depths"]
     seen = drawn.radii > 0
     if seen.sum() < 100:
-        raise EmptyTestError("hardly any splat is seen")
+        raise EmptyTestError("too few splats are visible")
     yield Measure("splats beyond the far plane", float(seen[0]), 0)
     error = np.abs(z[seen] / scene.means[seen, 2] - 1).max()
     yield Measure("depths", float(error), 1e-6)
@@ -86,7 +86,7 @@ def far_away(full: bool) -> Iterator[Measure]:
 
 @case("S36", "parallel rays")
 def parallel(full: bool) -> Iterator[Measure]:
-    """Oracle: the reference; its Jacobian by finite differences; gradients refused in words."""
+    """Oracle: the reference; its Jacobian by finite differences; an error for gradients."""
     import torch
 
     from ..raster import reference

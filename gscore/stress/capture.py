@@ -1,4 +1,4 @@
-"""Toy capture that trains in milliseconds: coloured blobs seen from a circle."""
+"""Toy capture that trains in milliseconds: coloured blobs, photographed from a circle."""
 
 import hashlib
 import math
@@ -32,7 +32,7 @@ class ToyPhotos:
     warnings: tuple[str, ...] = ()
 
     def content_hash(self) -> str:
-        """Changes with any photo or mask."""
+        """Hash of all photos and masks."""
         digest = hashlib.sha256()
         for picture in (*self.images, *(m for m in self.masks if m is not None)):
             digest.update(picture.tobytes())
@@ -48,7 +48,7 @@ class ToyPhotos:
 
 
 def toy_splats(seed: int = 0, count: int = 150) -> Splats:
-    """Coloured blobs in a ball of radius 1, opaque enough that every picture shows something."""
+    """Coloured blobs in a ball of radius 1, opaque enough to be visible in every picture."""
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3)) * 0.45
     return Splats(
@@ -62,7 +62,7 @@ def toy_splats(seed: int = 0, count: int = 150) -> Splats:
 
 
 def facing_origin(center: np.ndarray) -> np.ndarray:
-    """[4, 4] world to camera of one at `center` that looks at the origin; y points down."""
+    """[4, 4] world to camera of a camera at `center` that faces the origin; y is down."""
     z = -center / np.linalg.norm(center)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
@@ -73,7 +73,7 @@ def facing_origin(center: np.ndarray) -> np.ndarray:
 
 
 def toy_cameras(views: int = VIEWS, size: int = SIZE) -> Cameras:
-    """Cameras on a wavy circle of radius 3, all looking at the origin."""
+    """Cameras on a wavy circle of radius 3, all facing the origin."""
     viewmats = []
     for i in range(views):
         angle = 2 * math.pi * i / views
@@ -98,13 +98,13 @@ def toy_photos(
     views: int = VIEWS,
     size: int = SIZE,
 ) -> ToyPhotos:
-    """Pictures of `toy_splats`, or of `splats`, with points near where the splats are."""
+    """Pictures of `toy_splats`, or of `splats`, with points near the splats."""
     splats, cameras = splats or toy_splats(seed), toy_cameras(views, size)
     images = []
     for K, viewmat in zip(cameras.Ks, cameras.viewmats, strict=True):
         rgb = render(splats, K, viewmat, size, size).rgb
         if not rgb.mean() > 0.1:
-            raise EmptyTestError("the toy capture must show something")
+            raise EmptyTestError("a photo of the toy capture is nearly black")
         images.append((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
     rng = np.random.default_rng(seed + 1)
     points = splats.means.astype(np.float64) + rng.normal(size=splats.means.shape) * 0.03
@@ -119,12 +119,12 @@ def toy_photos(
 
 
 def moved(photos: ToyPhotos, *, scale: float, shift: np.ndarray) -> ToyPhotos:
-    """The same photos of a world `scale` times as large whose origin lies elsewhere.
+    """The same photos in a scaled world with another origin.
 
     Args:
         photos: The capture.
-        scale: New units per old one.
-        shift: [3] float64, where the old origin lies, in new units.
+        scale: New units per old unit.
+        shift: [3] float64, position of the old origin in new units.
     """
     away = Similarity(scale=1 / scale, shift=shift)
     scene, points = photos.scene, photos.scene.points

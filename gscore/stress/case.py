@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 
 class EmptyTestError(AssertionError):
-    """A case compared nothing with nothing: its scene does not show what it is about."""
+    """A case whose input does not exercise its subject, so that it could not fail."""
 
 
 class NotHereError(Exception):
-    """Raised by a case that cannot run here, with the reason."""
+    """Raised by a case that cannot run on this machine, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,10 @@ class Measure:
     """One error of a case."""
 
     what: str
-    """What was measured, a few words."""
+    """Measured quantity, a few words."""
     error: float
-    """Passed if at most `tolerance`; NaN fails (join errors with np.max, because max may lose it).
-    Counts of what should not be have tolerance 0."""
+    """Passes if at most `tolerance`; NaN fails (join errors with np.max, because max may lose it).
+    Counts of violations have tolerance 0."""
     tolerance: float
     note: str = ""
 
@@ -33,11 +33,11 @@ class Case:
     """S01 to S36, in the order of docs/accuracy-tests.md."""
     title: str
     run: Callable[[bool], Iterable[Measure]]
-    """Takes whether the long version is wanted."""
+    """The argument selects the long version."""
     per_isa: bool
-    """Whether the instruction set matters: run once for each."""
+    """Run for each instruction set."""
     needs: tuple[str, ...]
-    """Packages without which it is skipped."""
+    """Required packages; skipped without them."""
     slow: bool
     """Run in the full suite only."""
 
@@ -59,7 +59,7 @@ def case(
     needs: tuple[str, ...] = ("torch",),
     slow: bool = False,
 ) -> Callable[[Callable[[bool], Iterable[Measure]]], Callable[[bool], Iterable[Measure]]]:
-    """Enter a function into the list of cases."""
+    """Decorator that adds a function to the list of cases."""
 
     def enter(function: Callable[[bool], Iterable[Measure]]):
         CASES.append(

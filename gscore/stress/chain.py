@@ -1,4 +1,4 @@
-"""S1, S2, S28, gradient chain: gradients against finite differences of the float64 reference."""
+"""S1, S2, S28, gradient chain: gradients compared to differences of the float64 reference."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,13 +17,13 @@ from .scenes import SplatScene
 
 _SCENE: dict[str, Any] = {"count": 6, "width": 24, "height": 20, "sigma_px": (2.0, 6.0)}
 _STEP = 1e-5
-"""Too short to reach a jump of a smooth scene; rounding leaves some 1e-10."""
+"""Too short to reach a jump of a smooth scene; the rounding error is about 1e-10."""
 _EXACT = 1e-6
-"""Of autograd on the reference against differences, both in float64."""
+"""Tolerance of the reference's autograd compared to differences, both in float64."""
 
 
 def _weighted(scene: SplatScene, weights: dict[str, np.ndarray], **options: Any) -> float:
-    """sum(weights * pictures) as the reference draws the scene, whose fields may be float64."""
+    """sum(weights * pictures) of the reference; fields of the scene may be float64."""
     import torch
 
     from ..raster import reference
@@ -47,7 +47,7 @@ def _weighted(scene: SplatScene, weights: dict[str, np.ndarray], **options: Any)
 def _known(
     seed: int, names: tuple[str, ...], sh_degree: int, antialias: bool
 ) -> tuple[SplatScene, truth.Truth, dict[str, np.ndarray]]:
-    """A smooth scene, the reference's answer, and differences of it by name."""
+    """A smooth scene, the result of the reference, and its differences by parameter."""
     scene = smooth_scene(seed, sh_degree=sh_degree, **_SCENE)
     true = truth.reference_truth(scene, antialias=antialias)
     require_covered(true.pictures["alpha"])
@@ -66,16 +66,16 @@ def _known(
 def _check(
     seed: int, names: tuple[str, ...], *, sh_degree: int = 3, antialias: bool = False
 ) -> Iterator[Measure]:
-    """Autograd of the reference, then the native gradients, against differences."""
+    """Compare autograd of the reference, and the native gradients, with differences."""
     scene, true, differences = _known(seed, names, sh_degree, antialias)
     drawn = native.draw(scene, true.weights, antialias=antialias)
     kind = ", antialiased" if antialias else ""
-    for name, wanted in differences.items():
-        yield Measure(f"reference, {name}{kind}", relative(true.gradients[name], wanted), _EXACT)
+    for name, expected in differences.items():
+        yield Measure(f"reference, {name}{kind}", relative(true.gradients[name], expected), _EXACT)
         actual = drawn.gradients[name]
         if name == "viewmat":
-            actual, wanted = actual.reshape(1, 16), wanted.reshape(1, 16)
-        worst = float(row_errors(actual, wanted).max())
+            actual, expected = actual.reshape(1, 16), expected.reshape(1, 16)
+        worst = float(row_errors(actual, expected).max())
         yield Measure(f"native, {name}{kind}", worst, 2e-5)
 
 
@@ -89,7 +89,7 @@ def chain(full: bool) -> Iterator[Measure]:
 
 @case("S28", "gradients of the camera")
 def camera_by_differences(full: bool) -> Iterator[Measure]:
-    """Oracle: as S01, for all entries of the view matrix, which also turn the covariances."""
+    """Oracle: as in S01, for all entries of the view matrix, which also rotate covariances."""
     for seed in range(300, 303 + 5 * full):
         yield from _check(seed, ("viewmat",))
 

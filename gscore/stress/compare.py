@@ -1,4 +1,4 @@
-"""Comparison of a rendered scene with the reference: errors, and refusal of empty pictures."""
+"""Comparison of a rendered scene with the reference: errors, and checks for empty pictures."""
 
 import math
 
@@ -13,19 +13,19 @@ INTERIOR, FLIP_ERROR, FLIP_RATE = 1e-5, 1e-3, 1e-3
 MEDIAN, TAIL = 1e-5, 1e-3
 """Median and 99.9th percentile of the gradients' errors, relative to their rows."""
 _NOTHING = 1e-30
-"""What float32 may leave of a zero of float64: 1 - sigmoid(1000), for example."""
+"""Largest float32 result for a zero in float64, such as 1 - sigmoid(1000)."""
 ROW_FLOOR, NUMBER_FLOOR = 0.01, 0.1
-"""Rows shorter than this share of the median row count as that long; rows of a single number as the
-second. What is left there of sums that cancel measures the cancellation: plain float32 torch shows
-the same tails on these rows."""
+"""Minimum length of rows in relative errors, as a share of the median row; the second for rows of a
+single number. Errors of shorter rows measure the cancellation of sums: plain float32 torch has the
+same tails on these rows."""
 
 
 def require_covered(alpha: np.ndarray) -> None:
-    """Raise EmptyTestError unless the picture shows something, on average and in each row."""
+    """Raise EmptyTestError unless the picture shows splats, on average and in each row."""
     if not alpha.mean() > 0.1:
         raise EmptyTestError(f"the picture is nearly empty: mean alpha {alpha.mean():.3f}")
     if not (alpha > 0).any(axis=1).all():
-        raise EmptyTestError("a row of the picture shows no splat at all")
+        raise EmptyTestError("a row of the picture shows no splat")
 
 
 def picture_errors(drawn: Drawn, truth: Truth) -> np.ndarray:
@@ -35,7 +35,7 @@ def picture_errors(drawn: Drawn, truth: Truth) -> np.ndarray:
         true = truth.pictures[name]
         error = np.abs(drawn.pictures[name] - true) / max(1.0, float(np.abs(true).max()))
         worst = np.fmax(worst, error.reshape(*truth.band.shape, -1).max(axis=2))
-        # A number that is not one is an error without bound.
+        # NaN is an infinite error.
         worst[~np.isfinite(error).reshape(*truth.band.shape, -1).all(axis=2)] = np.inf
     return worst
 
@@ -50,14 +50,14 @@ def picture_measures(
 ) -> list[Measure]:
     """Largest and mean error outside the band, and the share of flipped pixels.
 
-    The mean may be a twentieth of the largest, unless `mean` says how much.
+    The tolerance of the mean is `mean`, by default 1/20 of the largest.
     """
     require_covered(truth.pictures["alpha"])
     if not truth.band.mean() < most_band:
         raise EmptyTestError(f"{truth.band.mean():.0%} of the pixels are undecided")
     error = picture_errors(drawn, truth)
     inside = error[~truth.band]
-    # One pixel of a small picture is more than the rate allows; it says nothing about the rate.
+    # One pixel of a small picture exceeds the rate, but is no evidence.
     flipped = max(0, int((error > FLIP_ERROR).sum()) - 1) / error.size
     return [
         Measure("picture", float(inside.max()), tolerance),
@@ -67,7 +67,7 @@ def picture_measures(
 
 
 def row_errors(actual: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """|error| / |row of the truth|, flat; infinite where a row should be zero and is not."""
+    """|error| / |row of the truth|, flat; infinite if a row should be zero and is not."""
     a = actual.astype(np.float64).reshape(len(actual), -1)
     t = true.reshape(len(true), -1)
     length = np.linalg.norm(t, axis=1)
@@ -83,7 +83,7 @@ def row_errors(actual: np.ndarray, true: np.ndarray) -> np.ndarray:
 def gradient_measures(
     drawn: Drawn, truth: Truth, *, median: float = MEDIAN, tail: float = TAIL
 ) -> list[Measure]:
-    """Median and 99.9th percentile of the worst class of parameters; the camera is one row."""
+    """Median and 99.9th percentile of the worst parameter; the camera is one row."""
     medians, tails = {}, {}
     for name, true in truth.gradients.items():
         actual = drawn.gradients[name]
@@ -102,7 +102,7 @@ def gradient_measures(
 
 
 def merge(measures: list[Measure]) -> list[Measure]:
-    """The worst of the measures of each name, NaN above all, in the order of the names."""
+    """The worst measure of each name, NaN being the worst, in the order of first occurrence."""
     worst: dict[str, Measure] = {}
     for m in measures:
         old = worst.get(m.what)
@@ -114,7 +114,7 @@ def merge(measures: list[Measure]) -> list[Measure]:
 
 
 def different_bits(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> int:
-    """Elements that are not the same bit for bit."""
+    """Number of elements with different bits."""
     count = 0
     for name, a in one.items():
         b = other[name]

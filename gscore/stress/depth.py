@@ -50,8 +50,8 @@ def rendered_depths(full: bool) -> Iterator[Measure]:
 
 @case("S26b", "faint pixels", needs=())
 def faint_pixels(full: bool) -> Iterator[Measure]:
-    """Oracle: the reference. Alpha is a sum of weights; taken from what light is left, it would
-    keep no more of a faint pixel than the digits of a number near one."""
+    """Oracle: the reference. Alpha is a sum of weights; computed as 1 - transmittance, it would
+    lose digits at faint pixels to cancellation."""
     for seed in range(2650, 2656 if full else 2652):
         scene = draw_scene(
             seed, count=6, width=48, height=40, sh_degree=0, sigma_px=(8.0, 20.0), logits=(-5.2, -4)
@@ -69,7 +69,7 @@ def faint_pixels(full: bool) -> Iterator[Measure]:
 
 @case("S27", "alignment of depth maps", per_isa=False, needs=())
 def alignment(full: bool) -> Iterator[Measure]:
-    """Oracle: the scale and offset the map was made with; refusals where there is none to find."""
+    """Oracle: scale and offset of the generated map; rejection of maps without a fit."""
     scale, offset = 0.37, 0.021
     for share, bound in ((0.0, 1e-3), (0.2, 1e-2), (0.4, 1e-2), (0.6, 3e-2)):
         for seed in range(20 if full else 5):
@@ -97,4 +97,4 @@ def alignment(full: bool) -> Iterator[Measure]:
         fit = align_robust(mono, inverse, np.ones(200))
         yield Measure(f"{name} accepted", float(fit.accepted), 0, fit.reason)
     if not align_robust(inverse, inverse, np.ones(200)).accepted:
-        raise EmptyTestError("a perfect map is refused too")
+        raise EmptyTestError("a perfect map is rejected too")

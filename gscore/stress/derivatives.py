@@ -9,7 +9,7 @@ from . import truth
 from .scenes import SplatScene, settle
 
 _STEP = 1e-3
-"""Of the five-point formula: its truncation (step^4) and its rounding (1e-16 / step) are both some
+"""Step of the five-point formula: truncation (step^4) and rounding (1e-16 / step) are both about
 1e-13 of the value for functions that vary over lengths of one."""
 
 
@@ -18,8 +18,8 @@ def five_point(
 ) -> np.ndarray:
     """Derivatives [L, *at.shape] of a vector-valued function [L] at `at`, float64.
 
-    Fourth-order central differences (Abramowitz and Stegun 1964, 25.3.6). Every element is moved by
-    up to twice the step, which has to be small where there are jumps near by.
+    Fourth-order central differences (Abramowitz and Stegun 1964, 25.3.6). Each element moves by up
+    to twice the step, which must not reach a nearby jump.
     """
     columns = []
     for position in range(at.size):
@@ -33,7 +33,7 @@ def five_point(
 
 
 def relative(actual: np.ndarray, true: np.ndarray, *, floor: float = 0.01) -> float:
-    """Largest |error| / (|truth| + floor * max(1, largest truth)); infinite where all is zero."""
+    """Largest |error| / (|truth| + floor * max(1, largest truth)); infinite if all is zero."""
     if not np.abs(true).max() > 1e-6:
         return float("inf")
     scale = np.abs(true) + floor * max(1.0, float(np.abs(true).max()))
@@ -72,7 +72,7 @@ def has_kink(scene: SplatScene, *, eps2d: float = 0.3, margin: float = 1e-3) -> 
 
 
 def has_jump(scene: SplatScene) -> bool:
-    """Whether a pixel lies in the band, plain or antialiased, or a splat near a kink."""
+    """Whether a pixel is in the band, plain or antialiased, or a splat is near a kink."""
     from ..raster import reference
 
     inputs = truth.tensors(scene)
@@ -85,5 +85,5 @@ def has_jump(scene: SplatScene) -> bool:
 def smooth_scene(
     seed: int, *, edit: Callable[[SplatScene], SplatScene] | None = None, **options: Any
 ) -> SplatScene:
-    """The first scene from `seed` on without kinks, its band empty both plain and antialiased."""
+    """The first scene from `seed` on without kinks and with an empty band, also antialiased."""
     return settle(seed, has_jump, edit=edit, **options)

@@ -15,7 +15,7 @@ _BLOCK = 1 << 22
 @case("S21", "exp2", needs=())
 def exponential(full: bool) -> Iterator[Measure]:
     """Oracle: exp2 in float64; all float32 in [-40, 0] in the full suite, else one in 997 and the
-    neighbourhoods of the seams of the range reduction, where the order must hold to one ulp."""
+    neighbourhoods of the seams of the range reduction, monotonic within one ulp."""
     last = int(np.array(_LOWEST, np.float32).view(np.uint32))
     first = int(np.array(-0.0, np.float32).view(np.uint32))
     step = 1 if full else 997
@@ -41,6 +41,6 @@ def exponential(full: bool) -> Iterator[Measure]:
 
 
 def _disorder(y: np.ndarray) -> float:
-    """Largest rise, in units of the last place, of values that should fall."""
+    """Largest increase, in units of the last place, of values that should decrease."""
     rise = y[1:] - y[:-1]
     return float(np.maximum(0.0, (rise / np.spacing(y[:-1])).max()))

@@ -1,4 +1,4 @@
-"""S33, S35, files: models through their file, and values of formulas published elsewhere."""
+"""S33, S35, files: models written and read, and values of published formulas."""
 
 import logging
 import tempfile
@@ -52,7 +52,7 @@ def round_trip(full: bool) -> Iterator[Measure]:
 def golden(full: bool) -> Iterator[Measure]:
     """Oracle: gsplat's published formulas in plain numpy float64, stored with the tests."""
     if not _GOLDEN.is_file():
-        raise NotHereError("the stored values come with the source, not with the installed package")
+        raise NotHereError("the stored values are in the source, not in the installed package")
     with np.load(_GOLDEN, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored}
     height, width = values["alpha"].shape
@@ -70,13 +70,11 @@ def golden(full: bool) -> Iterator[Measure]:
             yield Measure("picture", float(error), 1e-5)
         seen = drawn.projected["depths"] > 0
         if seen.sum() < 20:
-            raise EmptyTestError("hardly any splat is seen")
+            raise EmptyTestError("too few splats are visible")
         for name in ("means2d", "conics", "depths", "colors"):
-            wanted = values[name][seen].reshape(int(seen.sum()), -1)
-            error = np.abs(drawn.projected[name][seen].reshape(wanted.shape) - wanted).max(1)
-            yield Measure(
-                name, float((error / np.maximum(np.abs(wanted).max(1), 1e-3)).max()), 1e-5
-            )
+            known = values[name][seen].reshape(int(seen.sum()), -1)
+            error = np.abs(drawn.projected[name][seen].reshape(known.shape) - known).max(1)
+            yield Measure(name, float((error / np.maximum(np.abs(known).max(1), 1e-3)).max()), 1e-5)
         # Half the longer side of the box where alpha is 1/255, from the stored conics.
         xx, xy, yy = values["conics"][seen].T
         det = xx * yy - xy * xy

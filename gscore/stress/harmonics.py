@@ -12,12 +12,12 @@ from .scenes import SplatScene, draw_scene
 
 
 def _around(seed: int) -> SplatScene:
-    """Splats in all directions a camera can look, the poles of the harmonics among them."""
+    """Splats in all viewing directions, including the poles of the harmonics."""
     scene = draw_scene(seed, count=40, width=32, height=28, sh_degree=4)
     rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
     axes = np.eye(3)[seed % 3] * (1 if seed % 2 else -1)
-    # A camera at the origin whose axis is an axis of the world: its middle is a pole.
+    # A camera at the origin along a world axis: the middle of the picture is a pole.
     view = np.eye(4, dtype=np.float32)
     other = np.roll(axes, 1)
     view[:3, :3] = np.stack([other, np.cross(axes, other), axes]).astype(np.float32)
@@ -41,7 +41,7 @@ def harmonics(full: bool) -> Iterator[Measure]:
             clamped += int((colors == 0).sum())
             error = np.abs(drawn.projected["colors"][seen] - colors) / np.maximum(1, colors)
             if seen.sum() < 20 or not drawn.radii[0]:
-                raise EmptyTestError("too few splats, or none at the pole, are seen")
+                raise EmptyTestError("too few splats, or none at the pole, are visible")
             yield Measure("colours", float(error.max()), 1e-6)
             yield from picture_measures(drawn, true)
             yield from gradient_measures(drawn, true)

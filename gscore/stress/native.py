@@ -1,4 +1,4 @@
-"""Native renders of a stress scene, with numpy alone: pictures, gradients, counts."""
+"""Native renders of a stress scene with numpy only: pictures, gradients, counts."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,7 +21,7 @@ _GUARD_WORDS = 64
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """One forward call, and a backward call where weights were given."""
+    """Result of a forward call, and of a backward call if weights were given."""
 
     pictures: dict[str, np.ndarray]
     """rgb [H, W, 3], alpha, inverse_depth, depth (undivided sum of w z), median_depth [H, W]."""
@@ -33,22 +33,22 @@ class Drawn:
     """By parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights."""
     stats: dict[str, float]
     guards_broken: int
-    """Words changed beside the arrays that the library writes."""
+    """Words changed next to the output arrays of the library."""
 
     def bits(self) -> bytes:
-        """All pictures and gradients as they lie in memory."""
+        """Bytes of all pictures and gradients."""
         arrays = [*self.pictures.values(), *self.gradients.values(), self.radii]
         return b"".join(a.tobytes() for a in arrays)
 
     def finite(self) -> bool:
-        """Whether every number of the pictures and gradients is."""
+        """Whether all pictures and gradients are finite."""
         return all(
             np.isfinite(a).all() for a in (*self.pictures.values(), *self.gradients.values())
         )
 
 
 class _Guarded:
-    """Hands out arrays that lie between words nobody may touch."""
+    """Allocates arrays between guard words."""
 
     def __init__(self) -> None:
         self._whole: list[np.ndarray] = []
@@ -82,7 +82,7 @@ def draw(
     threads: int = 2,
     background: tuple[float, float, float] = BACKGROUND,
 ) -> Drawn:
-    """Draw a scene, and differentiate sum(weights * pictures) where weights are given.
+    """Render a scene, and differentiate sum(weights * pictures) if weights are given.
 
     Args:
         scene: Splats and camera.
@@ -91,7 +91,7 @@ def draw(
         outputs: Bits of `header.OUT_*`.
         disable: Bits of `header.NO_*`.
         threads: Threads.
-        background: RGB behind the splats.
+        background: Background RGB.
     """
     n, h, w = len(scene), scene.height, scene.width
     arrays = [np.ascontiguousarray(getattr(scene, name), np.float32) for name in PARAMETERS]
@@ -147,7 +147,7 @@ def random_weights(scene: SplatScene, seed: int, *names: str) -> dict[str, np.nd
 
 @contextmanager
 def with_isa(name: str) -> Iterator[None]:
-    """Let the library use an instruction set for the duration of a block."""
+    """Context in which the library uses an instruction set."""
     before = _native.isa()
     _native.set_isa(name)
     try:

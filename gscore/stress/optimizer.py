@@ -14,7 +14,7 @@ _RATES = {"means": 1e-3, "quats": 1e-3, "scales": 5e-3, "opacities": 0.02, "sh0"
 
 
 class _Dense:
-    """Adam (Kingma and Ba 2015), every row at every step."""
+    """Dense Adam (Kingma and Ba 2015): all rows at each step."""
 
     def __init__(self, values: dict[str, np.ndarray], dtype: type[np.floating]) -> None:
         self.dtype = dtype
@@ -25,7 +25,7 @@ class _Dense:
 
     def step(self, gradients: dict[str, np.ndarray], rates: dict[str, float]) -> None:
         self.steps += 1
-        c = self.dtype  # numbers of Python would not, arrays of NumPy do, raise float32 to float64
+        c = self.dtype  # NumPy float64 scalars would promote float32 arrays
         unbias = c(1 / (1 - BETA1**self.steps)), c(1 / (1 - BETA2**self.steps))
         for name, gradient in gradients.items():
             m, v, g = self.first[name], self.second[name], gradient.astype(c)
@@ -113,14 +113,14 @@ def adam(full: bool) -> Iterator[Measure]:
             twin.reset_opacities(ceiling)
             true.reset_opacities(ceiling)
     moved, settled = 0.0, model.synced()
-    # A thousand steps round a thousand times: two trainings in float32 part by 2.4e-6, both 2.7e-6
+    # Rounding of a thousand steps: two trainings in float32 differ by 2.4e-6, and both by 2.7e-6
     # from float64.
     tolerance = 4e-6 if full else 2e-6
     for name, values64 in true.values.items():
         found = settled[name].detach().numpy()
         size = np.maximum(np.abs(values64), 1.0)
         moved = max(moved, float(np.abs(values64[unseen:]).std()))
-        # The rows of shN that wait are caught up in one sum, not step by step.
+        # Delayed rows of shN catch up in one sum instead of step by step.
         same_steps = tolerance if name == "shN" else 5e-7
         for other, dense, limit in (
             ("float32", twin.values[name], same_steps),

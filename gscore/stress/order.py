@@ -13,7 +13,7 @@ from .scenes import SplatScene, draw_scene
 
 
 def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> SplatScene:
-    """Splats at so many depths in all, about 3, which the camera finds without rounding."""
+    """Splats at `depths` different depths near 3, which are projected without rounding."""
     scene = draw_scene(
         1500, count=count, posed=False, width=48, height=40, sh_degree=0, sigma_px=sigma_px
     )
@@ -26,8 +26,8 @@ def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> SplatScen
 
 @case("S15", "splats at one depth")
 def ties(full: bool) -> Iterator[Measure]:
-    """Oracle: the reference, which sorts stably: at one depth, the order of the rows decides."""
-    # Lists are sorted in different ways: a few splats, many, and many of which only some tie.
+    """Oracle: the reference, which sorts stably: at equal depth, the order of the rows decides."""
+    # Different sorting algorithms: a few splats, many, and many with some ties.
     for name, count, depths, sigmas in (
         ("all", 1000, 1, (1.5, 5.0)),
         ("a short list", 20, 1, (5.0, 12.0)),
@@ -36,7 +36,7 @@ def ties(full: bool) -> Iterator[Measure]:
         scene = _layers(count, depths, sigmas)
         pictures = []
         for one in (scene, scene.rows(np.random.default_rng(1).permutation(count))):
-            # Splats that tie put a pixel into the band; without rounding in z it need not.
+            # Ties put pixels into the band, which does not matter without rounding in z.
             true = truth.reference_truth(one, gradients=False)
             drawn = native.draw(one)
             require_covered(true.pictures["alpha"])
@@ -67,7 +67,7 @@ def zero_tiles(full: bool) -> Iterator[Measure]:
         weights = native.random_weights(scene, seed)
         rng = np.random.default_rng(seed)
         mask = np.kron(rng.random((5, 6)) < 0.4, np.ones((16, 16))).astype(np.float32)
-        # Whatever is not zero counts, however little; a zero may have a sign.
+        # All non-zero values count, also denormal ones; a zero may have a sign.
         faint = np.kron(rng.choice([1, 1e-30, 1e-42, -1], (5, 6)), np.ones((16, 16)))
         mask *= faint.astype(np.float32)
         masked = {k: w * (mask[..., None] if w.ndim == 3 else mask) for k, w in weights.items()}

@@ -1,4 +1,4 @@
-"""S3 to S6, pictures: float32 pictures and gradients against the float64 reference."""
+"""S3 to S6, pictures: float32 pictures and gradients compared to the float64 reference."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -72,7 +72,7 @@ def _off_screen(seed: int) -> tuple[SplatScene, Truth]:
 
 @case("S05", "splats far off screen, principal point off centre")
 def off_screen(full: bool) -> Iterator[Measure]:
-    """Oracle: the reference, whose Jacobian is clamped on each side by itself."""
+    """Oracle: the reference, whose Jacobian is clamped separately on each side."""
     for seed in range(500, 503 if full else 501):
         scene, true = _off_screen(seed)
         drawn = native.draw(scene, true.weights)
@@ -104,11 +104,11 @@ def needles(full: bool) -> Iterator[Measure]:
         scene, true = _needles(ratio)
         drawn = native.draw(scene, true.weights)
         yield Measure("numbers not finite", float(not drawn.finite()), 0)
-        # Means are some 5e-7; determinants that cancel make them 1.3e-6 and more.
+        # Means are about 5e-7; determinants with cancellation would make them 1.3e-6 and more.
         pictures = picture_measures(drawn, true, mean=1e-6)
         for m in (*pictures, *gradient_measures(drawn, true)):
             yield Measure(f"1 : {ratio:.0e}, {m.what}", m.error, m.tolerance, m.note)
-    # Longer than the squares of float32 can tell from the width: nothing but finite.
+    # So long that float32 squares lose the width: only finiteness is required.
     for pixels in (1e6, 1e8, 1e10):
         scene = _needles(1e4)[0]
         longer = np.array([np.log(pixels / 20), 0, 0], np.float32)

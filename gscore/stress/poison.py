@@ -1,4 +1,4 @@
-"""S10 to S12, poisoned input: extreme quats, opacities, scales; one broken row among good ones."""
+"""S10 to S12, poisoned input: extreme quats, opacities and scales; one broken row."""
 
 from collections.abc import Iterator
 
@@ -26,7 +26,7 @@ def quaternions(full: bool) -> Iterator[Measure]:
     keep = _without(scene, row)
     gone = native.draw(scene.rows(keep), weights)
     if different_bits(plain.pictures, gone.pictures) == 0:
-        raise EmptyTestError("the row that is damaged was not to be seen")
+        raise EmptyTestError("the damaged row was not visible")
     for name, quat in (
         ("zero", [0, 0, 0, 0]),
         ("1e-20", [1e-20, 0, 0, 0]),
@@ -50,7 +50,7 @@ def quaternions(full: bool) -> Iterator[Measure]:
 
 @case("S11", "opacities at their ends")
 def opacities(full: bool) -> Iterator[Measure]:
-    """Oracle: the reference; alpha at most 0.99 a splat; light never negative."""
+    """Oracle: the reference; alpha at most 0.99 per splat; transmittance never negative."""
     scene = draw_scene(1100, count=200, width=48, height=40, sigma_px=(4.0, 10.0), sh_degree=1)
     values = np.array([-1000.0, -20.0, 20.0, 1000.0, 0.0], np.float32)
     scene = scene.with_row(slice(None), opacities=np.resize(values, 200))
@@ -102,7 +102,7 @@ def broken_row(full: bool) -> Iterator[Measure]:
     keep = _without(scene, row)
     gone = native.draw(scene.rows(keep), weights)
     if different_bits(plain.pictures, gone.pictures) == 0:
-        raise EmptyTestError("the row that is damaged was not to be seen")
+        raise EmptyTestError("the damaged row was not visible")
     touched = drawn_anyway = not_finite = culled_but_touched = extremes_drawn = 0
     for field in PARAMETERS:
         for column in range(3 if field in ("means", "quats", "scales") else 1):
@@ -122,7 +122,7 @@ def broken_row(full: bool) -> Iterator[Measure]:
                     left = any(bad.gradients[k][row].any() for k in PARAMETERS)
                     drawn_anyway += int(bad.radii[row] > 0) + int(left)
     if extremes_drawn < 10:
-        raise EmptyTestError(f"only {extremes_drawn} of the extreme values leave a splat to draw")
+        raise EmptyTestError(f"only {extremes_drawn} of the extreme values leave a visible splat")
     yield Measure("NaN and infinities, bits changed elsewhere", float(touched), 0)
     yield Measure("NaN and infinities, rows drawn", float(drawn_anyway), 0)
     yield Measure("finite extremes, scenes not finite", float(not_finite), 0)
@@ -131,10 +131,10 @@ def broken_row(full: bool) -> Iterator[Measure]:
 
 @case("S12b", "every row extreme at once", needs=())
 def all_extreme(full: bool) -> Iterator[Measure]:
-    """Oracle: finiteness. Each number of each splat from the list of extremes, at random."""
+    """Oracle: finiteness, with random extreme values in all splats."""
     values = np.array(_BROKEN + _EXTREME + (1.0, -1.0, 0.5, 2.0), np.float32)
     bad = visible = 0
-    # The latter: coefficients of 3e38 where the basis function is zero and its slope is not.
+    # The last seeds: coefficients of 3e38 where a basis function is zero but its slope is not.
     for seed in range(200) if full else (*range(16), 116, 136, 150, 162):
         rng = np.random.default_rng(1250 + seed)
         scene = draw_scene(seed, count=60, width=24, height=20, posed=bool(seed % 2))

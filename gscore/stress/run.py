@@ -1,4 +1,4 @@
-"""Stress runner: runs cases, per instruction set where it matters, and collects their errors."""
+"""Stress runner: runs cases, for each instruction set if relevant, and collects their errors."""
 
 import importlib.util
 import math
@@ -18,11 +18,11 @@ from .native import with_isa
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One line of the table."""
+    """One row of the table."""
 
     test: str
     isa: str
-    """Empty where the instruction set does not matter."""
+    """Empty if the instruction set does not matter."""
     error: float
     tolerance: float
     passed: bool | None
@@ -47,13 +47,13 @@ def select(only: Sequence[str] = (), *, full: bool = False) -> list[Case]:
     """Cases whose name contains one of `only`, in order; slow ones if `full` or named by key.
 
     Raises:
-        ConfigError: a word of `only` fits no case.
+        ConfigError: a word of `only` matches no case.
     """
     _load()
     for word in only:
         if not any(word.lower() in c.name.lower() for c in CASES):
             names = "; ".join(c.name for c in CASES)
-            raise ConfigError(f"--only {word}: no test has that in its name. They are: {names}.")
+            raise ConfigError(f"--only {word}: no test name contains this. Tests: {names}.")
     keys = {word.lower() for word in only}
     return [
         c
@@ -70,7 +70,7 @@ def run_cases(
     full: bool = False,
     report: Callable[[Outcome], None] = lambda _: None,
 ) -> list[Outcome]:
-    """Run cases with each of `isas` (default: the one in use), telling `report` as they end."""
+    """Run cases with each of `isas` (default: the current one), and report each outcome."""
     found = []
     for one in cases:
         for isa in (isas or [backend.isa()]) if one.per_isa else [""]:
@@ -104,21 +104,21 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
     except NotHereError as reason:
         yield outcome("", math.nan, math.nan, None, f"skipped: {reason}")
         return
-    except Exception as error:  # whatever breaks a case must not hide the others
+    except Exception as error:  # an error of one case must not hide the others
         where = traceback.extract_tb(error.__traceback__)[-1]
         note = f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"
         yield outcome("", math.nan, math.nan, False, note)
         return
     if not measures:
-        yield outcome("", math.nan, math.nan, False, "it measured nothing")
+        yield outcome("", math.nan, math.nan, False, "no measurement")
     for m in measures:
         error, tolerance = float(m.error), float(m.tolerance)
         yield outcome(m.what, error, tolerance, error <= tolerance, m.note)
 
 
 def _quiet_torch() -> AbstractContextManager[None]:
-    """One thread of torch, where it is there: its tensors are small here, and threads that wait
-    for each other take minutes for seconds of work on a machine that does other things."""
+    """Context with one torch thread, if torch is installed: tensors are small here, and several
+    threads take minutes for seconds of work on a busy machine."""
     if importlib.util.find_spec("torch") is None:
         return nullcontext()
     from ..trainer.host.isolated_state import isolated_torch_state

@@ -1,4 +1,4 @@
-"""Stress scenes: splats in front of a camera, drawn from a seed; every number exact in float32."""
+"""Stress scenes: seeded random splats in front of a camera; every number exact in float32."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ class SplatScene:
         return replace(self, **changed)
 
     def joined(self, other: "SplatScene") -> "SplatScene":
-        """These splats and then those of `other`, with this camera."""
+        """These splats followed by those of `other`, with this camera."""
         both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in PARAMETERS}
         return replace(self, **both)
 
@@ -76,7 +76,7 @@ def draw_scene(
     elongation: float = 0.0,
     posed: bool = True,
 ) -> SplatScene:
-    """Draw splats in front of a camera that stands anywhere.
+    """Draw random splats in front of a random camera.
 
     Args:
         seed: seed of the scene.
@@ -89,9 +89,9 @@ def draw_scene(
         sigma_px: range of the standard deviations, pixels (log-uniform).
         logits: range of the opacity logits.
         depths: range of camera z, world units.
-        overscan: how far beyond the image centres may lie, in image sizes.
+        overscan: distance of means beyond the picture, in picture sizes.
         elongation: e-folds by which one axis of each splat is stretched.
-        posed: whether the camera is turned and moved; otherwise the world is its frame.
+        posed: whether the camera has a random pose; else the identity.
     """
     rng = np.random.default_rng(seed)
     fx, fy = focal
@@ -99,7 +99,7 @@ def draw_scene(
     z = rng.uniform(*depths, count)
     x = (rng.uniform(-overscan, 1 + overscan, count) * width - cx) / fx * z
     y = (rng.uniform(-overscan, 1 + overscan, count) * height - cy) / fy * z
-    # Behind the camera a size in pixels means nothing; that at the mirrored depth serves.
+    # Behind the camera, sizes in pixels refer to the mirrored depth.
     scales = (
         rng.uniform(np.log(sigma_px[0]), np.log(sigma_px[1]), (count, 3))
         + np.log(np.abs(z) / fx)[:, None]
@@ -137,7 +137,7 @@ def settle(
     tries: int = 400,
     **options: Any,
 ) -> SplatScene:
-    """The first scene from `seed` on that is not `rough`, after `edit` changed it."""
+    """The first scene from `seed` on that is not `rough` after `edit`."""
     for attempt in range(seed, seed + tries):
         scene = draw_scene(attempt, **options)
         scene = edit(scene) if edit else scene

@@ -12,7 +12,7 @@ from .compare import INTERIOR, gradient_measures, picture_measures, require_cove
 from .scenes import draw_scene
 
 _ENTRY_BYTES = 512
-"""What the workspace may take a (tile, splat) entry with gradients: its lists, copies and sums."""
+"""Maximum workspace per (tile, splat) entry with gradients: lists, copies and sums, bytes."""
 
 
 def _list_tiles(width: int, height: int) -> int:
@@ -33,7 +33,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     seen = int(drawn.stats["visible"])
     if seen < 900:
         raise EmptyTestError(f"only {seen} of {count_words(count, 'splat')} fill the picture")
-    # Opacity .0045 to .0055 against the cut of .0039: not each fills the whole picture.
+    # Opacity 0.0045 to 0.0055 with a cutoff of 0.0039: not every splat fills the whole picture.
     yield Measure(
         "entries beyond tiles x splats", max(0.0, drawn.stats["entries"] - tiles * seen), 0
     )
@@ -41,8 +41,8 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     yield Measure("workspace bytes an entry", size, _ENTRY_BYTES)
     few = scene.rows(slice(0, count if full else 150))
     true = truth.reference_truth(few, gradients=False)
-    # So faint and so wide that the cut at 1/255 runs through large parts of the picture. A thousand
-    # layers at a pixel are a thousand roundings of transmittance and colour.
+    # So faint and wide that the cutoff at 1/255 affects large parts of the picture. A thousand
+    # layers at a pixel round transmittance and colour a thousand times.
     mean = 1e-6 if full else None
     yield from picture_measures(native.draw(few), true, mean=mean, most_band=0.9)
 
@@ -79,7 +79,7 @@ def crowded_tile(full: bool) -> Iterator[Measure]:
         if stopped.any():
             raise EmptyTestError("light does not reach the last splats")
         for m in (
-            # With thousands of splats at a pixel one is always near its cut.
+            # With thousands of splats at a pixel, one is always near the cutoff.
             *picture_measures(drawn, true, most_band=0.999 if count > 10_000 else 0.5),
             *gradient_measures(drawn, true),
         ):
@@ -118,22 +118,22 @@ def empty_scenes(full: bool) -> Iterator[Measure]:
     scene = draw_scene(1700, count=5)
     behind = draw_scene(1700, count=5, depths=(-6.0, -1.0))
     faint = scene.with_row(slice(None), opacities=-8.0)
-    aside = scene.with_row(slice(None), means=scene.means + np.float32(1e6))
+    outside = scene.with_row(slice(None), means=scene.means + np.float32(1e6))
     changed = 0
-    for one in (scene.rows(slice(0, 0)), behind, faint, aside):
+    for one in (scene.rows(slice(0, 0)), behind, faint, outside):
         drawn = native.draw(one, native.random_weights(one, 1))
         changed += int((drawn.pictures["rgb"] != np.array(native.BACKGROUND, np.float32)).sum())
         changed += sum(np.count_nonzero(drawn.pictures[k]) for k in ("alpha", "depth"))
         changed += sum(np.count_nonzero(g) for g in drawn.gradients.values())
         changed += int(drawn.stats["visible"] != 0)
     full_picture = native.draw(scene, native.random_weights(scene, 1))
-    require_covered(full_picture.pictures["alpha"])  # else the above proves nothing
+    require_covered(full_picture.pictures["alpha"])  # else the test above could not fail
     yield Measure("pixels and gradients that are not empty", float(changed), 0)
 
 
 @case("S29", "nothing written beside the arrays, skips exact", needs=())
 def guards(full: bool) -> Iterator[Measure]:
-    """Oracle: guard words; the same call with every skip turned off, bit for bit."""
+    """Oracle: guard words; the same call with all skips disabled, bit for bit."""
     broken = changed = fewer = 0
     for seed in range(30 if full else 6):
         scene = draw_scene(

@@ -30,10 +30,10 @@ def _pairs(full: bool) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 @case("S22", "image loss")
 def loss_by_autograd(full: bool) -> Iterator[Measure]:
-    """Oracle: the loss written out in float64 torch, with its autograd.
+    """Oracle: the loss in float64 torch, with its autograd.
 
-    Flat pictures have a tolerance of their own: their variances are zero, and what is left of
-    E[d^2] - E[d]^2 in float32, 3e-8 where d is a half, is divided by C2 = 9e-4.
+    Flat pictures have a larger tolerance: their variances are zero, and the float32 error of
+    E[d^2] - E[d]^2, 3e-8 for d = 0.5, is divided by C2 = 9e-4.
     """
     import torch
 
@@ -69,14 +69,14 @@ def loss_by_autograd(full: bool) -> Iterator[Measure]:
             yield Measure(
                 f"SSIM{kind}", abs(found.ssim - ssim.item()), 3e-5 if flat else 1e-6, name
             )
-            # Where x = y the derivative of |x - y| is anything between -1 and 1.
+            # At x = y the derivative of |x - y| is any value between -1 and 1.
             kink = np.abs(image - target.astype(np.float64) / 255) < 1e-6
-            wanted = exact.grad.numpy()
-            error = np.where(kink, 0, np.abs(leaf.grad.numpy() - wanted))
-            scale = max(float(np.abs(wanted).max()), 1 / image.size)
+            gradient = exact.grad.numpy()
+            error = np.where(kink, 0, np.abs(leaf.grad.numpy() - gradient))
+            scale = max(float(np.abs(gradient).max()), 1 / image.size)
             bound = 1e-4 if flat else 1e-5
             yield Measure(f"gradient{kind}", float(error.max()) / scale, bound, name)
-            moved |= bool(np.abs(wanted).max() > 0)
+            moved |= bool(np.abs(gradient).max() > 0)
     target = (rng.random((40, 50, 3)) * 255).astype(np.uint8)
     same = torch.from_numpy(target).float() * (1 / 255)
     found = loss.image_loss(same, torch.from_numpy(target))

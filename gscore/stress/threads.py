@@ -1,4 +1,4 @@
-"""S18 to S20, threads: thread counts, instruction sets and the host's floating point state."""
+"""S18 to S20, threads: thread counts, instruction sets and the host's floating-point state."""
 
 import ctypes
 import ctypes.util
@@ -48,7 +48,7 @@ def thread_counts(full: bool) -> Iterator[Measure]:
 
 @case("S19", "instruction sets against each other", per_isa=False)
 def instruction_sets(full: bool) -> Iterator[Measure]:
-    """Oracle: the best instruction set here; outside the band of the reference."""
+    """Oracle: the best available instruction set, outside the band of the reference."""
     from . import truth
 
     isas = backend.available_isas()
@@ -64,11 +64,11 @@ def instruction_sets(full: bool) -> Iterator[Measure]:
                 drawn[isa] = native.draw(scene, true.weights)
         best = drawn[isas[0]]
         for isa in isas[1:]:
-            # Without fused multiply-add each set has errors of its own, of 1e-6 against the truth.
+            # Without fused multiply-add the errors differ, by 1e-6 from the truth.
             tolerance = 2e-6 if isa == "scalar" else 1e-6
             for name, picture in drawn[isa].pictures.items():
                 if name == "median_depth":
-                    continue  # chooses one splat, by a comparison that rounding can turn over
+                    continue  # selects one splat by a comparison that rounding can change
                 scale = max(1.0, float(np.abs(true.pictures[name]).max()))
                 error = np.abs(picture - best.pictures[name])[~true.band].max() / scale
                 yield Measure(f"{isas[0]} and {isa}, picture", float(error), tolerance)
@@ -82,14 +82,15 @@ def instruction_sets(full: bool) -> Iterator[Measure]:
 _THIRD = np.float32(1) / np.float32(3)
 """Rounded to nearest, as the interpreter starts."""
 _ROUNDINGS = {"x86_64": (0x000, 0x400, 0x800, 0xC00), "aarch64": (0, 0x800000, 0x400000, 0xC00000)}
-"""Rounding to nearest first; then down, up and to zero as glibc numbers them, in any order."""
+"""glibc's numbers of the modes: to nearest first; then down, up and to zero in any order."""
 
 
 @contextmanager
 def _rounding_calls(libm: ctypes.CDLL, mode: int, seen: list[tuple[bool, bool]]) -> Iterator[None]:
-    """Set the mode around calls of the library alone: preparing its arguments rounds, too.
+    """Context that sets the mode only around calls of the library, since the preparation of
+    arguments rounds too.
 
-    `seen` gets, for each call, whether the mode had an effect before it and was lost after it.
+    Each call appends to `seen` whether the mode was effective before it and lost after it.
     """
 
     def wrapped(call: Any) -> Any:
@@ -119,12 +120,12 @@ def _rounding_calls(libm: ctypes.CDLL, mode: int, seen: list[tuple[bool, bool]])
 
 @case("S20", "the host's rounding mode", needs=())
 def rounding(full: bool) -> Iterator[Measure]:
-    """Oracle: the default environment; and the mode that was set must be set afterwards."""
+    """Oracle: the default environment; the mode must be unchanged afterwards."""
     import platform
 
     modes = _ROUNDINGS.get(platform.machine())
     if not sys.platform.startswith("linux") or modes is None:
-        raise NotHereError("setting the rounding mode is known for Linux on x86-64 and ARM64 only")
+        raise NotHereError("setting the rounding mode needs Linux on x86-64 or ARM64")
     libm = ctypes.CDLL(ctypes.util.find_library("m") or "libm.so.6")
     scene = _scene(2000, full=False)
     weights = native.random_weights(scene, 1)

@@ -22,7 +22,7 @@ _BLACK = (0.0, 0.0, 0.0)
 
 
 def trainer_of(config: TrainConfig, photos: ToyPhotos) -> "Trainer":
-    """A trainer; imported late, as it takes torch."""
+    """A trainer; imported late because it loads torch."""
     from ..trainer.trainer import Trainer
 
     return Trainer(config, photos)
@@ -50,8 +50,8 @@ def mean_psnr(trainer: "Trainer", photos: ToyPhotos) -> float:
 def coordinates(full: bool) -> Iterator[Measure]:
     """Oracle: the same photos and points around the origin; first pictures, PSNR after few steps.
 
-    Few, because training amplifies any difference: moving the points by 1e-7 of themselves alone
-    changes the PSNR of this capture by 0.01 dB after 60 steps and by 0.1 dB after 400.
+    Few, because training amplifies differences: a relative change of the points by 1e-7 changes the
+    PSNR of this capture by 0.01 dB after 60 steps and by 0.1 dB after 400.
     """
     config = TrainConfig(iterations=15, max_splats=200, sh_degree=1, refine_start=10_000)
     photos = toy_photos()
@@ -59,7 +59,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     start, picture = mean_psnr(first, photos), first.renderer.picture(0, background=_BLACK).numpy()
     plain = mean_psnr(trained(config, photos), photos)
     if not plain > start + 1:
-        raise EmptyTestError(f"nothing was learnt: {start:.2f} dB, then {plain:.2f} dB")
+        raise EmptyTestError(f"the training has no effect: {start:.2f} dB, then {plain:.2f} dB")
     places = [(f"offset {offset:.0e}", 1.0, offset) for offset in (1e3, 1e4, 1e5, 1e6, 1e7)]
     places += [(f"scale {scale:.0e}", scale, 0.0) for scale in (1e-4, 1e-2, 1e2, 1e4)]
     for name, scale, offset in places:
@@ -72,10 +72,10 @@ def coordinates(full: bool) -> Iterator[Measure]:
 
 @case("S30", "a long training", per_isa=False, slow=True)
 def long_training(full: bool) -> Iterator[Measure]:
-    """Oracle: 100,000 steps leave finite splats without runaway shapes, and do not unlearn.
+    """Oracle: after 100,000 steps splats are finite, without runaway shapes or loss of PSNR.
 
-    There are fewer splats than the capture was drawn with. What is left of the error is then what
-    they cannot say; with enough of them it is how far the last steps jump, by 1 dB about 52.
+    There are fewer splats than in the scene of the photos, so the final error is their limited
+    capacity; with enough splats it would be the noise of the last steps, 1 dB at 52 dB.
     """
     from ..splats import PARAMETERS
     from ..trainer.model import sanitize
@@ -92,7 +92,7 @@ def long_training(full: bool) -> Iterator[Measure]:
             trainer.step()
             if step % (LONG // 20) == 0:
                 psnr = mean_psnr(trainer, photos)
-                # Opacity resets and refinement end by then; before, PSNR goes up and down.
+                # Opacity resets and refinement have ended by then; before, PSNR fluctuates.
                 if step > settled:
                     fall = np.maximum(fall, best - psnr)
                     best = np.maximum(best, psnr)
@@ -113,20 +113,20 @@ def long_training(full: bool) -> Iterator[Measure]:
         yield Measure(f"{strategy}: longest axis over shortest", float(ratios.max()), limit)
         yield Measure(f"{strategy}: PSNR lost, dB", float(fall), 0.2)
         if not best > 15:
-            raise EmptyTestError(f"{strategy}: only {best:.1f} dB; nothing was learnt")
+            raise EmptyTestError(f"{strategy}: only {best:.1f} dB; the training has no effect")
 
 
 def _below(least: float, psnr: float) -> float:
-    """What is missing, dB; NaN for NaN."""
+    """Deficit to `least`, dB; NaN for NaN."""
     return float(np.maximum(0.0, least - psnr))
 
 
 @case("S32", "overfitting one photo, recovering a known scene")
 def recovery(full: bool) -> Iterator[Measure]:
-    """Oracle: the photo; 50 splats whose pictures were given."""
+    """Oracle: the photo; 50 known splats, trained from their pictures."""
     one = toy_photos(held_out=tuple(range(1, 8)))
     quick = TrainConfig(iterations=500, max_splats=1000, sh_degree=1, coarse_factor=1)
-    # One photo of 2304 px and two numbers a pixel to describe it with.
+    # One photo of 2304 px, with two parameters per pixel.
     config = replace(quick, refine_start=50, refine_every=25, grow_grad=2e-5, lr_boost=2.0)
     psnr = mean_psnr(trained(config, one), one)
     yield Measure("one photo, dB below 40", _below(40, psnr), 0, f"{psnr:.2f} dB")
@@ -140,7 +140,7 @@ def recovery(full: bool) -> Iterator[Measure]:
 
 @case("S17b", "trainings with nothing to see", per_isa=False)
 def empty_trainings(full: bool) -> Iterator[Measure]:
-    """Oracle: steps without an error, splats that stay finite; a clear error for no photos."""
+    """Oracle: steps without an error, finite splats; a clear error for no photos."""
     config = TrainConfig(iterations=40, max_splats=200, sh_degree=1, refine_start=5, refine_every=5)
     photos = toy_photos()
     blank = replace(photos, masks=[np.zeros((48, 48), np.uint8)] * 8, mask_mode="ignore")

@@ -1,6 +1,6 @@
 """Ground truth of a scene: the float64 reference, its gradients, and its undecided pixels.
 
-torch is imported when something is asked, so that the list of cases can be read without it.
+torch is imported on use, so that cases can be listed without it.
 """
 
 from dataclasses import dataclass, fields
@@ -16,20 +16,20 @@ from .scenes import SplatScene
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """The reference's answer, as float64 arrays named like those of `native.Drawn`."""
+    """Result of the reference, as float64 arrays named like those of `native.Drawn`."""
 
     pictures: dict[str, np.ndarray]
     band: np.ndarray
-    """[H, W] bool, pixels that hinge on a comparison which rounding could turn over."""
+    """[H, W] bool, pixels that depend on a comparison that rounding could change."""
     weights: dict[str, np.ndarray]
-    """What the gradients belong to: sum(weights * pictures); zero in the band."""
+    """Weights of the differentiated sum(weights * pictures); zero in the band."""
     gradients: dict[str, np.ndarray]
     projected: dict[str, np.ndarray]
     """Zero rows where culled."""
 
 
 def tensors(scene: SplatScene, *, grad: bool = False) -> dict[str, Any]:
-    """Arguments of the reference: float64 tensors, leaves where `grad`."""
+    """Arguments of the reference: float64 tensors, with gradients if `grad`."""
     import torch
 
     leaves = {
@@ -41,10 +41,10 @@ def tensors(scene: SplatScene, *, grad: bool = False) -> dict[str, Any]:
 
 
 def request_of(inputs: dict[str, Any], **options: Any) -> tuple[Any, Frustum, Settings]:
-    """What the reference's stages take: `SplatTensors`, a view and settings.
+    """Arguments of the reference's stages: `SplatTensors`, a view and settings.
 
     Args:
-        inputs: Arguments of `rasterize_reference`, as `tensors` makes them.
+        inputs: Arguments of `rasterize_reference`, from `tensors`.
         **options: near, far, orthographic; raw, sh_degree, antialias, eps2d.
     """
     from ..raster import reference
@@ -69,18 +69,18 @@ def reference_truth(
     Args:
         scene: Splats and camera.
         seed: Seed of the weights.
-        gradients: Whether they are wanted.
-        weigh: Pictures that enter the differentiated sum.
-        **options: raw, sh_degree, antialias, near, far, eps2d, orthographic, as `native.draw`.
+        gradients: Whether to compute gradients.
+        weigh: Pictures in the differentiated sum.
+        **options: raw, sh_degree, antialias, near, far, eps2d, orthographic, as in `native.draw`.
     """
     import torch
 
     from ..raster import reference
 
     inputs = tensors(scene, grad=gradients)
-    asked, view, settings = request_of(inputs, **options)
+    given, view, settings = request_of(inputs, **options)
     with torch.set_grad_enabled(gradients):
-        splats = reference.project(asked, view, settings)
+        splats = reference.project(given, view, settings)
         if gradients:
             splats.means2d.retain_grad()
         out = reference.composite(
@@ -100,7 +100,7 @@ def reference_truth(
             "depth": out.depth * out.alpha,  # the undivided sum
             "median_depth": out.median_depth,
         }
-        band = reference.boundary_band(asked, view, settings)
+        band = reference.boundary_band(given, view, settings)
         weights = random_weights(scene, seed, *weigh)
         for name in weights:
             weights[name][band.numpy()] = 0

@@ -257,12 +257,15 @@ POINT = {"seconds": 1.0, "psnr": 20.0}
     [
         ({"seeds": []}, "seeds must be a list of at least one entry"),
         ({"seeds": [[]]}, "at least one, got [0]"),
-        ({"seeds": [[POINT], [POINT, POINT]]}, "as many points, at least one, got [1, 2]"),
+        (
+            {"seeds": [[POINT], [POINT, POINT]]},
+            "the same number of points, at least one, got [1, 2]",
+        ),
         ({"seeds": [[POINT | {"psnr": float("nan")}]]}, "seed 0, point 0: psnr must be"),
         ({"seeds": [[POINT | {"seconds": -1}]]}, "seconds must be a number from 0"),
         ({"seeds": [[POINT | {"psnr": 10**400}]]}, "psnr must be a number from 0"),
         ({"seeds": [[POINT | {"ssim": 2}]]}, "ssim must be a number from -1 to 1, got 2"),
-        ({"seeds": [[POINT | {"seconds": 2}, POINT]]}, "in the order of their seconds"),
+        ({"seeds": [[POINT | {"seconds": 2}, POINT]]}, "points must be sorted by seconds"),
         ({"seeds": [[POINT | {"splats": 1.5}]]}, "splats must be a whole number"),
         ({"seeds": [[[]]]}, "not a file of curves"),
         ({"width": 0}, "width must be a number from 1"),

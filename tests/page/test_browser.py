@@ -307,7 +307,7 @@ def test_a_lost_context_is_told_and_comes_back(browser, tmp_path):
     told = "document.getElementById('message').textContent"
     browser.value("window.loss = viewer.painter.gl.getExtension('WEBGL_lose_context')")
     browser.value("loss.loseContext(); new Promise((done) => setTimeout(done, 300))")
-    assert "dropped the picture" in browser.value(told)
+    assert "connection to the graphics card was lost" in browser.value(told)
     browser.value("loss.restoreContext(); new Promise((done) => setTimeout(done, 500))")
     assert browser.value(told) == ""
     assert np.array_equal(browser.canvas(), before)

@@ -127,7 +127,7 @@ def test_sizes(capture: Path) -> None:
     (capture / "images" / "sub" / "v005.png").write_bytes(b"rubbish")
     facts = inspect(capture)
     if find_spec("PIL") is None:
-        assert facts.can_train and "1 photo cannot be looked into here" in texts(facts, False)
+        assert facts.can_train and "1 photo cannot be checked here" in texts(facts, False)
     else:
         assert not facts.can_train and "v005.png" in texts(facts, True)
 
