@@ -89,5 +89,5 @@ class Evaluator:
 
     @property
     def _aligns(self) -> bool:
-        """Whether held-out cameras are aligned too, because training poses are refined."""
+        """True if held-out cameras are aligned too, because training poses are refined."""
         return self.split == "test" and self._trainer.photo_parameters.poses is not None

@@ -74,7 +74,7 @@ class RunStart:
 
     @property
     def resumes(self) -> bool:
-        """Whether the run resumes from a checkpoint."""
+        """True if the run resumes from a checkpoint."""
         return self._checkpoint is not None
 
     @property

@@ -290,7 +290,7 @@ class Session:
 
     @property
     def _guarded(self) -> bool:
-        """Whether checkpoints are kept for the watchdog."""
+        """True if checkpoints are kept for the watchdog."""
         return self._config.watchdog and self._config.checkpoint_seconds > 0
 
     def _start_watchdog(self) -> None:

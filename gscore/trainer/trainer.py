@@ -57,8 +57,8 @@ from .views.photo_parameters import PhotoParameters, initial_poses
 from .views.pose_check import PoseCheck
 
 _IN_CELL = (
-    "Splats are added in the block's cell alone: those around it, which `gscore merge` leaves out, "
-    "are there from the splats that were given."
+    "Splats are added only in the block's cell: the start splats cover its surroundings, which "
+    "`gscore merge` leaves out."
 )
 _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
@@ -236,7 +236,7 @@ class Trainer:
     @property
     def splat_count(self) -> int:
         """Number of splats, frozen ones included."""
-        return self.trained_count + self._standing
+        return self.trained_count + self._frozen_count
 
     @property
     def trained_count(self) -> int:
@@ -244,7 +244,7 @@ class Trainer:
         return sum(len(member.model) for member in self.members)
 
     @property
-    def _standing(self) -> int:
+    def _frozen_count(self) -> int:
         return 0 if self.still is None else len(self.still)
 
     @property
@@ -254,9 +254,9 @@ class Trainer:
         if self.region is None:
             return _IN_CELL if self._block else ""
         if not self._given:
-            return "Only pixels that look at the region count."
+            return "Only pixels that show the region are trained."
         count = count_words(self.trained_count, "splat")
-        return f"{count} in the region; {number(self._standing)} around it stand still."
+        return f"{count} in the region; {number(self._frozen_count)} around it are frozen."
 
     def plan_of(self, iterations: int) -> Plan:
         """Return the plan of a run with `iterations` steps; cheap."""
@@ -532,7 +532,7 @@ class Trainer:
 
     @property
     def _collected(self) -> bool:
-        """Whether rank 0 has the whole state of a checkpoint; equal on all ranks."""
+        """True if rank 0 has the whole state of a checkpoint; equal on all ranks."""
         return all(member.batch is None or member.batch.complete for member in self.members)
 
     def tensors(self) -> dict[str, torch.Tensor]:
@@ -715,8 +715,8 @@ class Trainer:
     def _learn(
         self, member: EnsembleMember, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
     ) -> tuple[Change, int]:
-        """Update the model with its gradients; returns the changes and the number of rows whose
-        gradients were not finite."""
+        """Update the model with its gradients; returns the changes and the number of rows with
+        gradients that were not finite."""
         model, batch, radii = member.model, member.batch, self._rasterizer.radii
         counters = batch.counters(model) if batch else model.rows
         drawn = DrawnView(
@@ -745,7 +745,7 @@ class Trainer:
             model,
             step=step,
             means_lr=means_lr,
-            cap=self.plan.cap_for(self.photo_factor) - self._standing,
+            cap=self.plan.cap_for(self.photo_factor) - self._frozen_count,
             generator=self.generator,
         )
         if self.region is not None and self._given:

@@ -89,7 +89,7 @@ def test_a_block_that_starts_from_splats_grows_in_its_cell(gscore, blocks, tmp_p
     for source in (blocks / "blocks/block_0", plain):
         code, _, err = gscore("train", source, "-o", tmp_path / f"run_{source.stem}", *line)
         assert code == 0
-        told.append("Splats are added in the block's cell alone" in err)
+        told.append("Splats are added only in the block's cell" in err)
         found.append(inside_and_around(tmp_path / f"run_{source.stem}/point_cloud.ply"))
     assert told == [True, False]
     (inside, around), block, whole = found

@@ -36,8 +36,8 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
     else:
         why = f"Photos agree on the depth of {known:.0%} of their pixels"
     return rate, (
-        f"{why}: of each step as many as {rate:.0%} of the splats are left out, for unseen views "
-        "(--drop-rate 0 leaves out none)."
+        f"{why}, so steps drop up to {rate:.0%} of the splats, which improves unseen views "
+        "(--drop-rate 0 drops none)."
     )
 
 

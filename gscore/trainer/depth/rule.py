@@ -30,7 +30,7 @@ class Coverage:
 
     @property
     def is_dense(self) -> bool:
-        """Whether depth maps are unlikely to improve the result."""
+        """True if depth maps are unlikely to improve the result."""
         return self.views_of_point >= DENSE_VIEWS and self.points_in_view >= DENSE_POINTS
 
     def __str__(self) -> str:
@@ -72,12 +72,12 @@ def decide(mode: Switch, facts: Coverage, *, usable: int) -> tuple[bool, str]:
         usable: Number of training views with a depth map that the loss can use.
     """
     if usable == 0:
-        return False, "No training view has a depth map that can be used, so depth is not used."
+        return False, "No training view has a usable depth map, so depth is not used."
     if mode is Switch.OFF:
         return False, "Depth maps are read for the report only (depth_mode off)."
     if mode is Switch.AUTO and facts.is_dense:
         return False, (
-            f"The capture is dense ({facts}), so the photos settle the geometry and depth is not "
-            f"used; --depth-mode on uses it all the same."
+            f"The capture is dense ({facts}), so the photos determine the geometry and depth is "
+            f"not used; --depth-mode on uses it anyway."
         )
     return True, f"Depth supervises {count_words(usable, 'training view')} ({facts})."

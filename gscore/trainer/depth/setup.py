@@ -26,7 +26,7 @@ class DepthSetup:
     targets: DepthTargets | None = None
     """All readable depth maps, for the report; None: there are none."""
     supervises: bool = False
-    """Whether the maps enter the loss."""
+    """True if the maps enter the loss."""
     why: str = ""
     """The decision with its reason and weights, as sentences."""
     weights: tuple[float, float] = (0.0, 0.0)
@@ -91,7 +91,7 @@ def prepare_depth(
         if config.start_splats is not None and config.depth_points > 0:
             warnings.append(
                 "No points are added from depth maps (depth_points), because the run starts from "
-                "splats that are there already (start_splats)."
+                "splats (start_splats)."
             )
     if supervises and (count := _points_wanted(resolved)):
         # With few splats in total, those that start on walls are missing on the subject.

@@ -56,7 +56,7 @@ def stereo_start(
         return StereoStart()
     if not _is_enabled(config.stereo, known):
         if config.stereo_points and config.stereo == Stereo.MISSING:
-            return _nothing(f"the capture has {number(given)} (--stereo on looks for more)")
+            return _nothing(f"the capture has {number(given)} (--stereo on adds more)")
         return StereoStart()
     most = max_stereo_points(config, given)
     if not most:
@@ -68,13 +68,13 @@ def stereo_start(
     added = dense_points(found, most=most)
     by_chance = known.made_up and found.known < _CHANCE
     if len(added) < min(_FEWEST, most) or by_chance:
-        return _nothing("photos agree on the depth of hardly anything", known=found.known)
+        return _nothing("photos agree on the depth of almost no pixels", known=found.known)
     return StereoStart(
         points=added if known.made_up else known.with_more(added),
         added=len(added),
         known=found.known,
-        why=f"{count_words(len(added), 'point')} of surfaces that photos agree on "
-        + (f"were added to {number(given)} of the capture." if given else "are started from."),
+        why=f"{count_words(len(added), 'stereo point')} "
+        + (f"were added to {number(given)} of the capture." if given else "are the start points."),
     )
 
 

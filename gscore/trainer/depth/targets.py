@@ -28,7 +28,7 @@ class Prior(Protocol):
 
     @property
     def aligned(self) -> bool:
-        """Whether the values have the scale of the capture."""
+        """True if the values have the scale of the capture."""
         ...
 
 
@@ -68,7 +68,7 @@ class DepthTargets:
         return self._full[index] is not None
 
     def is_aligned(self, index: int) -> bool:
-        """Whether view `index` has a prior with the scale of the capture."""
+        """Return whether view `index` has a prior with the scale of the capture."""
         found = self._full[index]
         return found is not None and found.aligned
 

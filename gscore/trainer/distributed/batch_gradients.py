@@ -28,7 +28,7 @@ class BatchGradients:
         self._team = team
         self._sums = RowSums(team)
         self.complete = False
-        """Whether rank 0 has the accumulated gradients of all ranks; equal on all ranks."""
+        """True if rank 0 has the accumulated gradients of all ranks; equal on all ranks."""
         self._others: list[Tensor] = []
         self._accumulated = torch.zeros(0, dtype=torch.bool, device="cpu")
         """[N]: non-zero rows of the shN gradient."""

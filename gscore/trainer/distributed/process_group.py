@@ -55,7 +55,7 @@ def world_size() -> int:
 
 
 def restarted() -> bool:
-    """Whether torchrun restarted this process because another one was lost."""
+    """Return whether torchrun restarted this process because another one was lost."""
     return world_size() >= 1 and _number(_RESTARTS, 0) > 0
 
 
@@ -98,16 +98,16 @@ class ProcessGroup:
         self.accounts = np.zeros((self.size, 3))
         """[size, 3] `account` of each rank, before the last step."""
         self.in_step = False
-        """Whether the others may be waiting for data of this rank."""
+        """True if the others may be waiting for data of this rank."""
         self.told = False
-        """Whether the others have been notified of the end."""
+        """True if the others have been notified of the end."""
         self._dist = dist
         try:
             # torch documents both names, but does not list them as exported.
             meeting = dist.rendezvous("env://", timeout=_MEETING)  # pyright: ignore[reportPrivateImportUsage]
             self._kept = store = next(meeting)[0]
             self.ended = store.check([_ENDED])
-            """Whether the work was complete before torchrun restarted a rank lost during exit."""
+            """True if the work was complete before torchrun restarted a rank lost during exit."""
             # torchrun keeps the addresses of dead ranks, so each restart uses its own prefix.
             room = f"gscore {_number(_RESTARTS, 0)}"
             store = dist.PrefixStore(room, store)  # pyright: ignore[reportPrivateImportUsage]
@@ -139,7 +139,7 @@ class ProcessGroup:
 
     @property
     def is_rank0(self) -> bool:
-        """Whether this is rank 0, which decides, writes files and emits events."""
+        """True if this is rank 0, which decides, writes files and emits events."""
         return self.rank == 0
 
     @contextmanager

@@ -17,7 +17,7 @@ def take_step(iterations: int, rate_factor: float) -> dict[str, Any]:
 
 
 def restore(state: dict[str, Any]) -> dict[str, Any]:
-    """Restore the state of a trainer, whose tensors follow."""
+    """Restore the state of a trainer; its tensors follow."""
     return {"do": RESTORE, "state": state}
 
 

@@ -31,7 +31,7 @@ class WorkQueue:
 
     @property
     def has_started(self) -> bool:
-        """Whether this torchrun began the work and did not complete it, so that it is resumed."""
+        """True if this torchrun began the work and did not complete it, so that it is resumed."""
         return restarted() and _is_of(self.output, self.agent)
 
     def work(
@@ -44,7 +44,7 @@ class WorkQueue:
     ) -> str:
         """Run jobs on this rank until none are left, and wait for the other ranks.
 
-        A rank whose job fails takes no further job; the others continue.
+        After a failed job a rank takes no further job; the others continue.
 
         Args:
             count: Number of jobs.
@@ -61,7 +61,7 @@ class WorkQueue:
         """
         team, failure, reason = self.team, None, FINISHED
         with self._kept() as keep:
-            self._check_seen()
+            self._check_folder()
             team.broadcast({"resume": resume})
             resume = resume if team.is_rank0 else bool(team.receive()["resume"])
             try:
@@ -104,8 +104,8 @@ class WorkQueue:
                 with contextlib.suppress(OSError):
                     self.output.rmdir()  # only an empty folder can be removed
 
-    def _check_seen(self) -> None:
-        """Raise ConfigError naming a rank that does not see the folder of rank 0."""
+    def _check_folder(self) -> None:
+        """Raise ConfigError naming a rank that cannot read the folder of rank 0."""
         agents, failure = self.team.texts(self.agent), None
         if not self._appears(agents[0]):
             failure = ConfigError(

@@ -52,11 +52,11 @@ class Estimate:
     photo_bytes: int
     """Memory of decoded photos."""
     photos_kept: bool
-    """Whether all photos stay in memory; else some are decoded repeatedly."""
+    """True if all photos stay in memory; else some are decoded repeatedly."""
     photos_anew: bool = False
-    """Whether photos in memory are decoded again for each training resolution."""
+    """True if photos in memory are decoded again for each training resolution."""
     fits: bool
-    """Whether the memory is sufficient."""
+    """True if the memory is sufficient."""
     fitting_splats: int
     """Most splats that fit with these photos, in steps of 1000; 0: too few to be useful."""
     fitting_width: int

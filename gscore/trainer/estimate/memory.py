@@ -70,8 +70,8 @@ def photo_memory(photos: int, config: TrainConfig, *, anew: bool) -> int:
 
 
 def decoded_anew(config: TrainConfig, photos: int, *, views: int, rest: int) -> bool:
-    """Whether to free full-size photos while smaller ones are trained on and decode them again for
-    each size: if that saves much memory and takes little time relative to the run.
+    """Return whether to free full-size photos while smaller ones are trained on, and decode them
+    again for each size: if that saves much memory and takes little time relative to the run.
 
     Args:
         config: The options.
@@ -88,7 +88,7 @@ def decoded_anew(config: TrainConfig, photos: int, *, views: int, rest: int) -> 
 
 
 def _starts_small(config: TrainConfig) -> bool:
-    """Whether training starts with scaled-down photos."""
+    """Return whether training starts with scaled-down photos."""
     full = config.coarse_factor == 1 or (config.coarse_factor == 0 and config.start_splats)
     return not full and Skip.SMALL_PHOTOS not in config.without
 

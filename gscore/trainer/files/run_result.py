@@ -34,7 +34,7 @@ class TrainResult:
     output: Path
     """Output folder."""
     ended_before: bool = False
-    """Whether the run was to be resumed but had already ended."""
+    """True if the run was to be resumed but had already ended."""
 
     @property
     def psnr(self) -> float | None:
@@ -95,7 +95,7 @@ def finished_run(
 
 
 def _same_block(run: Path, source: Path) -> bool:
-    """Whether `source` is still the block that a run was trained on; True without blocks."""
+    """Return whether `source` is still the block that a run was trained on; True without blocks."""
     was, now = read_block(run, RUN_BLOCK), read_block(source)
     return was is None or (now is not None and now.is_cell_of(was))
 

@@ -99,7 +99,7 @@ def completed(frame: PlannedFrame) -> FrameResult | None:
 
 
 def is_measured(metrics: dict[str, Any]) -> bool:
-    """Whether a training was evaluated; one stopped just before has all steps but no metrics."""
+    """Return whether a training was evaluated; one stopped just before has steps but no metrics."""
     return bool(metrics.get("views"))
 
 

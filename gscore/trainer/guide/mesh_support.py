@@ -50,11 +50,11 @@ class MeshSupportTotals:
 
     def __str__(self) -> str:
         if self.total < FEW:
-            return "hardly a point of the capture is seen where it is"
+            return "almost no points of the capture are observed there"
         shares = [f"{part / self.total:.0%}" for part in (self.on, self.before, self.behind)]
         return (
-            f"of the points seen there {shares[0]} lie on it within {ON_MESH:.0%}, {shares[1]} "
-            f"before it and {shares[2]} behind it"
+            f"of the points observed there {shares[0]} are on it within {ON_MESH:.0%}, "
+            f"{shares[1]} in front of it and {shares[2]} behind it"
         )
 
 

@@ -25,7 +25,7 @@ class MeshView:
     confidence: np.ndarray
     """[H, W] float32 in [0, 1]; 0 without mesh, at silhouettes and in masked pixels."""
     aligned: bool = True
-    """Whether it has the scale of the capture."""
+    """True if it has the scale of the capture."""
 
 
 def mesh_views(

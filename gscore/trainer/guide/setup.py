@@ -93,13 +93,13 @@ def prepare_guide(
 def _words(
     role: str, path: Path, views: Sequence[MeshView | None], support: MeshSupportTotals
 ) -> str:
-    seen = [view for view in views if view is not None]
-    pixels = sum(view.inverse_depth.size for view in seen)
-    covered = sum(int((view.inverse_depth > 0).sum()) for view in seen)
-    what = "Splats are to lie on" if role == "surface" else "Nothing is to stand before"
+    shown = [view for view in views if view is not None]
+    pixels = sum(view.inverse_depth.size for view in shown)
+    covered = sum(int((view.inverse_depth > 0).sum()) for view in shown)
+    what = "Surface mesh" if role == "surface" else "Free-space mesh"
     return (
-        f"{what} {path.name}, which {count_words(len(seen), 'training photo')} see in "
-        f"{covered / pixels:.0%} of their pixels; {support}."
+        f"{what} {path.name} covers {covered / pixels:.0%} of the pixels of "
+        f"{count_words(len(shown), 'training photo')}; {support}."
     )
 
 

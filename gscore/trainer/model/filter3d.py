@@ -19,8 +19,8 @@ _MARGIN = 0.15
 
 
 def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tensor:
-    """Return sampling rates of positions: pixels per unit in the nearest photo whose frame contains
-    the position, occluded or not (Yu et al. 2024, Mip-Splatting, section 4.2).
+    """Return sampling rates of positions: pixels per unit in the nearest photo that has them in its
+    frame, occluded or not (Yu et al. 2024, Mip-Splatting, section 4.2).
 
     Args:
         means: [N, 3] float32, any unit.

@@ -148,7 +148,7 @@ class Model:
             threads: 0: all cores.
 
         Returns:
-            Number of splats whose gradients were not finite.
+            Number of splats with gradients that were not finite.
         """
         if len(self) == 0:
             return 0

@@ -9,7 +9,7 @@ _LEAF = 64
 
 
 def few_queries(points: int, asked: int) -> bool:
-    """Whether `asked` queries are few enough for the tree that is smaller and faster to build."""
+    """Return whether `asked` queries are so few that a tree that is fast to build pays off."""
     return _MANY * asked < points
 
 

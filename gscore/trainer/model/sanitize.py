@@ -80,7 +80,7 @@ def _clamp_spread(model: Model, extent: float) -> None:
 
 
 def _all_within(values: torch.Tensor, limit: float) -> bool:
-    """Whether all values are in [-limit, limit] and finite, in one pass that propagates NaN."""
+    """Return whether all values are in [-limit, limit] and finite; a single pass propagates NaN."""
     low, high = torch.aminmax(values)
     return -limit <= float(low) and float(high) <= limit and math.isfinite(float(low))
 

@@ -93,7 +93,7 @@ class ViewSampler:
 
     @property
     def through(self) -> bool:
-        """Whether the epoch is complete."""
+        """True if the epoch is complete."""
         return self.position >= len(self.order)
 
     def begin(self, generator: torch.Generator) -> None:

@@ -63,8 +63,8 @@ class RegionBox:
     def may_be_seen(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float
     ) -> bool:
-        """Whether the box may be visible: False only if all corners are beyond one side of the view
-        frustum.
+        """Return whether the box may be visible: False only if all corners are beyond one side of
+        the view frustum.
 
         Args:
             K: [3, 3], px.

@@ -49,7 +49,7 @@ class RegionPhotos(Dataset):
         cameras: Any = whole.scene.cameras
 
         def shows(index: int, *, exact: bool) -> bool:
-            """Whether a view may show the box; with `exact`, whether it does."""
+            """Return whether a view may show the box; with `exact`, whether it does."""
             size = int(cameras.widths[index]), int(cameras.heights[index])
             camera = cameras.Ks[index], cameras.viewmats[index], *size
             return box.may_be_seen(*camera, near) and (not exact or _has_pixels(box, *camera))
@@ -86,7 +86,7 @@ class RegionPhotos(Dataset):
 def _has_pixels(
     box: RegionBox, K: np.ndarray, viewmat: np.ndarray, width: int, height: int
 ) -> bool:
-    """Whether the ray through any pixel of the downscaled view meets the box."""
+    """Return whether the ray through any pixel of the downscaled view meets the box."""
     shrink = min(1.0, _COARSE / max(width, height))
     coarse = np.diag([shrink, shrink, 1.0]) @ K
     size = math.ceil(width * shrink), math.ceil(height * shrink)

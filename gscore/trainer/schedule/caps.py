@@ -39,7 +39,7 @@ def expected_points(config: TrainConfig, given: int) -> int:
 
 
 def drops_splats_of_subject(config: TrainConfig, *, mask_mode: str, known: float | None) -> bool:
-    """Whether dropout is used for a subject with `composite` masks.
+    """Return whether dropout is used for a subject with `composite` masks.
 
     If photos agree it gains 0.2 dB in half the steps; otherwise it loses as much.
 
@@ -86,7 +86,7 @@ def expected_model_count(config: TrainConfig, *, photos: int, points: int, subje
 
 
 def _runs_stereo(config: TrainConfig, points: int) -> bool:
-    """Whether stereo runs for a capture with this number of points."""
+    """Return whether stereo runs for a capture with this number of points."""
     enabled = config.stereo != Stereo.OFF and (points == 0 or config.stereo != Stereo.MISSING)
     return enabled and max_stereo_points(config, points) > 0
 
@@ -137,9 +137,9 @@ def model_count(
     else:
         why = f"{known:.0%} of their pixels, less than {config.ensemble_below:.0%}"
     return models, (
-        f"Photos agree on the depth of {why}: {models} models, each with its share of the splats, "
-        "are trained side by side and shown as one. That takes longer, and views between the "
-        "photos are better (--ensemble 1 trains one)."
+        f"Photos agree on the depth of {why}, so {models} models that share the splats are trained "
+        "in parallel and merged. That takes longer but improves views between the photos "
+        "(--ensemble 1 trains one)."
     )
 
 

@@ -200,7 +200,7 @@ class Plan:
         return max(_KEPT_EVERY, self.iterations // 10)
 
     def rest_moves_at(self, step: int, photos: int = 1) -> bool:
-        """Whether shN is updated after `step`, the last of a batch of `photos`.
+        """Return whether shN is updated after `step`, the last of a batch of `photos`.
 
         The last step updates it; a run that ends early loses the accumulated gradients.
         """
@@ -230,19 +230,19 @@ class Plan:
         )
 
     def refines_at(self, step: int) -> bool:
-        """Whether splats may be added or removed after `step`."""
+        """Return whether splats may be added or removed after `step`."""
         inside = self.refine_start <= step <= min(self.refine_stop, self.iterations - 1)
         return inside and step % self.refine_every == 0
 
     def prunes_free_space_at(self, step: int) -> bool:
-        """Whether free space is pruned and minimum scales are applied after `step`: as often as
-        refinements but in the whole run, because splats keep moving."""
+        """Return whether free space is pruned and minimum scales are applied after `step`: as often
+        as refinements but in the whole run, because splats keep moving."""
         return step % self.refine_every == 0 or step == self.iterations
 
     def prunes_masked_at(self, step: int) -> bool:
-        """Whether masked splats are pruned after `step`: at the first refinement step of the second
-        and of the last third. The rest of the run closes the gaps; without it, pruning costs a
-        decibel."""
+        """Return whether masked splats are pruned after `step`: at the first refinement step of the
+        second and of the last third. The rest of the run closes the gaps; without it, pruning costs
+        a decibel."""
         now, before = (3 * at // self.iterations for at in (step, step - self.refine_every))
         return step % self.refine_every == 0 and before < now < 3
 
@@ -258,6 +258,6 @@ class Plan:
         return max(splats - max(round(self.kept * (splats + pruned)), 1), 0)
 
     def resets_at(self, step: int) -> bool:
-        """Whether opacities are reset after `step`."""
+        """Return whether opacities are reset after `step`."""
         inside = step <= min(self.reset_stop, self.iterations - 1)
         return self.reset_every > 0 and inside and step % self.reset_every == 0

@@ -52,7 +52,7 @@ class StepLoss:
         self._v_rgb = empty(0)
 
     def uses_depth(self, training_view: TrainingView, step: int) -> bool:
-        """Whether the loss of a view at `step` needs its inverse depth."""
+        """Return whether the loss of a view at `step` needs its inverse depth."""
         return bool(self._depth_terms(training_view.index, step))
 
     def of(self, picture: Picture, training_view: TrainingView, step: int) -> LossAndGradients:

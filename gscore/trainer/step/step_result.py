@@ -17,7 +17,7 @@ class StepResult(NamedTuple):
     bad_rows: int
     """Number of splats with gradients that were not finite, which were ignored."""
     skipped: bool
-    """Whether the update was skipped, because the loss was not finite or came from runaways."""
+    """True if the update was skipped, because the loss was not finite or came from runaways."""
     lost_rows: int = 0
     """Number of runaway splats that were reset."""
     cleared_rows: int = 0

@@ -42,7 +42,7 @@ class StoppingCriteria:
         """Last step of a converged run; 0: not converged."""
 
     def due(self) -> bool:
-        """Whether to measure after the last step."""
+        """Return whether to measure after the last step."""
         config = self._config
         if not (config.target_psnr or (config.early_stop and not self.length)):
             return False
@@ -64,12 +64,12 @@ class StoppingCriteria:
         return mean
 
     def reached(self) -> bool:
-        """Whether the last measurement reaches the target PSNR."""
+        """Return whether the last measurement reaches the target PSNR."""
         target = self._config.target_psnr
         return bool(target and self._measured and self._measured[-1][1] >= target)
 
     def converged(self) -> bool:
-        """Whether the PSNR has just stopped rising; sets `length`."""
+        """Return whether the PSNR has just stopped rising; sets `length`."""
         if not self._config.early_stop or self.length or not self._measured:
             return False
         step, plan = self._measured[-1][0], self._trainer.plan

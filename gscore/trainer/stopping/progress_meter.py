@@ -143,7 +143,7 @@ class ProgressMeter:
         )
 
     def due(self) -> bool:
-        """Whether to emit a progress event now: at most a few per second, and at the last step."""
+        """Return whether to emit a progress event now: a few per second, and at the last step."""
         now = time.monotonic()
         last = self._step >= self.plan.iterations
         if not last and now - self._last_event < 1 / _EVENTS_PER_SECOND:

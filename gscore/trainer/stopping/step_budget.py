@@ -28,7 +28,7 @@ class StepBudget:
         self._last = -math.inf
 
     def due(self, step: int, elapsed: float) -> bool:
-        """Whether to fit the length after `step`, `elapsed` seconds after the start."""
+        """Return whether to fit the length after `step`, `elapsed` seconds after the start."""
         if step < FIRST_STEPS:
             return elapsed >= self._budget
         return elapsed >= self._budget or elapsed - self._last >= _SHARE * self._budget

@@ -97,7 +97,7 @@ class Watchdog:
         return self._error > max(_RATIO * self._best, self._best + _MARGIN)
 
     def worth_keeping(self, step: int) -> bool:
-        """Whether the state after `step` should be kept as a good checkpoint."""
+        """Return whether the state after `step` should be kept as a good checkpoint."""
         if step % self.plan.kept_every or step < self._quiet_until or self._spoilt > 0.1:
             return False
         return self._count >= _WINDOW and self._error <= _HEALTHY * self._best

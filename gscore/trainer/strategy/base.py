@@ -17,7 +17,7 @@ class Change:
     removed: int = 0
     moved: int = 0
     reset: bool = False
-    """Whether opacities were reset."""
+    """True if opacities were reset."""
 
     def __bool__(self) -> bool:
         return bool(self.added or self.removed or self.moved or self.reset)

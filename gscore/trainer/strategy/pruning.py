@@ -27,14 +27,14 @@ class Space(Protocol):
 
 
 class Emptied:
-    """A free space whose splats are removed, unless too many are in it at once."""
+    """A free space from which splats are removed, unless too many are in it at once."""
 
     def __init__(self, space: Space | None) -> None:
         self._space = space
         self.count = 0
         """Number of splats removed so far."""
         self.crowded = False
-        """Whether too many splats were in it at once, so that it is no longer emptied."""
+        """True if too many splats were in it at once, so that it is no longer emptied."""
 
     def due(self, means: torch.Tensor) -> torch.Tensor | None:
         """Return the splats to remove, [N] bool; None: none."""
@@ -101,7 +101,7 @@ class Pruner:
         return before - len(model)
 
     def prune_masked(self, model: Model, plan: Plan, step: int) -> int:
-        """Remove splats whose weight is mostly in masked pixels."""
+        """Remove splats with most of their weight in masked pixels."""
         share = self._config.hidden_share
         if share == 0 or not self._masks_hide or not plan.prunes_masked_at(step):
             return 0

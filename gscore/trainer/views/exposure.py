@@ -89,22 +89,22 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
         farthest: Maximum of these.
         known: Source of the exposures; empty: unknown.
     """
-    fact = f"{apart:.2f} stops apart, the farthest {farthest:.2f}, by {known}"
+    fact = f"{apart:.2f} stops apart, at most {farthest:.2f}, by {known}"
     if mode is Switch.ON:
-        return True, f"The exposure of each photo is learnt ({fact if known else 'asked for'})."
+        return True, f"The exposure of each photo is optimised ({fact if known else 'requested'})."
     if not known:
         return False, (
-            "How the photos were exposed is not known: no points are seen in several of them, nor "
-            "does EXIF say so. Their colours are taken as they are; --exposure on learns them."
+            "The exposure of the photos is unknown, because no points are observed in several of "
+            "them and EXIF has none. Colours are used unchanged; --exposure on optimises gains."
         )
     if apart < LEAST_STOPS and farthest < FAR_STOPS:
         return False, (
-            f"Photos side by side are exposed much alike ({fact}), so their colours are taken as "
-            "they are."
+            f"Neighbouring photos have similar exposure ({fact}), so their colours are used "
+            "unchanged."
         )
     return True, (
-        f"Photos side by side are exposed differently ({fact}), so the exposure of each is learnt; "
-        "new views get the mean one. --exposure off takes colours as they are."
+        f"Neighbouring photos differ in exposure ({fact}), so that of each is optimised; new views "
+        "get the mean. --exposure off uses colours unchanged."
     )
 
 

@@ -153,7 +153,7 @@ class ModelRenderer:
         return self._draw(shown, view, background=self.background).rgb
 
     def shows_splats(self, index: int) -> bool:
-        """Whether any splat is drawn in view `index`; rendered at an eighth of its size."""
+        """Return whether any splat is drawn in view `index`; rendered at an eighth of its size."""
         view = self.view(index)
         factor = min(_CHECK_FACTOR, view.width, view.height)
         width, height = view.width // factor, view.height // factor

@@ -65,7 +65,7 @@ class PhotoGains:
 
     @staticmethod
     def are_in(tensors: dict[str, torch.Tensor]) -> bool:
-        """Whether a checkpoint has gains."""
+        """Return whether a checkpoint has gains."""
         return f"{_NAME}/value" in tensors
 
     @classmethod

@@ -44,7 +44,7 @@ class PhotoPoses:
         self._first, self._viewmats = viewmats.copy(), viewmats.copy()
         self._unit, self._limit = unit, limit
         self.learns = learns
-        """Whether the poses are refined; False: only stored."""
+        """True if the poses are refined; False: only stored."""
         self._adam = PhotoAdam(len(viewmats), 6)
 
     @property
@@ -97,7 +97,7 @@ class PhotoPoses:
 
     @staticmethod
     def are_in(tensors: dict[str, torch.Tensor]) -> bool:
-        """Whether a checkpoint has poses."""
+        """Return whether a checkpoint has poses."""
         return f"{_NAME}/viewmats" in tensors
 
     @classmethod

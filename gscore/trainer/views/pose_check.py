@@ -29,7 +29,7 @@ class PoseCheck:
     """[V, 4, 4] float64, world to camera, of all views, if training cameras were realigned or are
     refined; None: the poses of the capture."""
     learns: bool = False
-    """Whether poses are refined from the photos during the training."""
+    """True if poses are refined from the photos during the training."""
     why: str = ""
     """Message on the decision; empty: no check."""
 
@@ -58,29 +58,29 @@ def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> 
     if not bad:
         if forced:
             return PoseCheck(
-                viewmats=viewmats, learns=True, why="Training poses are learnt (asked for)."
+                viewmats=viewmats, learns=True, why="Training poses are refined (requested)."
             )
-        why = f"Cameras agree with the points they saw ({fact}), so they stay where they are."
+        why = f"Cameras agree with their points ({fact}), so their poses are unchanged."
         return PoseCheck(why=why)
     better = _realign(photos, observed, errors, viewmats, bad)
     left = len(bad) - better
     why = (
-        f"{count_words(len(bad), 'training camera misses', 'training cameras miss')} the points "
-        f"seen from there ({fact} in the median of all): {better} placed anew by these points"
+        f"{count_words(len(bad), 'training camera misses its', 'training cameras miss their')} "
+        f"points (median of all {fact}): {better} realigned to them"
     )
     learns = forced or left > _DOUBT * len(photos.train)
-    why += ", and poses are learnt from the photos." if learns else "."
+    why += ", and poses are refined from the photos." if learns else "."
     return PoseCheck(viewmats=viewmats, learns=learns, why=why)
 
 
 def _unknown(viewmats: np.ndarray, *, forced: bool) -> PoseCheck:
     if forced:
         return PoseCheck(
-            viewmats=viewmats, learns=True, why="Training poses are learnt (asked for)."
+            viewmats=viewmats, learns=True, why="Training poses are refined (requested)."
         )
     return PoseCheck(
-        why="No points tell whether cameras stand where the photos were taken; they stay "
-        "(--refine-poses on learns their poses)."
+        why="No observed points can check the camera poses, so they are unchanged "
+        "(--refine-poses on refines them)."
     )
 
 

@@ -84,7 +84,7 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     write_splats(tmp_path / "a.ply", splats(500))
     write_splats(tmp_path / "b.ply", splats(700, seed=1))
     result = done(40, "finished", str(tmp_path / "b.ply"))
-    about = STARTED | {"region": "3 splats in the region; 497 around it stand still."}
+    about = STARTED | {"region": "3 splats in the region; 497 around it are frozen."}
     told = play({"say": about}, {"say": progress(10)}, {"await": "go"}, {"say": result})
     ob = cropped(studio, tmp_path / "a.ply")
     inside = in_box(ob, positions(ob))
@@ -96,7 +96,7 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     job = train_region.job_of(studio)
     assert job.output == tmp_path / "out_region_1"
     until(lambda: job.progress is not None)
-    assert "stand still" in drawn(RegionPanel) and "Step 10" in drawn(RegionPanel)
+    assert "are frozen" in drawn(RegionPanel) and "Step 10" in drawn(RegionPanel)
     with pytest.raises(RuntimeError, match="trained already"):
         bpy.ops.gscore.train_region()
     words = json.loads(told.read_text())

@@ -119,7 +119,7 @@ def test_maps_that_say_nothing_do_not_supervise(deep: Path, tmp_path: Path, alig
     photos = load_dataset(data)
     found = prepare_depth(data, config, photos)
     assert not found.supervises and found.loss_targets is None
-    assert "No training view has a depth map that can be used" in found.why
+    assert "No training view has a usable depth map" in found.why
     assert found.why in found.warnings and not found.decision
     np.save(
         blank / f"{names[0]}.npy", np.linspace(0.3, 0.4, 48 * 48, dtype=np.float32).reshape(48, 48)

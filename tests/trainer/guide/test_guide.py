@@ -255,11 +255,11 @@ def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path
     assert total > 50 and min(counts.values()) > 5
     on, before, behind = (f"{count / total:.0%}" for count in counts.values())
     assert told(prepare_guide(TrainConfig(guide_surface=middle), tracked)) == (
-        f"of the points seen there {on} lie on it within 5%, {before} before it and {behind} "
-        "behind it."
+        f"of the points observed there {on} are on it within 5%, {before} in front of it and "
+        f"{behind} behind it."
     )
     silent = prepare_guide(TrainConfig(guide_surface=near), dataset)
-    assert told(silent).startswith("hardly a point") and not silent.warnings
+    assert told(silent).startswith("almost no points") and not silent.warnings
 
 
 def test_pixels_are_trusted_as_points_around_them_say() -> None:
@@ -338,8 +338,8 @@ def test_a_run_says_what_guides_it_and_goes_on(
     events: list[Event] = []
     whole = train(config, data, tmp_path / "whole", events.append)
     started = next(event for event in events if isinstance(event, Started))
-    assert started.guide.startswith("Splats are to lie on wall.ply, which 6 training photos see")
-    assert "Nothing is to stand before wall.ply" in started.guide
+    assert started.guide.startswith("Surface mesh wall.ply covers")
+    assert "Free-space mesh wall.ply" in started.guide
     assert not [e for e in events if isinstance(e, Warn) and "wall" in e.message]
     half = next((tmp_path / "whole").glob("checkpoints/*30*"))
     moved = wall(tmp_path / "moved.ply")  # it may lie elsewhere

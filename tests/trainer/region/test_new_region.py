@@ -109,7 +109,7 @@ def test_a_run_says_what_it_trains(capture: Path, tmp_path: Path) -> None:
     result = train(config, DataConfig(source=capture, eval=True), tmp_path / "out",
                    on_event=told.append)  # fmt: skip
     (sentence,) = [event.region for event in told if isinstance(event, Started)]
-    assert "look at the region" in sentence
+    assert "show the region are trained" in sentence
     assert result.metrics is not None and result.metrics["psnr_masked"] > 0
 
 

@@ -199,7 +199,7 @@ def test_many_cleared_splats_are_told(
     assert not told_by(config, capture, tmp_path / "few")
     monkeypatch.setattr(pruning, "_CROWD", 0.04)
     (told,) = told_by(config, capture, tmp_path / "crowd")
-    assert told.startswith("Many splats stand")
+    assert told.startswith("Many splats are closer")
     assert not told_by(replace(config, free_space=0.0), capture, tmp_path / "anywhere")
 
 

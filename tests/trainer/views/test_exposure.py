@@ -58,7 +58,7 @@ def test_a_studio_is_exposed_alike(studio: Dataset) -> None:
     """Oracle: the example was rendered with one exposure."""
     found = prepare_exposure(TrainConfig(), studio, tracks_of(studio))
     assert found.gains is None
-    assert "exposed much alike (0.0" in found.why
+    assert "have similar exposure (0.0" in found.why
     assert found.numbers is not None and found.numbers["stops_apart"] < LEAST_STOPS / 1.5
 
 
@@ -68,7 +68,7 @@ def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
     truth = np.random.default_rng(0).normal(0, 0.12, (len(studio), 3))
     found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
     assert found.gains is not None
-    assert "exposed differently (0.3" in found.why and "points seen" in found.why
+    assert "differ in exposure (0.3" in found.why and "points seen" in found.why
     train_views = studio.train
     error = found.gains.log_gains[train_views] - truth[train_views]
     error -= error.mean(axis=0)
@@ -180,7 +180,7 @@ def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.log(diagonal).mean(axis=0), 0, atol=1e-12)
     assert np.abs(np.log(diagonal)).max() > 0.005, "nothing was learnt"
     (started,) = (event for event in told if isinstance(event, Started))
-    assert started.exposure == "The exposure of each photo is learnt (asked for)."
+    assert started.exposure == "The exposure of each photo is optimised (requested)."
     assert result.metrics["exposure"]["learnt"] is True
 
 

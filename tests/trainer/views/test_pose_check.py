@@ -85,7 +85,7 @@ def test_good_cameras_stay() -> None:
     """Oracle: the example, whose cameras structure from motion found: nothing is moved."""
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), _studio(STUDIO))[1]
     assert found.viewmats is None and not found.learns
-    assert found.why.startswith("Cameras agree with the points they saw (0.")
+    assert found.why.startswith("Cameras agree with their points (0.")
 
 
 def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
     photos = _studio(_disturbed(tmp_path))
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
     assert found.viewmats is not None and not found.learns
-    assert "52 training cameras miss the points" in found.why
+    assert "52 training cameras miss their points" in found.why
     before, _ = pose_distances(photos.scene.cameras.viewmats[photos.train], true[photos.train])
     after, distance = pose_distances(found.viewmats[photos.train], true[photos.train])
     assert np.median(after) < 0.1 * np.median(before)
