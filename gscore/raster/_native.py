@@ -1,7 +1,7 @@
 """Native library loader, the only one: its functions, errors and workspaces.
 
-`csrc/include/gscore.h` is the manual of everything declared here. Arrays go through `arguments.py`,
-which looks at their dtype, shape and layout; values are the library's matter.
+`csrc/include/gscore.h` documents everything declared here. `arguments.py` checks dtype, shape and
+layout of arrays; the library checks their values.
 """
 
 import ctypes as ct
@@ -30,8 +30,7 @@ _REINSTALL = "Reinstall gscore so that both come from one version."
 
 
 def library_path() -> Path:
-    """Where the native library is looked for: GSCORE_LIBRARY unless that is empty, else beside this
-    file."""
+    """Path of the native library: GSCORE_LIBRARY unless that is empty, else next to this file."""
     override = os.environ.get("GSCORE_LIBRARY")
     if override:
         return Path(override)
@@ -47,28 +46,28 @@ def _load() -> ct.CDLL:
         version = lib.gs_abi_version()
     except AttributeError:
         raise BackendError(
-            f"{brief(path)}{_who_says()} is a library, but not gscore's: it has no gs_abi_version. "
+            f"{brief(path)}{_path_source()} is not gscore's library: it has no gs_abi_version. "
             f"{_what_to_do()}"
         ) from None
     if version != header.ABI_VERSION:
         raise BackendError(
-            f"The native library {brief(path)}{_who_says()} has interface version {version}, this "
-            f"gscore needs {header.ABI_VERSION}. {_REINSTALL}"
+            f"The native library {brief(path)}{_path_source()} has interface version {version}, "
+            f"this gscore needs {header.ABI_VERSION}. {_REINSTALL}"
         )
     try:
         _declare(lib)
     except AttributeError as error:  # a build from before a function was added
         raise BackendError(
-            f"The native library {brief(path)}{_who_says()} is another build than this gscore: "
-            f"{error}. {_REINSTALL}"
+            f"The native library {brief(path)}{_path_source()} is of another build than this "
+            f"gscore: {error}. {_REINSTALL}"
         ) from None
     _check_environment(lib)
     return lib
 
 
 def _opened(path: Path) -> ct.CDLL:
-    """The library at `path`; BackendError where there is none that this system can load."""
-    name = f"{brief(path)}{_who_says()}"
+    """The library at `path`; BackendError if this system cannot load it."""
+    name = f"{brief(path)}{_path_source()}"
     try:
         is_file = stat.S_ISREG(path.stat().st_mode)
     except (OSError, ValueError) as error:
@@ -77,39 +76,39 @@ def _opened(path: Path) -> ct.CDLL:
             f"{_what_to_do()}"
         ) from error
     if not is_file:
-        raise BackendError(f"{name} is no file, a library was expected. {_what_to_do()}")
+        raise BackendError(f"{name} is not a file, expected a library. {_what_to_do()}")
     _check_whole(path, name)
     try:
-        # A name without a folder would be looked for where the system keeps its libraries.
+        # The system would search a name without a folder in its own library folders.
         return ct.CDLL(str(path.absolute()))
     except OSError as error:
         raise BackendError(
-            f"{name} is no library that this system can load: {error}. {_what_to_do()}"
+            f"{name} cannot be loaded as a library on this system: {error}. {_what_to_do()}"
         ) from error
 
 
 def _check_whole(path: Path, name: str) -> None:
-    """BackendError where the end of the file is missing."""
+    """Raise BackendError if the file is truncated."""
     try:
         missing = bytes_missing(path)
-    except OSError:  # whoever loads it says why it cannot be read
+    except OSError:  # the loader reports why it cannot be read
         return
     if missing:
         raise BackendError(
-            f"{name} was cut short: {number(missing)} of its bytes are missing, perhaps because it "
-            f"was copied onto a full disk. {_what_to_do()}"
+            f"{name} is truncated: {number(missing)} bytes are missing, perhaps because it was "
+            f"copied onto a full disk. {_what_to_do()}"
         )
 
 
-def _who_says() -> str:
+def _path_source() -> str:
     return " (GSCORE_LIBRARY)" if os.environ.get("GSCORE_LIBRARY") else ""
 
 
 def _what_to_do() -> str:
     if os.environ.get("GSCORE_LIBRARY"):
         return (
-            "The environment variable GSCORE_LIBRARY must name gscore's native library; unset it "
-            "to use the one that came with gscore."
+            "The environment variable GSCORE_LIBRARY must be the path of gscore's native library; "
+            "unset it to use the bundled one."
         )
     checkout = Path(__file__).parents[2]
     if (checkout / "csrc" / "CMakeLists.txt").is_file():
@@ -118,12 +117,12 @@ def _what_to_do() -> str:
 
 
 def _check_environment(lib: ct.CDLL) -> None:
-    """ConfigError for an invalid GSCORE_ISA or GSCORE_THREADS."""
+    """Raise ConfigError for an invalid GSCORE_ISA or GSCORE_THREADS."""
     wanted, there = os.environ.get("GSCORE_ISA"), lib.gs_isas().decode().split(",")
-    if wanted and wanted not in there:  # the library itself would pass over it
+    if wanted and wanted not in there:  # the library itself would ignore it
         raise ConfigError(
-            f"The environment variable GSCORE_ISA asks for the instruction set {wanted[:40]!r}, "
-            f"which is not available here. There are: {', '.join(there)}."
+            f"The environment variable GSCORE_ISA is {wanted[:40]!r}, expected an instruction set "
+            f"available here: {', '.join(there)}."
         )
     if lib.gs_default_threads() == 0:
         text = lib.gs_last_error().decode("utf-8", "replace")
@@ -216,7 +215,7 @@ def library() -> ct.CDLL:
 
     Raises:
         BackendError: it is missing or of another version.
-        ConfigError: the environment asks it for threads or an instruction set that cannot be.
+        ConfigError: GSCORE_THREADS or GSCORE_ISA has an invalid value.
     """
     global _library
     if _library is None:
@@ -227,7 +226,7 @@ def library() -> ct.CDLL:
 
 
 def _unlock() -> None:
-    """In a forked process: the thread that owned the lock does not exist here."""
+    """Replace the lock in a forked process, where the thread that owned it does not exist."""
     global _lock
     _lock = threading.Lock()
 
@@ -237,7 +236,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def raise_status(status: int) -> None:
-    """Raise the error that belongs to a gs_status."""
+    """Raise the exception for a gs_status."""
     if status == header.OK:
         return
     message = library().gs_last_error().decode("utf-8", "replace")
@@ -253,7 +252,7 @@ def raise_status(status: int) -> None:
 
 
 def available_isas() -> list[str]:
-    """Instruction sets that run here, best first."""
+    """Instruction sets supported by this CPU, best first."""
     return library().gs_isas().decode().split(",")
 
 
@@ -263,7 +262,7 @@ def isa() -> str:
 
 
 def set_isa(name: str) -> None:
-    """Use another instruction set from now on. Raises BackendError if it is not available."""
+    """Switch to another instruction set. Raises BackendError if it is not available."""
     raise_status(library().gs_set_isa(name.encode()))
 
 
@@ -280,7 +279,7 @@ def exp2(x: np.ndarray) -> np.ndarray:
 
 
 class Raster:
-    """A native workspace. Use one at a time per thread; `pool` lends them."""
+    """A native workspace, for one thread at a time; `pool` lends them."""
 
     def __init__(self) -> None:
         handle = _pointer()
@@ -304,9 +303,9 @@ class Raster:
 
         Args:
             splats: `PARAMETERS`, in their order.
-            view: What is seen of them.
-            settings: How.
-            pictures: Arrays to write to, by the names of gs_image.
+            view: Camera and picture size.
+            settings: Render settings.
+            pictures: Output arrays, by the names of gs_image.
         """
         image = arguments.image(pictures, view, settings.outputs, len(splats[0]))
         raise_status(
@@ -332,13 +331,13 @@ class Raster:
         """gs_raster_backward of the last `forward`.
 
         Args:
-            splats: Of that call.
-            view: Of that call.
-            settings: Of that call.
+            splats: As in that call.
+            view: As in that call.
+            settings: As in that call.
             v_pictures: Gradients in the pictures, by their names; None or missing: zero.
-            grads: Arrays to write to, by name: `PARAMETERS` and, where they are wanted, `means2d`
-                [N, 2] and `viewmat` [4, 4].
-            add_shN: Add to what shN's gradient holds.
+            grads: Output arrays by name: `PARAMETERS` and, optionally, `means2d` [N, 2] and
+                `viewmat` [4, 4].
+            add_shN: Accumulate into shN's gradient.
         """
         count, rest = len(splats[0]), splats[5].shape[1]
         v_image = arguments.image_grads(v_pictures, view, settings.outputs)
@@ -357,7 +356,7 @@ class Raster:
     def image_loss(
         self, args: header.LossArgsStruct, v_image: Array | None
     ) -> header.LossResultStruct:
-        """gs_image_loss; `v_image` [H, W, 3] is where the gradient goes, None: nowhere."""
+        """gs_image_loss; `v_image` [H, W, 3] receives the gradient; None: no gradient."""
         result = header.LossResultStruct()
         found = optional("v_image", v_image, (args.height, args.width, 3))
         raise_status(self._lib.gs_image_loss(self.handle, ct.byref(args), ct.byref(result), found))
@@ -384,25 +383,25 @@ class Raster:
 
 
 class RasterPool:
-    """Lends workspaces, so that their buffers are kept between calls.
+    """Lends workspaces to reuse their buffers between calls.
 
-    Without a lock: workspaces also come back from destructors, which the garbage collector may run
-    at any point, inside `take` too. A deque's ends are safe to use from several threads.
+    It has no lock, because destructors return workspaces too, and the garbage collector may run
+    them at any point, also inside `take`. The ends of a deque are thread-safe.
     """
 
     def __init__(self) -> None:
-        # The oldest are dropped: a graph that held many must not keep their memory for ever.
+        # The oldest are dropped, to release memory after a graph that used many.
         self._free: deque[Raster] = deque(maxlen=8)
 
     def take(self) -> Raster:
-        """An unused workspace; must be returned after use."""
+        """Take an unused workspace; return it with `give_back`."""
         try:
             return self._free.pop()
         except IndexError:
             return Raster()
 
     def give_back(self, raster: Raster) -> None:
-        """Return a workspace taken before."""
+        """Return a workspace."""
         self._free.append(raster)
 
     @contextmanager

@@ -13,16 +13,16 @@ LAGS = header.ADAM_LAGS
 
 @dataclass
 class Skips:
-    """Rows of a tensor that skip steps, and their pending steps (gs_adam_tensor)."""
+    """State of rows that skip steps, for lazy Adam (gs_adam_tensor)."""
 
     seen: Tensor
-    """[N] uint8: 1 where a gradient has come since the row's last step."""
+    """[N] uint8: 1 where a gradient arrived since the row's last step."""
     lag: Tensor
-    """[N] uint8: steps skipped."""
+    """[N] uint8: number of pending steps."""
     drift: Tensor
-    """[LAGS] float64: sums of skipped steps."""
+    """[LAGS] float64: sums of the pending steps."""
     wait: bool = False
-    """No row steps: gradients gather for a later call."""
+    """No row steps; gradients accumulate for a later call."""
 
 
 @dataclass
@@ -40,8 +40,8 @@ class Slot:
     skips: Skips | None = None
     """None: every row takes every step."""
     photos: int = 1
-    """Whose gradients are taken at once: the betas are raised to it, and `step` counts photos.
-    Rows that skip steps know no more than 1."""
+    """Number of photos in the gradient: the betas are raised to this power, and `step` counts
+    photos. Must be 1 with `skips`."""
 
 
 def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> int:
@@ -50,7 +50,7 @@ def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> in
     Rows with a gradient that is not finite get zero gradients. Results do not depend on `threads`.
 
     Args:
-        slots: Of the same N rows each, none empty.
+        slots: Parameters of the same N rows, none empty.
         radii: [N] int32: rows above 0 had a gradient in this step; None: all.
         threads: 0: all cores.
 
@@ -58,7 +58,7 @@ def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> in
         Number of rows whose gradients were not finite.
 
     Raises:
-        ShapeError: a tensor has another shape, dtype or layout than it should.
+        ShapeError: a tensor has a wrong shape, dtype or layout.
     """
     count = len(slots[0].value)
     structs = [_struct(slot, count) for slot in slots]
@@ -74,18 +74,18 @@ def catch_up(
     out: Tensor | None = None,
     threads: int = 0,
 ) -> None:
-    """Let rows that skipped steps make up for them.
+    """Apply the pending steps of rows (sync of lazy Adam).
 
     Args:
         slot: With `skips`; `step` is the number of its last step.
-        params: Raw `means` [N, 3] and `scales` [N, 3] of the splats, which tell where they are.
+        params: Raw `means` [N, 3] and `scales` [N, 3] of the splats, for the test against `view`.
         view: Only rows that this camera may draw; None: all.
-        eps2d: With which it draws, px^2.
-        out: Where the values go, as `slot.value`; None: in place.
+        eps2d: Screen-space dilation of that camera, px^2.
+        out: Output with the shape of `slot.value`; None: in place.
         threads: 0: all cores.
 
     Raises:
-        ShapeError: a tensor has another shape, dtype or layout than it should.
+        ShapeError: a tensor has a wrong shape, dtype or layout.
     """
     count = len(slot.value)
     _native.adam_catch_up(

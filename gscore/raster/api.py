@@ -1,4 +1,4 @@
-"""Rasterizer API with numpy and the native library alone, for Blender and scripts."""
+"""Rasterizer API with only numpy and the native library, for Blender and scripts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ class Rendered:
     inverse_depth: np.ndarray | None
     """[H, W], sum of weight / z, not divided by alpha; 1 / world units."""
     depth: np.ndarray | None
-    """[H, W], expected z: sum of weight * z / sum of weight; world units, 0 where nothing is."""
+    """[H, W], expected z: sum of weight * z / sum of weight; world units, 0 where alpha is 0."""
     median_depth: np.ndarray | None
-    """[H, W], z at which half of the light is blocked; world units, 0 where it never is."""
+    """[H, W], z at which transmittance falls to 0.5; world units, 0 where it never does."""
     visible: int
-    """Splats that reach the image."""
+    """Number of splats in the picture."""
 
 
 def render(
@@ -57,27 +57,27 @@ def render(
     """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
     Args:
-        splats: The model, or the path of a file of splats.
-        K: [3, 3] pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres lie at +0.5.
+        splats: The model, or the path of a splat file.
+        K: [3, 3] px, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres are at +0.5.
         viewmat: [4, 4] world to camera, OpenCV axes (+x right, +y down, +z forward).
-        width: Pixels.
-        height: Pixels.
-        background: Colour behind the splats, in the encoding of the training images.
-        sh_degree: Degree of the spherical harmonics used; None: all that are stored.
+        width: Of the picture, px.
+        height: Of the picture, px.
+        background: Background colour, in the encoding of the training images.
+        sh_degree: Degree of the spherical harmonics used; None: the stored degree.
         near: Splats with z at or below this are not drawn; world units.
         far: Splats beyond this are not drawn; world units.
         eps2d: Added to the diagonal of the 2D covariance, px^2.
         antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
-        depths: Make the three depths too; without them, which are then None, a fifth faster.
+        depths: Compute the three depths too; if False they are None, and it is a fifth faster.
         orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx,
-            and colours are those seen along the camera's +z.
-        window: Left, top, width and height, pixels: only this part of the picture is drawn and
+            and the view direction of colours is the camera's +z.
+        window: Left, top, width and height, px: only this part of the picture is drawn and
             returned, bit for bit as in the whole one.
-        far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, as before
-            something that hides the others; world units. None, or NaN at a pixel: all are.
-        origin: [3], the local origin of the world that `viewmat` is of, in the coordinates of the
-            capture: zeros for these coordinates themselves. None: that of the file, which also
-            the cameras.json of its run has.
+        far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, in front
+            of an opaque object; world units. None, or NaN at a pixel: all.
+        origin: [3], the local origin of the world of `viewmat`, in the coordinates of the capture:
+            zeros for these coordinates themselves. None: that of the file, which the cameras.json
+            of its run has too.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
 
@@ -86,7 +86,7 @@ def render(
 
     Raises:
         ShapeError: K, viewmat, size, window, far_depths, origin or degree cannot be used.
-        FormatError: The file holds no splats that can be read.
+        FormatError: The file has no readable splats.
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """
@@ -98,7 +98,7 @@ def render(
             shift = offset_between(found.origin, np.asarray(origin, np.float64))
             viewmat = moved_viewmats(viewmat, shift)
     elif origin is not None:
-        raise ShapeError("origin is for files of splats, which state their own; got Splats.")
+        raise ShapeError("origin needs a splat file, which has its own origin; got Splats.")
     arguments.check_size(width, height)  # before memory is taken
     part, tiles = (..., None) if window is None else _window(window, width, height)
     view = Frustum(
@@ -144,9 +144,9 @@ def render_camera(
     Args:
         splats: The model.
         cameras: The cameras.
-        index: Which of them.
-        depths: As there.
-        **how: As there: background, near, antialias, threads and others.
+        index: Index of the camera.
+        depths: As for `render`.
+        **how: Other arguments of `render`: background, near, antialias, threads and more.
 
     Raises:
         As `render`.

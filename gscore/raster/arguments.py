@@ -1,7 +1,7 @@
-"""Arguments of the native library: its structs, made from arrays and options.
+"""Arguments of the native library: its structs, filled from arrays and options.
 
-Each array is looked at here, against the sizes that the library is told, before its address goes
-into a struct. Structs hold addresses, not arrays: these must outlive the call.
+Each array is checked against the sizes passed to the library before its address goes into a struct.
+Structs contain addresses, not references: the arrays must outlive the call.
 """
 
 import ctypes as ct
@@ -19,7 +19,7 @@ _DEGREE_BY_REST = {rest: degree for degree, rest in SH_REST_BY_DEGREE.items()}
 
 
 def stored_degree(shN: Array) -> int:
-    """SH degree of [N, K-1, 3] coefficients; ShapeError where there is none with so many."""
+    """SH degree of [N, K-1, 3] coefficients; ShapeError if no degree has this number."""
     shape = tuple(shN.shape)
     if len(shape) != 3 or shape[1] not in _DEGREE_BY_REST:
         raise ShapeError(f"shN must be [N, 0, 3, 8, 15 or 24, 3], got {list(shape)}.")
@@ -27,14 +27,14 @@ def stored_degree(shN: Array) -> int:
 
 
 def check_size(width: int, height: int) -> None:
-    """Raise ShapeError for a picture the library would refuse, before memory is taken for it."""
+    """Raise ShapeError for a size the library would refuse, before memory is allocated."""
     most = header.MAX_SIDE
     if not (1 <= width <= most and 1 <= height <= most):
-        raise ShapeError(f"The image must be 1 to {most} px a side, got {width} x {height}.")
+        raise ShapeError(f"The image must be 1 to {most} px per side, got {width} x {height}.")
 
 
 def library_threads(threads: int) -> int:
-    """`threads` if the library takes so many; ShapeError otherwise."""
+    """`threads` if the library supports this number; ShapeError otherwise."""
     most = header.THREADS_MAX
     if not isinstance(threads, int | np.integer) or not 0 <= threads <= most:
         raise ShapeError(f"threads must be 0 (all) to {most}, got {threads}.")
@@ -47,7 +47,7 @@ def splats(arrays: Sequence[Array], settings: Settings) -> header.SplatsStruct:
     stored = stored_degree(shN)
     degree = stored if settings.sh_degree is None else settings.sh_degree
     if not 0 <= degree <= stored:
-        raise ShapeError(f"sh_degree must be 0 to {stored}, what the splats hold, got {degree}.")
+        raise ShapeError(f"sh_degree must be 0 to {stored}, the stored degree, got {degree}.")
     n = len(means)
     shapes = splat_shapes(n, SH_REST_BY_DEGREE[stored])
     found = (address(name, a, shapes[name]) for name, a in zip(PARAMETERS, arrays, strict=True))
@@ -62,7 +62,7 @@ def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
 
 
 def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruct:
-    """gs_splats with only the addresses of raw splats."""
+    """gs_splats with only means and scales of raw splats."""
     return header.SplatsStruct(
         count=count,
         means=address("means", means, (count, 3)),
@@ -72,7 +72,7 @@ def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruc
 
 
 def camera(view: Frustum) -> header.CameraStruct:
-    """gs_camera; ShapeError where K has skew."""
+    """gs_camera; ShapeError if K has skew."""
     check_size(view.width, view.height)
     viewmat, K = np.asarray(view.viewmat), np.asarray(view.K)
     if viewmat.shape != (4, 4):
@@ -116,8 +116,8 @@ def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
 def image(
     pictures: Mapping[str, Array], view: Frustum, outputs: int, count: int
 ) -> header.ImageStruct:
-    """gs_image of the arrays to write to, by its fields' names: `rgb`, `alpha`, what `outputs` asks
-    for and, where they are wanted, `radii` of `count` splats."""
+    """gs_image of the output arrays by its fields' names: `rgb`, `alpha`, those of `outputs` and,
+    optionally, `radii` of `count` splats."""
     size = (view.height, view.width)
     found = header.ImageStruct(
         rgb=address("rgb", pictures.get("rgb"), (*size, 3)),
@@ -142,7 +142,7 @@ def image_grads(
     for name in ("inverse_depth", "depth"):
         v = v_pictures.get(name)
         if v is not None and not outputs & header.DEPTH_OUTPUTS[name]:
-            raise ShapeError(f"There is a gradient of {name}, which was not drawn.")
+            raise ShapeError(f"There is a gradient of {name}, which was not rendered.")
         setattr(found, name, optional(f"v_{name}", v, size))
     return found
 
@@ -150,8 +150,8 @@ def image_grads(
 def splat_grads(
     grads: Mapping[str, Array], count: int, rest: int, *, add_shN: bool
 ) -> header.SplatGradsStruct:
-    """gs_splat_grads of the arrays to write to, by name: `PARAMETERS` and, where they are wanted,
-    `means2d` [N, 2] and `viewmat` [4, 4]."""
+    """gs_splat_grads of the output arrays by name: `PARAMETERS` and, optionally, `means2d` [N, 2]
+    and `viewmat` [4, 4]."""
     shapes = splat_shapes(count, rest)
     return header.SplatGradsStruct(
         *(address(f"v_{name}", grads.get(name), shape) for name, shape in shapes.items()),
@@ -172,8 +172,8 @@ def loss_args(
     threads: int,
     gain: Array | None = None,
 ) -> header.LossArgsStruct:
-    """gs_loss_args of [H, W, 3] pictures, unless the mode is `none` an [H, W] mask, and a gain [3];
-    None: without."""
+    """gs_loss_args of pictures [H, W, 3], a mask [H, W] unless the mode is `none`, and an optional
+    gain [3]."""
     shape = tuple(rendered.shape)
     if len(shape) != 3 or shape[2] != 3:
         raise ShapeError(f"image must be [H, W, 3] float32, got {list(shape)} {rendered.dtype}.")
@@ -201,9 +201,9 @@ def loss_args(
 def adam_tensor(
     arrays: Mapping[str, Array], *, count: int, rate: float, number: int
 ) -> header.AdamTensorStruct:
-    """gs_adam_tensor in which every row moves, of `value`, `grad`, `moment1` and `moment2`.
+    """gs_adam_tensor in which every row steps, of `value`, `grad`, `moment1` and `moment2`.
 
-    `rate` is the learning rate, `number` that of the step.
+    `rate` is the learning rate, `number` the number of the step.
     """
     width = arrays["value"].shape[1:]
     names = ("value", "grad", "moment1", "moment2")
@@ -225,7 +225,7 @@ def allow_lazy_rows(
     drift: Array,
     mode: int,
 ) -> None:
-    """Fill in what a gs_adam_tensor needs whose rows skip steps; `mode` is one of `ADAM_*`."""
+    """Set the fields of a gs_adam_tensor whose rows skip steps; `mode` is one of `ADAM_*`."""
     tensor.mode = mode
     tensor.seen = address("seen", seen, (count,), UINT8)
     tensor.lag = address("lag", lag, (count,), UINT8)

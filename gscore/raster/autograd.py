@@ -1,4 +1,4 @@
-"""The native rasterizer as a differentiable torch function: one camera a call, float32, CPU."""
+"""The native rasterizer as a differentiable torch function: one camera per call, float32, CPU."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +16,7 @@ from .request import CancelFlag, Frustum, Settings
 
 @dataclass
 class RasterAux:
-    """By-products a strategy needs, filled by the call it is passed to."""
+    """Auxiliary outputs for a strategy, filled by the call it is passed to."""
 
     radii: Tensor | None = None
     """[N] int32 after forward: half the larger side of a splat's box in px, 0 = culled."""
@@ -40,7 +40,7 @@ class RasterOutput:
     """[H, W], sum of weight * z / sum of weight, 0 where alpha is 0; None unless requested."""
     median_depth: Tensor | None
     """[H, W], z at which transmittance falls to 0.5 or less, 0 where it never does; not
-    differentiable; None unless asked for."""
+    differentiable; None unless requested."""
 
 
 class _Rasterize(torch.autograd.Function):
@@ -49,8 +49,8 @@ class _Rasterize(torch.autograd.Function):
         *splats, _viewmat, view, settings, aux = args
         size = (view.height, view.width)
         pictures = {"rgb": zeros(*size, 3), "alpha": zeros(*size)}
-        asked = (n for n, bit in header.DEPTH_OUTPUTS.items() if settings.outputs & bit)
-        pictures |= {name: zeros(*size) for name in asked}
+        requested = (n for n, bit in header.DEPTH_OUTPUTS.items() if settings.outputs & bit)
+        pictures |= {name: zeros(*size) for name in requested}
         radii = {} if aux is None else {"radii": zeros(len(splats[0]), dtype=torch.int32)}
         raster = _native.pool.take()
         try:
@@ -89,9 +89,9 @@ class _Rasterize(torch.autograd.Function):
         if aux is not None:
             aux.stats = raster.stats().as_dict()
         found = [*grads.values(), extra.get("viewmat")]
-        came_in = [v for v in v_outputs if v is not None]
+        incoming = [v for v in v_outputs if v is not None]
         return (
-            *no_double_backward("rasterize", found, [*splats, viewmat, *came_in]),
+            *no_double_backward("rasterize", found, [*splats, viewmat, *incoming]),
             None,
             None,
             None,
@@ -99,7 +99,8 @@ class _Rasterize(torch.autograd.Function):
 
 
 class _Lease:
-    """Gives a workspace back when the graph that needs it is gone, run backward or not."""
+    """Returns a workspace to the pool when its graph is deleted, with or without a backward
+    pass."""
 
     def __init__(self, raster: _native.Raster) -> None:
         self.raster = raster
@@ -150,12 +151,12 @@ def rasterize(
         sh0: [N, 1, 3] constant SH coefficient.
         shN: [N, K-1, 3] higher coefficients, K-1 = 0, 3, 8, 15 or 24.
         viewmat: [4, 4] world to camera, OpenCV axes.
-        K: [3, 3] pixels, without skew; pixel centres lie at +0.5.
-        width: Pixels.
-        height: Pixels.
-        raw: Activate inside (exp, sigmoid), with gradients to the raw values.
-        sh_degree: Degree that is evaluated; None: all that is stored.
-        background: RGB behind the splats; None: black.
+        K: [3, 3] px, without skew; pixel centres are at +0.5.
+        width: Of the picture, px.
+        height: Of the picture, px.
+        raw: Activate inside (exp, sigmoid), with gradients in the raw values.
+        sh_degree: Degree to evaluate; None: the stored degree.
+        background: RGB background colour; None: black.
         near: Splats with z at or below this are not drawn; world units.
         far: Splats beyond this are not drawn; world units.
         eps2d: Added to the diagonal of the 2D covariance, px^2.
@@ -164,19 +165,19 @@ def rasterize(
         depth: Also return the expected depth.
         median_depth: Also return the median depth.
         threads: 0: all cores. Results do not depend on it.
-        disable: Bits of `header.NO_*`: skips to leave out, for tests and benchmarks.
+        disable: Bits of `header.NO_*`: skips to disable, for tests and benchmarks.
         cancel: Set it from another thread to stop this call or its backward pass.
         tiles: [ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are
             0 here; None: all are drawn.
-        far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, as before
-            something that hides the others; world units. None, or NaN at a pixel: all are.
-        aux: Where radii, screen gradients and statistics go.
+        far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, in front
+            of an opaque object; world units. None, or NaN at a pixel: all.
+        aux: Receives radii, screen-space gradients and statistics.
 
     Returns:
-        The picture, alpha and the depths asked for.
+        The picture, alpha and the requested depths.
 
     Raises:
-        ShapeError: A tensor has another shape, dtype or device, or an option is out of range.
+        ShapeError: A tensor has a wrong shape, dtype or device, or an option is out of range.
         BackendError: The native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """
@@ -184,7 +185,7 @@ def rasterize(
     viewmat = viewmat.contiguous()
     address("viewmat", viewmat, (4, 4))
     arguments.check_size(width, height)
-    wanted = {"inverse_depth": inverse_depth, "depth": depth, "median_depth": median_depth}
+    requested = {"inverse_depth": inverse_depth, "depth": depth, "median_depth": median_depth}
     if background is None:
         color = (0.0, 0.0, 0.0)
     else:
@@ -197,7 +198,7 @@ def rasterize(
         eps2d=eps2d,
         antialias=antialias,
         background=color,
-        outputs=sum(bit for name, bit in header.DEPTH_OUTPUTS.items() if wanted[name]),
+        outputs=sum(bit for name, bit in header.DEPTH_OUTPUTS.items() if requested[name]),
         tiles=None if tiles is None else tiles.contiguous(),
         far_depths=None if far_depths is None else far_depths.detach().contiguous(),
         threads=threads,
@@ -207,7 +208,7 @@ def rasterize(
     rgb, alpha, inverse, weighted, median = _Rasterize.apply(*splats, viewmat, view, settings, aux)  # pyright: ignore[reportGeneralTypeIssues]
     expected = None
     if depth:
-        # The quotient's gradient comes from torch; where alpha is 0 so is the sum.
+        # torch differentiates the quotient; where alpha is 0 so is the sum.
         expected = weighted / torch.where(alpha > 0, alpha, torch.ones_like(alpha))
     return RasterOutput(
         rgb,

@@ -23,18 +23,18 @@ def blending_weights(
     scratch: Mapping[str, Array],
     raster: _native.Raster | None = None,
 ) -> np.ndarray:
-    """The blending weights of all splats in one view.
+    """Blending weights of all splats in one view.
 
-    The backward pass knows them: they are the gradients of the sum of a picture in the splats'
-    colours. Colours are grey for that, since one that is clamped at zero passes no gradient.
+    They are the gradients of the picture's sum in the splats' colours, so the backward pass
+    computes them. Colours are set to grey, because one clamped at zero passes no gradient.
 
     Args:
         geometry: Arrays of `GEOMETRY`, in their order, contiguous.
-        view: What is seen of them.
-        settings: How.
-        shares: [H, W, 3] float32, how much each pixel counts: three sums are made at once.
+        view: Camera and picture size.
+        settings: Render settings.
+        shares: [H, W, 3] float32, pixel weights of three sums.
         scratch: Arrays of the shapes of `geometry` by name, which are overwritten.
-        raster: A workspace; what it drew last is lost. None: one of the pool's.
+        raster: A workspace; its last view is lost. None: one from the pool.
 
     Returns:
         [N, 3] float32, px.

@@ -1,8 +1,7 @@
 """Buffer addresses of arrays for the library, checked for type, shape and layout.
 
-The library reads and writes as many bytes as the sizes it was given say. An array of another dtype,
-device, layout or size would be read as garbage, or written beyond its end, without an error; so
-every address comes from here.
+The library trusts the sizes it receives. An array of another dtype, device, layout or size would be
+read as garbage, or written beyond its end, without an error; so every address comes from here.
 """
 
 from typing import Any
@@ -12,25 +11,26 @@ import numpy as np
 from ..errors import ShapeError
 
 Array = Any
-"""A numpy.ndarray or, where torch is there, a torch.Tensor on the CPU."""
+"""A numpy.ndarray or a torch.Tensor on the CPU."""
 FLOAT32, FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
 INT32, INT64, UINT8 = np.dtype(np.int32), np.dtype(np.int64), np.dtype(np.uint8)
 
 _of_torch: dict[Any, np.dtype | None] = {}
-"""The same dtypes by torch's objects, as they come along; this file does without torch."""
+"""The same dtypes by torch's dtype objects, filled lazily, because this file does not need
+torch."""
 
 
 def address(name: str, array: Array, shape: tuple[int, ...], dtype: np.dtype = FLOAT32) -> int:
-    """Where an array's numbers begin; it must outlive the call that is given this.
+    """Address of an array's first number; the array must outlive the native call.
 
     Args:
-        name: Of the array, for the message.
-        array: C-contiguous, in the machine's memory.
-        shape: That it must have.
-        dtype: That it must have.
+        name: Name of the array, for the message.
+        array: C-contiguous, aligned, in CPU memory.
+        shape: Expected shape.
+        dtype: Expected dtype.
 
     Raises:
-        ShapeError: it is anything else.
+        ShapeError: shape, dtype or layout differ.
     """
     if isinstance(array, np.ndarray):
         flags = array.flags
@@ -38,20 +38,21 @@ def address(name: str, array: Array, shape: tuple[int, ...], dtype: np.dtype = F
             return array.ctypes.data
     elif hasattr(array, "data_ptr") and _is_plain(array, shape, dtype):
         return array.data_ptr()
+    found = _described(array)
     raise ShapeError(
-        f"{name} must be {list(shape)} {dtype.name}, contiguous, on the CPU, got {_seen(array)}."
+        f"{name} must be {list(shape)} {dtype.name}, contiguous, on the CPU, got {found}."
     )
 
 
 def optional(
     name: str, array: Array | None, shape: tuple[int, ...], dtype: np.dtype = FLOAT32
 ) -> int | None:
-    """As `address`; None where there is no array."""
+    """As `address`; None if there is no array."""
     return None if array is None else address(name, array, shape, dtype)
 
 
 def _is_plain(tensor: Array, shape: tuple[int, ...], dtype: np.dtype) -> bool:
-    """Whether a tensor's memory holds its numbers as they are, in order."""
+    """Whether a tensor is dense in CPU memory with this shape and dtype."""
     found = tensor.dtype
     if found not in _of_torch:
         _of_torch[found] = _numpy_of(str(found))
@@ -60,7 +61,7 @@ def _is_plain(tensor: Array, shape: tuple[int, ...], dtype: np.dtype) -> bool:
         and tensor.shape == shape
         and tensor.is_cpu
         and tensor.is_contiguous()
-        and not tensor.is_neg()  # such a view leaves the signs to whoever reads it
+        and not tensor.is_neg()  # such a view has its signs flipped on read
     )
 
 
@@ -71,16 +72,16 @@ def _numpy_of(name: str) -> np.dtype | None:
         return None
 
 
-def _seen(array: Array) -> str:
-    """An array in words."""
+def _described(array: Array) -> str:
+    """Description of an array for messages."""
     if array is None:
         return "none"
     if not hasattr(array, "dtype") or not hasattr(array, "shape"):
         return type(array).__name__
-    words = f"{list(array.shape)} {str(array.dtype).removeprefix('torch.')}"
+    text = f"{list(array.shape)} {str(array.dtype).removeprefix('torch.')}"
     if isinstance(array, np.ndarray):
         flags = array.flags
-        return words if flags.c_contiguous and flags.aligned else f"{words}, not contiguous"
+        return text if flags.c_contiguous and flags.aligned else f"{text}, not contiguous"
     if not array.is_cpu:
-        return f"{words} on {array.device}"
-    return words if array.is_contiguous() else f"{words}, not contiguous"
+        return f"{text} on {array.device}"
+    return text if array.is_contiguous() else f"{text}, not contiguous"

@@ -1,7 +1,7 @@
-"""Constants and structs of `csrc/include/gscore.h` for ctypes; that header is their manual.
+"""Constants and structs of `csrc/include/gscore.h`, which documents them, for ctypes.
 
-Structs that hold addresses are filled in `arguments.py` and, those of stereo, meshes and
-descriptors, in `stereo.py`, `mesh.py` and `match.py`, which look at the arrays first.
+`arguments.py` fills structs with addresses; `stereo.py`, `mesh.py` and `match.py` those of stereo,
+meshes and descriptors. All check the arrays first.
 """
 
 import ctypes as ct
@@ -19,7 +19,7 @@ NO_EXACT_CULL, NO_ZERO_TILE, NO_OPACITY_EXTENT, NO_ROW_RANGE = 1, 2, 4, 8
 TILE = 16
 """Side of the tiles of `tiles`, px (GS_TILE)."""
 LIST_TILE = 16, 32
-"""Width and height of the tiles by which splats are listed, px (GS_LIST_TILE_*)."""
+"""Width and height of the tiles with splat lists, px (GS_LIST_TILE_*)."""
 MAX_SIDE = 65536
 THREADS_MAX = 1024
 ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2

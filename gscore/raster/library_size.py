@@ -1,5 +1,5 @@
-"""Library size check: the file is as long as its header states. Linux maps a truncated one, and the
-process dies when it reads a missing page."""
+"""Library size check against its ELF header, because Linux maps a truncated library and the process
+dies when it reads a missing page."""
 
 import struct
 from pathlib import Path
@@ -7,16 +7,16 @@ from typing import BinaryIO
 
 _MAGIC, _64_BIT, _LITTLE = b"\x7fELF", 2, 1
 _HEAD = struct.Struct("<32xQQ6xHHHH")
-"""After 32 bytes: where segments and sections are listed; size and number of their entries."""
+"""After 32 bytes: offsets of the segment and section tables; size and number of their entries."""
 _SEGMENT = struct.Struct("<8xQ16xQ16x")
-"""Where a segment begins in the file, and how long it is there."""
+"""Offset and size of a segment in the file."""
 
 
 def bytes_missing(path: Path) -> int:
-    """How many bytes a library of 64-bit Linux is shorter than it says; 0 for whole ones and files
-    of other kinds, which the systems that load them look over themselves.
+    """Number of bytes missing at the end of a 64-bit ELF library; 0 for complete ones and other
+    formats, which their systems check on loading.
 
-    Its format is that of the System V ABI, chapter 4 and 5 ("Object Files", "Program Loading").
+    Format: System V ABI, chapters 4 and 5 ("Object Files", "Program Loading").
 
     Raises:
         OSError: it cannot be read.
@@ -28,7 +28,7 @@ def bytes_missing(path: Path) -> int:
 
 
 def _stated(file: BinaryIO, size: int) -> int:
-    """How long the file has to be by what its header and segments say, as far as they are there."""
+    """Size of the complete file, from the header and the segments that can be read."""
     head = file.read(_HEAD.size)
     if len(head) < _HEAD.size or not head.startswith(_MAGIC + bytes((_64_BIT, _LITTLE))):
         return 0

@@ -30,7 +30,7 @@ class LossValues:
     ssim: float
     mse: float
     v_log_gain: tuple[float, float, float]
-    """Its derivative in the logarithm of the gain; zeros without one."""
+    """Derivative of the loss in the logarithm of the gain; zeros without a gain."""
 
 
 class _Loss(torch.autograd.Function):
@@ -47,7 +47,7 @@ class _Loss(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, v_loss: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         v = ctx.v_image
-        # The usual gradient of a loss that is minimised as it is; saves a pass over the image.
+        # 1 is the gradient of an unscaled loss; saves a pass over the image.
         v = v if v_loss.item() == 1.0 else v * v_loss
         return *no_double_backward("image_loss", [v], [*ctx.saved_tensors, v_loss]), None, None
 
@@ -81,7 +81,7 @@ def image_loss(
         The loss and its parts; `mse` is over image and target as they enter the loss.
 
     Raises:
-        ShapeError: A tensor has another shape or dtype, or the mode does not exist.
+        ShapeError: A tensor has a wrong shape or dtype, or the mode does not exist.
     """
     args, kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads)
     parts: list[header.LossResultStruct] = []
@@ -101,12 +101,12 @@ def image_loss_gradient(
     threads: int = 0,
     gain: Tensor | None = None,
 ) -> LossValues:
-    """`image_loss` and its gradient at once, without autograd.
+    """`image_loss` and its gradient in one call, without autograd.
 
     `v_image` [H, W, 3] float32, contiguous, is overwritten with the gradient in `image`. With
-    `gain` [3] float32, above 0, the loss is that of the image times it, which counts as white, and
-    teaches nothing, where it is brighter and the photo is white. The other arguments and errors
-    are those of `image_loss`.
+    `gain` [3] float32, above 0, the loss is that of gain times image; where the photo is white and
+    this product brighter, it counts as white and receives no gradient. The other arguments and
+    errors are those of `image_loss`.
     """
     args, _kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads, gain)
     with _native.pool.lend() as raster:
@@ -125,7 +125,7 @@ def _arguments(
     threads: int,
     gain: Tensor | None = None,
 ) -> tuple[header.LossArgsStruct, list[Tensor]]:
-    """Checked arguments, and the tensors whose memory they point at, the image first."""
+    """Checked arguments, and the tensors they point to, the image first."""
     image, target = image.contiguous(), target.contiguous()
     mask = mask.contiguous() if mask is not None else None
     gain = gain.contiguous() if gain is not None else None

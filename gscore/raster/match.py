@@ -11,23 +11,23 @@ from .buffers import INT32, UINT8, address
 def match_descriptors(
     first: np.ndarray, second: np.ndarray, *, max_distance: float, max_ratio: float
 ) -> np.ndarray:
-    """Pairs of features of two photos that are each other's nearest, by their descriptors.
+    """Mutual nearest neighbours among the features of two photos, by their descriptors.
 
-    Exact: each is compared with each, in whole numbers. Takes one thread, so that pairs of photos
-    can be compared side by side.
+    Exact: all pairs are compared, in integers. Single-threaded, so that callers can match several
+    pairs of photos in parallel.
 
     Args:
         first: [n, 128] uint8.
         second: [m, 128] uint8.
-        max_distance: Of descriptors that match, in units of their numbers.
-        max_ratio: The distance is less than so many times that to the second nearest, seen from
-            both (Lowe 2004, section 7.1); 0 to 1. A photo of one feature has no second.
+        max_distance: Maximum distance of matching descriptors, in units of their numbers.
+        max_ratio: Maximum ratio of the distance to that of the second nearest, in both directions
+            (Lowe 2004, section 7.1); 0 to 1. A photo of one feature has no second.
 
     Returns:
-        [k, 2] int32, rows of `first`, rising, and of `second`.
+        [k, 2] int32, rows of `first`, ascending, and of `second`.
 
     Raises:
-        ShapeError: an array of another shape or dtype, or a number out of its range.
+        ShapeError: an array has a wrong shape or dtype, or a number is out of range.
         BackendError: the native library is missing, or memory ran out.
     """
     matches = np.empty(len(first), np.int32)

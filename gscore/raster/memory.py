@@ -15,5 +15,5 @@ def ones(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
 
 
 def empty(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-    """A contiguous tensor on the CPU, not filled."""
+    """A contiguous, uninitialised tensor on the CPU."""
     return torch.empty(shape, dtype=dtype, device="cpu")

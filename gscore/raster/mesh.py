@@ -22,26 +22,26 @@ def mesh_depth(
 ) -> np.ndarray:
     """Inverse depth of the nearest triangle at the centre of each pixel.
 
-    Exact along slanted triangles, which may reach behind the camera; both sides of a triangle are
-    seen. Takes one thread, so that views can be taken side by side.
+    Exact along slanted triangles, which may extend behind the camera; triangles are two-sided.
+    Single-threaded, so that callers can render several views in parallel.
 
     Args:
         vertices: [V, 3] float, world.
         triangles: [T, 3] int32, rows of `vertices`.
-        K: [3, 3], pixels; pixel centres lie at +0.5.
+        K: [3, 3], px; pixel centres are at +0.5.
         viewmat: [4, 4], world to camera, OpenCV axes.
-        width: Of the picture.
-        height: Of the picture.
-        near: Of triangles, what has z below this is not there; world units.
+        width: Of the picture, px.
+        height: Of the picture, px.
+        near: Near plane: triangles are clipped at this z; world units.
         orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx.
 
     Returns:
         [H, W] float32, 1/world unit along the camera's z; 0 where there is no triangle. With
-        parallel rays z is right to 1e-6 of how far the triangles reach.
+        parallel rays the error of z is at most 1e-6 of the triangles' extent.
 
     Raises:
-        ShapeError: an array of another shape, a number that is not finite, or a triangle whose
-            corner is not there.
+        ShapeError: an array has a wrong shape, a number is not finite, or a triangle has an index
+            out of range.
         BackendError: the native library is missing.
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
@@ -72,16 +72,16 @@ def mesh_depth(
 def _before(
     near: float, vertices: np.ndarray, triangles: np.ndarray, viewmat: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles cut off at z = near: [V', 3] in the camera's axes, and [T', 3] int32 rows."""
+    """Triangles clipped at z = near: vertices [V', 3] in the camera's axes, and [T', 3] int32."""
     address("triangles", triangles, (len(triangles), 3), INT32)
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(vertices)):
-        raise ShapeError(f"triangles names corners that are not there, of {len(vertices)}.")
+        raise ShapeError(f"triangles has indices out of range, expected 0 to {len(vertices) - 1}.")
     places = seen_corners(vertices, np.eye(3), viewmat)
     there = places[:, 2] >= near
     kept = there[triangles]
     count = kept.sum(1)
     whole = triangles[count == 3]
-    # Turned so that the corner which is on its own side comes first.
+    # Rotated so that the single corner on its side of the plane comes first.
     tip, stump = triangles[count == 1], triangles[count == 2]
     tip, stump = (
         _turned(tip, kept[count == 1].argmax(1)),
@@ -103,13 +103,13 @@ def _before(
 
 
 def _turned(triangles: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """[T, 3] with the corners of `first` [T] in front, in the same sense of rotation."""
+    """[T, 3] rotated so that corner `first` [T] comes first; the orientation is kept."""
     return np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, 1)
 
 
 def _linear(corners: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, float]:
-    """Corners whose inverse depth is how far before a plane they lie, which is linear in a picture
-    of parallel rays; and where the plane is."""
+    """Corners whose inverse depth is their distance in front of a plane, which is linear in an
+    orthographic picture; and z of that plane."""
     z = corners[:, 2]
     if not len(z):
         return corners, 1.0
@@ -121,7 +121,7 @@ def _linear(corners: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def seen_corners(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) -> np.ndarray:
-    """[V, 3] float64 (u z, v z, z) of vertices [V, 3] that pixel (u, v) shows at depth z."""
+    """Homogeneous pixels [V, 3] float64 (u z, v z, z) of vertices [V, 3]."""
     projection = np.asarray(K, np.float64) @ np.asarray(viewmat, np.float64)[:3]
     seen = np.asarray(vertices, np.float64) @ projection[:, :3].T + projection[:, 3]
     return np.ascontiguousarray(seen)

@@ -1,4 +1,4 @@
-"""No double backward: an error where gradients are differentiated a second time."""
+"""No double backward: an error if gradients are differentiated a second time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +20,7 @@ class _Once(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *v_outputs: Tensor) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         raise GsError(
-            f"{ctx.what} has first derivatives only, and a second one was asked for. Leave out "
+            f"{ctx.what} has first derivatives only, and a second one was requested. Leave out "
             "create_graph=True, or detach its gradients before they are differentiated."
         )
 
@@ -28,18 +28,18 @@ class _Once(torch.autograd.Function):
 def no_double_backward(
     what: str, grads: Sequence[Tensor | None], inputs: Sequence[Tensor]
 ) -> tuple[Tensor | None, ...]:
-    """`grads` as the backward pass of a function of `inputs` returns them.
+    """Wrap the `grads` returned by a backward pass, so that differentiating them raises.
 
-    `torch.autograd.function.once_differentiable` is not enough: it looks at the gradients that come
-    in, and where these are constants, as those of a sum are, what goes out would count as constant
-    in the inputs too.
+    `torch.autograd.function.once_differentiable` is not enough: it checks the incoming gradients
+    only; if these are constants, like those of a sum, the results would count as constant in the
+    inputs too.
 
     Args:
         what: Name of the function.
         grads: Gradients, or None.
-        inputs: All that they depend on, the gradients that came in as well.
+        inputs: All tensors that they depend on, including the incoming gradients.
     """
-    if not torch.is_grad_enabled():  # no graph is made of this backward pass
+    if not torch.is_grad_enabled():  # no graph of this backward pass is recorded
         return tuple(grads)
     given = [g for g in grads if g is not None]
     found = iter(_Once.apply(what, len(given), *given, *inputs))  # pyright: ignore[reportArgumentType]

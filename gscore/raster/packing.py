@@ -11,34 +11,34 @@ from .buffers import address
 
 
 class Table(NamedTuple):
-    """Numbers of N rows, and what is done with them."""
+    """Values of N rows, and their treatment."""
 
     data: Tensor
     """[N, ...] float32, contiguous, CPU."""
     adds: bool = False
-    """`unpack_rows` adds new numbers to those that are there; else they replace them."""
+    """`unpack_rows` adds to the present values; else it replaces them."""
     divisor: float = 1.0
-    """`pack_rows` divides the rows by this in the table itself before it copies them."""
+    """`pack_rows` divides the rows by this, in the table itself, before it copies them."""
 
 
 def widths_of(tables: Sequence[Tensor]) -> int:
-    """Numbers that a row of all tables has."""
+    """Total number of values per row over all tables."""
     return sum(map(_width, tables))
 
 
 def pack_rows(tables: Sequence[Table], rows: Tensor, packed: Tensor, *, threads: int = 0) -> None:
-    """Copy rows of all tables.
+    """Copy rows of all tables into one buffer.
 
     Args:
-        tables: Of the same N rows each, at least one.
-        rows: [M] int64, contiguous, 0 to N - 1, none twice.
-        packed: [M, 1 + K] int32, contiguous, gets the number of the row, then the bits of its K
-            numbers, table by table.
+        tables: At least one, of the same N rows each.
+        rows: [M] int64, contiguous, 0 to N - 1, without duplicates.
+        packed: [M, 1 + K] int32, contiguous; receives the number of the row, then the bits of its K
+            values, table by table.
         threads: 0: all cores; results do not depend on it.
 
     Raises:
-        ShapeError: a tensor has another dtype or layout than it should, and nothing was done; or a
-            row is out of range, and was left out.
+        ShapeError: a tensor has a wrong dtype or layout, before any change; or a row is out of
+            range, and was skipped.
     """
     structs, count = _structs(tables)
     _native.pack_rows(structs, count, rows, packed, threads)
@@ -47,17 +47,17 @@ def pack_rows(tables: Sequence[Table], rows: Tensor, packed: Tensor, *, threads:
 def unpack_rows(
     tables: Sequence[Table], packed: Tensor, *, marks: Tensor | None = None, threads: int = 0
 ) -> None:
-    """Put what `pack_rows` made into tables of the same widths.
+    """Write packed rows into tables of the same widths.
 
     Args:
-        tables: As there, changed in place.
-        packed: [M, 1 + K] int32, contiguous; no row twice.
-        marks: [N] int32, contiguous, becomes 1 for each of the rows; None: nothing does.
+        tables: As for `pack_rows`, changed in place.
+        packed: [M, 1 + K] int32, contiguous, without duplicate rows.
+        marks: [N] int32, contiguous, set to 1 for each of the rows; None: no marks.
         threads: 0: all cores; results do not depend on it.
 
     Raises:
-        ShapeError: a tensor has another dtype or layout than it should, and nothing was done; or a
-            row is out of range, and was left out.
+        ShapeError: a tensor has a wrong dtype or layout, before any change; or a row is out of
+            range, and was skipped.
     """
     structs, count = _structs(tables)
     _native.unpack_rows(structs, count, packed, marks, threads)

@@ -7,24 +7,24 @@ from .buffers import Array
 
 
 class CancelFlag:
-    """Stops a running call from another thread: pass it to the call, `set()` it to stop."""
+    """Flag that stops a running call from another thread: pass it to the call, then `set()` it."""
 
     def __init__(self) -> None:
         self.value = ct.c_int32(0)
 
     def set(self) -> None:
-        """The call it was passed to raises Cancelled soon, and so do later ones."""
+        """Make the calls it was passed to, and later ones, raise Cancelled."""
         self.value.value = 1
 
 
 @dataclass(frozen=True)
 class Frustum:
-    """A camera, its picture and the depths it shows."""
+    """A camera with picture size, near and far plane."""
 
     viewmat: Array
     """[4, 4], world to camera, OpenCV axes."""
     K: Array
-    """[3, 3], pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres lie at +0.5."""
+    """[3, 3], px, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres are at +0.5."""
     width: int
     """px."""
     height: int
@@ -39,29 +39,29 @@ class Frustum:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How splats are drawn, whatever the view."""
+    """Render settings that do not depend on the view."""
 
     raw: bool = True
     """Scales are logs and opacities logits."""
     sh_degree: int | None = None
-    """Degree that is evaluated; None: all that is stored."""
+    """SH degree to evaluate; None: the stored degree."""
     eps2d: float = 0.3
     """Added to the diagonal of the 2D covariance, px^2."""
     antialias: bool = False
     """Multiply opacities by max(sqrt(det0 / det), 0.005)."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """RGB behind the splats."""
+    """RGB background colour."""
     outputs: int = 0
     """Bits of `header.OUT_*`: outputs besides RGB and alpha."""
     tiles: Array | None = None
     """[ceil(H / 16), ceil(W / 16)] uint8: no splat is drawn in tiles of 16 x 16 px that are 0 here;
     None: all are drawn."""
     far_depths: Array | None = None
-    """[H, W]: at a pixel only splats with z at most this are drawn, as before something that hides
-    the others; world units. None, or NaN at a pixel: all are."""
+    """[H, W]: at a pixel only splats with z at most this are drawn, in front of an opaque object;
+    world units. None, or NaN at a pixel: all."""
     threads: int = 0
     """0: all cores."""
     disable: int = 0
-    """Bits of `header.NO_*`: skips to leave out, for tests and benchmarks."""
+    """Bits of `header.NO_*`: skips to disable, for tests and benchmarks."""
     cancel: CancelFlag | None = None
     """Set it from another thread to stop."""

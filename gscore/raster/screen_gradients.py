@@ -14,17 +14,17 @@ def add_screen_gradients(
     *,
     threads: int = 0,
 ) -> None:
-    """Add a view to sums: |v * scale| to `pull`, and 1 to `seen`, where the view drew a splat.
+    """Accumulate one view: add |v * scale| to `pull`, and 1 to `seen`, of splats it drew.
 
     Args:
         pull: [N] float32, changed in place.
         seen: [N] float32, changed in place.
-        v_means2d: [N, 2] float32, gradient in projected positions.
+        v_means2d: [N, 2] float32, gradient in the projected means.
         radii: [N] int32, 0 where a splat was not drawn.
-        scale: What x and y of the gradients are multiplied by.
+        scale: Factors on x and y of the gradients.
         threads: 0: all cores; results do not depend on it.
 
     Raises:
-        ShapeError: a tensor has another shape, dtype or layout than it should.
+        ShapeError: a tensor has a wrong shape, dtype or layout.
     """
     _native.add_pull(pull, seen, v_means2d, radii, scale, threads)

@@ -12,16 +12,16 @@ from .buffers import UINT8, address
 from .request import CancelFlag
 
 MOST_SOURCES = header.STEREO_SOURCES_MAX
-"""Photos that one is compared with at most."""
+"""Maximum number of source photos."""
 MOST_PLANES = header.STEREO_PLANES_MAX
 MOST_WITNESSES = 255
-"""Maps that judge one at most."""
+"""Maximum number of maps in the consistency check of one."""
 
 
 @dataclass(frozen=True)
 class Warp:
-    """How pixels of one view lie in another: a point at (x, y) with inverse depth d is seen there
-    at (u, v), where (u w, v w, w) = rotation (x, y, 1) + d translation."""
+    """Map from pixels of one view to another: a point at (x, y) with inverse depth d projects to
+    (u, v), where (u w, v w, w) = rotation (x, y, 1) + d translation."""
 
     rotation: np.ndarray
     """[3, 3] float64."""
@@ -36,12 +36,12 @@ class StereoView:
     grey: np.ndarray
     """[H, W] uint8, contiguous."""
     K: np.ndarray
-    """[3, 3] float64, pixels; pixel centres lie at +0.5."""
+    """[3, 3] float64, px; pixel centres are at +0.5."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
 
     def warp_to(self, other: "StereoView") -> Warp:
-        """From pixels of this view to those of another."""
+        """Warp from pixels of this view to those of another."""
         pose = other.viewmat @ np.linalg.inv(self.viewmat)
         return Warp(other.K @ pose[:3, :3] @ np.linalg.inv(self.K), other.K @ pose[:3, 3])
 
@@ -51,11 +51,11 @@ class Swept:
     """Result of a plane sweep at the pixels of its reference; all arrays [H, W] float32."""
 
     inverse_depth: np.ndarray
-    """1/world unit; 0 where no plane inside the range is distinct."""
+    """Inverse depth of the best plane, 1/world unit; 0 if it is not an inner maximum."""
     score: np.ndarray
-    """Zero-mean normalised cross-correlation there, from -1 to 1."""
+    """Zero-mean normalised cross-correlation at that depth, -1 to 1."""
     rival: np.ndarray
-    """The score of the second best depth, more than two planes away; -1: there is none."""
+    """Score of the second best depth, more than two planes away; -1: there is none."""
     contrast: np.ndarray
     """Standard deviation of the grey values around the pixel."""
 
@@ -73,26 +73,26 @@ def sweep(
     threads: int = 0,
     cancel: CancelFlag | None = None,
 ) -> Swept:
-    """The inverse depth of each pixel at which other photos look most like the reference.
+    """Plane sweep: the inverse depth of each pixel at which the sources match the reference best.
 
     Planes parallel to the reference's picture are evenly spaced in inverse depth (Collins 1996);
     windows are compared by zero-mean normalised cross-correlation, and the score of a plane is the
-    mean over the `best` sources that agree most, for others may be occluded.
+    mean over the `best` sources with the highest correlation, because others may be occluded.
 
     Args:
-        reference: Whose depth is wanted.
-        sources: 1 to 8 others that see the same.
+        reference: View whose depth is computed.
+        sources: 1 to 8 overlapping views.
         farthest: Inverse depth of the first plane, 1/world unit, at least 0.
-        nearest: That of the last plane.
-        planes: 3 to 1024.
-        radius: Windows are 2 radius + 1 pixels wide and high; 1 to 7.
-        best: 1 or 2; no more than there are sources.
-        noise: Standard deviation of grey values that counts as noise: flat windows score less.
+        nearest: Inverse depth of the last plane, 1/world unit.
+        planes: Number of planes, 3 to 1024.
+        radius: Windows are 2 radius + 1 px wide and high; 1 to 7.
+        best: 1 or 2; at most the number of sources.
+        noise: Standard deviation of the noise of grey values; lowers the score of flat windows.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
 
     Raises:
-        ShapeError: an array, a size or a number that cannot be used.
+        ShapeError: an array, size or number is invalid.
         BackendError: the native library is missing or out of memory.
         Cancelled: `cancel` was set.
     """
@@ -132,11 +132,11 @@ class Checked:
     """Consistency of a depth map with other views; all arrays [H, W]."""
 
     agree: np.ndarray
-    """uint8, how many have the same surface there."""
+    """uint8, number of views with the same surface."""
     contradict: np.ndarray
-    """uint8, how many look through it at something farther."""
+    """uint8, number of views that have a farther surface behind it."""
     inverse_depth: np.ndarray
-    """float32, mean of the map and of those that agree, 1/world unit; 0: unknown."""
+    """float32, mean of the map and the agreeing ones, 1/world unit; 0: unknown."""
 
 
 def check(
@@ -155,13 +155,13 @@ def check(
         reference: The view.
         inverse_depth: [H, W] float32, its map, 1/world unit; 0: unknown.
         witnesses: At most 255 other views with their maps.
-        pixels: A view agrees where its own depth leads back to within so many pixels,
-        relative: and to within this share of the inverse depth.
-        passed: It contradicts where its surface lies farther than the point by this share.
+        pixels: Maximum reprojection distance of an agreeing view, px.
+        relative: Maximum relative difference of inverse depths of an agreeing view.
+        passed: Minimum relative distance of a contradicting surface behind the point.
         threads: 0: all cores.
 
     Raises:
-        ShapeError: an array or a number that cannot be used.
+        ShapeError: an array or number is invalid.
         BackendError: the native library is missing or out of memory.
     """
     shape = _shape(reference.grey)

@@ -27,9 +27,9 @@ class Picture:
 
 
 class TrainingRasterizer:
-    """Draws a view and gives gradients of it, in memory that is kept from call to call.
+    """Renders a view and computes its gradients, in memory reused from call to call.
 
-    So what `draw` and `radii` return is overwritten by the next `draw`.
+    The results of `draw` and `radii` are overwritten by the next `draw`.
     """
 
     def __init__(self) -> None:
@@ -44,11 +44,11 @@ class TrainingRasterizer:
 
         Args:
             splats: `PARAMETERS`, in their order.
-            view: What is seen of them.
-            settings: How; of the outputs inverse depth alone can be asked for.
+            view: Camera and picture size.
+            settings: Render settings; the only optional output is inverse depth.
 
         Returns:
-            rgb, alpha and, where asked for, inverse depth.
+            rgb, alpha and, if requested, inverse depth.
         """
         settings = settings or Settings()
         arguments.check_size(view.width, view.height)
@@ -81,17 +81,17 @@ class TrainingRasterizer:
 
         Args:
             into: Contiguous float32 tensors of the splats' shapes by name, which are overwritten;
-                those of shN are added to.
+                shN is accumulated.
             rgb: [H, W, 3], gradient of the loss in the picture.
-            alpha: [H, W], as the next; None: zero.
-            inverse_depth: Only where it was drawn.
-            viewmat: [4, 4] float32, where the gradient in the camera's pose goes; None: nowhere.
+            alpha: [H, W], gradient in alpha; None: zero.
+            inverse_depth: [H, W], gradient in inverse depth, only if it was rendered; None: zero.
+            viewmat: [4, 4] float32, receives the gradient in viewmat; None: not computed.
 
         Returns:
             [N, 2], gradient in the projected means, px.
 
         Raises:
-            GsError: nothing was drawn.
+            GsError: `draw` was not called.
         """
         if self._drawn is None:
             raise GsError("There is no view to take gradients of: call draw first.")
@@ -116,8 +116,8 @@ class TrainingRasterizer:
         shares: Tensor,
         scratch: Mapping[str, Tensor],
     ) -> np.ndarray:
-        """`blending_weights` of splats by name, of which SH coefficients are not read, with the
-        memory of this painter; what it drew last is lost."""
+        """`blending_weights` of splats by name, without their SH coefficients, in the memory of
+        this rasterizer; its last view is lost."""
         self._drawn = None
         geometry = [splats[name].detach().contiguous() for name in GEOMETRY]
         return blending_weights(
@@ -125,8 +125,8 @@ class TrainingRasterizer:
         )
 
     def release(self) -> None:
-        """Give memory back: that of the library, which the next `draw` takes again, and the splats
-        that were drawn, which may be about to be replaced."""
+        """Free memory: the library's workspace, which the next `draw` allocates again, and the
+        reference to the last splats, which may be about to be replaced."""
         self._drawn, self._raster = None, _native.Raster()
 
     def stats(self) -> dict[str, float]:

@@ -6,18 +6,18 @@ from ..scene import PointCloud
 from .maps import StereoMap, StereoMaps
 
 _ROUNDS = 24
-"""Halvings of the range of cell sizes."""
+"""Bisection steps for the cell size."""
 _A_POINT = 12
-"""Pixels that are looked at for a point; of more, every other row and column, or fewer."""
+"""Number of pixels read per point; rows and columns are skipped if there are more."""
 _LARGEST = 64.0
-"""Largest cell, in pixels."""
+"""Largest cell, px."""
 
 
 def dense_points(maps: StereoMaps, *, most: int) -> PointCloud:
-    """At most `most` points, one a cell of space, cells as large as so many pixels of the photos.
+    """At most `most` points, one per cell of space; the cell size in photo pixels is uniform.
 
-    A point is the mean of all that the maps show in its cell, place and colour, so views that agree
-    share a point. Cells double in size with the distance to the photo.
+    A point is the mean position and colour of all map pixels in its cell, so views that agree share
+    a point. Cell sizes grow with the distance to the photo in powers of two.
     """
     if not maps.maps or most <= 0:
         return PointCloud.none()
@@ -48,8 +48,8 @@ def dense_points(maps: StereoMaps, *, most: int) -> PointCloud:
 
 
 def _of_map(found: StereoMap, step: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What every `step`-th row and column shows: points [P, 3] in the world, colours [P, 3] and
-    sizes of their pixels [P], world units."""
+    """Points [P, 3] in the world, colours [P, 3] and pixel sizes [P], world units, from every
+    `step`-th row and column."""
     view = found.photo.view
     v, u = (step * a for a in np.nonzero(found.inverse_depth[::step, ::step] > 0))
     depth = 1 / found.inverse_depth[v, u].astype(np.float64)
@@ -60,14 +60,13 @@ def _of_map(found: StereoMap, step: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _cells(points: np.ndarray, footprints: np.ndarray, size: float) -> np.ndarray:
-    """[P] number of the cell of each point, from 0, where cells are `size` pixels large, up to
-    twice that."""
+    """Cell index [P] of each point, from 0; cells are `size` to 2 * `size` pixels large."""
     level = np.ceil(np.log2(footprints * size))
     places = np.floor(points / np.exp2(level)[:, None]).astype(np.int64)
     keys = np.column_stack([level.astype(np.int64), places])
     packed = np.zeros(len(keys), np.uint64)
     with np.errstate(over="ignore"):
-        for column in keys.T:  # a hash: two cells in one hurt nobody
+        for column in keys.T:  # a hash: rare collisions only merge two cells
             packed = (packed ^ column.astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
             packed ^= packed >> np.uint64(29)
     return np.unique(packed, return_inverse=True)[1]

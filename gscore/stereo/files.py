@@ -16,19 +16,19 @@ from .maps import StereoMap, StereoMaps
 
 _WHITE = 65535
 _FARTHEST_KEPT = 0.999
-"""Quantile of a map's inverse depths that is still stored; nearer places are left out."""
+"""Quantile of a map's inverse depths up to which they are stored; nearer pixels are dropped."""
 
 
 def check_maps_folder(folder: Path, names: tuple[str, ...], *, overwrite: bool) -> None:
-    """Raise ConfigError where `folder` holds maps of these views that stereo did not make."""
+    """Raise ConfigError if `folder` contains maps of these views that stereo did not make."""
     if overwrite or not folder.is_dir() or read_record(folder) is not None:
         return
     maps = MapFolder(folder)
     there = [name for name in names if maps.find(name) is not None]
     if there:
         raise ConfigError(
-            f"{folder} holds depth maps of {count_words(len(there), 'view')} already, and they "
-            f"were not made by stereo. Give --overwrite to replace them, or another folder with "
+            f"{folder} already contains depth maps of {count_words(len(there), 'view')}, which "
+            "were not made by stereo. Give --overwrite to replace them, or another folder with "
             "--depths."
         )
 
@@ -36,18 +36,18 @@ def check_maps_folder(folder: Path, names: tuple[str, ...], *, overwrite: bool) 
 def write_maps(
     found: StereoMaps, dataset: Dataset, used: list[int], folder: Path
 ) -> dict[str, Fit]:
-    """Write maps and confidence as the photos show the scene, before they are undistorted.
+    """Write maps and confidence in the geometry of the original, distorted photos.
 
-    Maps of an earlier call that this one did not make anew are removed.
+    Maps of an earlier call that this one does not replace are removed.
 
     Args:
         found: At least one map.
         dataset: The capture.
-        used: Indices of the views that took part.
-        folder: Where to write `<view>.png` and `<view>.confidence.png`.
+        used: Indices of the participating views.
+        folder: Output folder for `<view>.png` and `<view>.confidence.png`.
 
     Returns:
-        By name of the view without ending: what its values are to be multiplied by.
+        Scale of the values by name of the view without ending.
 
     Raises:
         GsError: a file cannot be written.
@@ -70,14 +70,14 @@ def write_maps(
 
 
 def _remove_before(folder: Path) -> None:
-    """What an earlier call wrote: a map of a photo that is held out today must not stay."""
+    """Remove the maps of an earlier call, because a photo may be held out now."""
     record = read_record(folder) if folder.is_dir() else None
     if record is None:
         return
     for name in record["maps"]:
         for ending in (".png", CONFIDENCE):
             path = (folder / f"{stem(name)}{ending}").resolve()
-            if path.is_relative_to(folder.resolve()):  # a record may be anybody's
+            if path.is_relative_to(folder.resolve()):  # the record is untrusted input
                 path.unlink(missing_ok=True)
     (folder / STEREO_RECORD).unlink()
 
@@ -88,7 +88,7 @@ def _nearest(one: StereoMap) -> float:
 
 
 def _as_taken(file: ViewFile, one: StereoMap) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth and confidence at the pixels of the photo as it was taken, made small."""
+    """Inverse depth and confidence at the pixels of the downscaled original photo."""
     if file.plan is None:
         return one.inverse_depth, one.confidence
     height, width = one.inverse_depth.shape

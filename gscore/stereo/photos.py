@@ -13,31 +13,31 @@ from ..raster.stereo import StereoView
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 """Luma of sRGB values (Rec. 601)."""
 _HIDDEN = 128
-"""Grey behind masks: a surface without contrast, which matches nothing."""
+"""Grey of masked pixels: no contrast, so they match nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SmallPhoto:
-    """One view."""
+    """Downscaled photo of one view."""
 
     index: int
-    """In the dataset."""
+    """Index in the dataset."""
     view: StereoView
-    """Grey, and the camera."""
+    """Grey photo and camera."""
     rgb: np.ndarray
     """[H, W, 3] uint8."""
     counts: np.ndarray | None
-    """[H, W] bool, what the mask shows and its rim does not touch; None: everything."""
+    """[H, W] bool, unmasked pixels without the rim of the mask; None: all."""
 
 
 def small_photo(dataset: Dataset, index: int, *, side: int, rim: int) -> SmallPhoto:
-    """A view of the dataset, decoded if it is not yet.
+    """A view of the dataset, downscaled; decodes the photo if needed.
 
     Args:
         dataset: The capture.
-        index: Of the view.
-        side: Pixels of the longer side; photos that are smaller stay as they are.
-        rim: Pixels next to what a mask hides that do not count either, for windows reach there.
+        index: Index of the view.
+        side: Maximum of the longer side, px.
+        rim: Width of the excluded rim around masked pixels, px, because windows reach over it.
     """
     image, mask = dataset.image(index), dataset.mask(index)
     if dataset.mask_mode == "none":
@@ -63,7 +63,7 @@ def small_photo(dataset: Dataset, index: int, *, side: int, rim: int) -> SmallPh
 
 
 def _shrunk(shown: np.ndarray, rim: int) -> np.ndarray:
-    """[H, W] bool: all pixels at most `rim` away along both axes are true."""
+    """Erosion [H, W] bool by a square of radius `rim`."""
     hidden = np.pad(~shown, rim)
     for axis in (0, 1):
         size = shown.shape[axis]

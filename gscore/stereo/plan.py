@@ -14,10 +14,11 @@ SOURCES = 4
 WITNESSES = 8
 """Views of the consistency check of a depth map, sources included."""
 _BEST_ANGLE = 9.0
-"""Degrees between the rays of two photos to a point at which they serve best: less tells depths
-worse, more makes surfaces look different."""
+"""Best triangulation angle of two photos, degrees: less makes depths inaccurate, more makes
+surfaces
+look different."""
 _NARROWER, _WIDER = 4.0, 9.0
-"""Deviations from it, in degrees, at which a point counts 0.6."""
+"""Standard deviations of the weight below and above it, degrees."""
 _POINTS = 4000
 """Sample of the points for the view selection."""
 _FEWEST_SHARED = 1e-3
@@ -25,18 +26,18 @@ _FEWEST_SHARED = 1e-3
 _ENDS = (0.01, 0.99)
 """Quantiles of the inverse depths of a view's points."""
 _FARTHER, _NEARER = 0.5, 1.3
-"""The range goes beyond them by these factors."""
+"""Factors by which the range extends beyond these quantiles."""
 _FEWEST_POINTS = 8
 """Minimum number of visible points for the depth range of a view."""
 _AROUND = (0.4, 2.5)
-"""Inverse depths of what stands where the axes of all views meet, in those of that place."""
+"""Inverse depth range of a subject where the axes of all views meet, relative to that point."""
 _BEHIND = 0.01
-"""Least such inverse depth of what stands behind it: by inverse depth, far is next to nothing."""
+"""Minimum relative inverse depth of the background; in inverse depth a far limit costs little."""
 _STEP = 1.0
-"""Pixels between the places of a point on neighbouring planes."""
+"""Distance of a point's projections from neighbouring planes, px."""
 _FEWEST_PLANES = 16
 PLANES = 128
-"""Most planes: the time a sweep takes grows with them."""
+"""Maximum number of planes; the time of a sweep grows with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,19 +51,19 @@ class ViewPlan:
     farthest: float
     """Inverse depth of the first plane, 1/world unit."""
     nearest: float
-    """That of the last plane."""
+    """Inverse depth of the last plane, 1/world unit."""
 
 
 def plan_views(
     cameras: Cameras, tracks: SeenPoints, used: Sequence[int], *, subject: bool = False
 ) -> list[ViewPlan | None]:
-    """A plan for each of the views `used`; None where nothing can be compared with it.
+    """A plan for each of the views `used`; None for a view without suitable neighbours.
 
     Args:
-        cameras: Of all views.
-        tracks: Points and who sees them; may be none.
-        used: Views that take part: no other one has a say.
-        subject: Whether only what their axes meet at counts, and nothing behind it.
+        cameras: Cameras of all views.
+        tracks: Points and their visibility; may be empty.
+        used: Indices of the participating views; others are ignored.
+        subject: Only the subject where the axes meet counts, without background.
     """
     centers, axes = cameras.centers[list(used)], cameras.viewmats[list(used), 2, :3]
     seen = _seen(tracks, used)
@@ -95,10 +96,10 @@ def plan_views(
 
 
 def planes_of(plan: ViewPlan, views: Sequence[StereoView]) -> int:
-    """Planes between which a point moves by a pixel in the middle one of the sources.
+    """Number of planes for a motion of one pixel between planes in the median source.
 
     Args:
-        plan: Of the reference, the first of `views`.
+        plan: Plan of the reference, the first of `views`.
         views: The reference and its sources.
     """
     height, width = views[0].grey.shape
@@ -143,12 +144,12 @@ def _shared(tracks: SeenPoints, seen: np.ndarray, centers: np.ndarray, place: in
 def _facing(
     centers: np.ndarray, axes: np.ndarray, place: int, depth_range: tuple[float, float]
 ) -> np.ndarray:
-    """[V] how well each view serves one without points, by the middle of what it looks at."""
+    """[V] weight of each view for one without points, from the centre of its depth range."""
     middle = centers[place] + axes[place] * (2 / (depth_range[0] + depth_range[1]))
     rays = middle - centers
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
-    looking = np.clip((rays * axes).sum(axis=1), 0, 1)
-    return _worth(rays @ rays[place]) * looking
+    facing = np.clip((rays * axes).sum(axis=1), 0, 1)
+    return _worth(rays @ rays[place]) * facing
 
 
 def _worth(cosines: np.ndarray) -> np.ndarray:
@@ -159,7 +160,7 @@ def _worth(cosines: np.ndarray) -> np.ndarray:
 
 
 def _range(points: np.ndarray, viewmat: np.ndarray) -> tuple[float, float] | None:
-    """Inverse depths between which what a view shows lies, by its points [P, 3]; None: too few."""
+    """Inverse depth range of a view from its points [P, 3]; None: too few."""
     z = points @ viewmat[2, :3] + viewmat[2, 3]
     z = z[z > 0]
     if len(z) < _FEWEST_POINTS:
@@ -171,7 +172,7 @@ def _range(points: np.ndarray, viewmat: np.ndarray) -> tuple[float, float] | Non
 def _range_by_axes(
     centers: np.ndarray, axes: np.ndarray, place: int, *, farthest: float
 ) -> tuple[float, float] | None:
-    """The same by where the axes of all views meet; None where they do not."""
+    """Inverse depth range from the point where the axes of all views meet; None if they do not."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix = across.sum(axis=0)
     if np.linalg.eigvalsh(matrix)[0] < 1e-3 * len(axes):

@@ -120,21 +120,21 @@ def not_ours(tmp_path: Path) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("text", "notes.txt (GSCORE_LIBRARY) is no library that this system can load"),
-        ("folder", "folder (GSCORE_LIBRARY) is no file, a library was expected"),
-        ("broken", "broken.so (GSCORE_LIBRARY) is no library that this system can load"),
+        ("text", "notes.txt (GSCORE_LIBRARY) cannot be loaded as a library on this system"),
+        ("folder", "folder (GSCORE_LIBRARY) is not a file, expected a library"),
+        ("broken", "broken.so (GSCORE_LIBRARY) cannot be loaded as a library on this system"),
         *(
             pytest.param(
                 name,
-                f"{name}.so (GSCORE_LIBRARY) was cut short: ",
+                f"{name}.so (GSCORE_LIBRARY) is truncated: ",
                 marks=pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse it"),
             )
             for name in ("half", "nearly")
         ),
-        ("other", "is a library, but not gscore's: it has no gs_abi_version"),
+        ("other", "is not gscore's library: it has no gs_abi_version"),
         ("missing", "none.so (GSCORE_LIBRARY) cannot be opened: there is no such file"),
         ("too long", "(GSCORE_LIBRARY) cannot be opened: the name is too long"),
-        ("pipe", "pipe (GSCORE_LIBRARY) is no file"),
+        ("pipe", "pipe (GSCORE_LIBRARY) is not a file"),
     ],
 )
 def test_a_library_that_is_not_ours_is_named(
@@ -143,7 +143,7 @@ def test_a_library_that_is_not_ours_is_named(
     """Oracle: the path, what it is and what the variable must name; a pipe is not waited for."""
     if kind not in not_ours:
         pytest.skip("this system has no named pipes")
-    more = "The environment variable GSCORE_LIBRARY must name gscore's native library"
+    more = "The environment variable GSCORE_LIBRARY must be the path of gscore's native library"
     _refused({"GSCORE_LIBRARY": not_ours[kind]}, "BackendError", words, more)
 
 

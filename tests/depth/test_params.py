@@ -92,7 +92,7 @@ def test_the_other_layout_is_refused_with_the_reason(tmp_path, content):
     """Oracle: the error says which layout it is and why it cannot serve."""
     path = tmp_path / "depth_params.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match="camera and depth_scale.*expected scale and offset"):
+    with pytest.raises(DatasetError, match=r"camera and depth_scale.*expected scale and offset"):
         read_params(path)
 
 

@@ -92,7 +92,7 @@ def test_outputs_of_another_dtype_or_size_are_refused() -> None:
         raster.backward(splats, view, settings, v, grads | {"quats": np.zeros((5, 4))})
     with pytest.raises(ShapeError, match=r"v_rgb must be \[6, 7, 3\]"):
         raster.backward(splats, view, settings, {"rgb": np.zeros((6, 7), np.float32)}, grads)
-    with pytest.raises(ShapeError, match="depth, which was not drawn"):
+    with pytest.raises(ShapeError, match="depth, which was not rendered"):
         raster.backward(splats, view, settings, {"depth": pictures["alpha"]}, grads)
     raster.backward(splats, view, settings, v, grads)
 

@@ -1,7 +1,7 @@
-"""Reference rasterizer: the definition in plain torch and float64; slow, written to be read.
+"""Reference rasterizer: the definition in plain torch and float64; slow, written for clarity.
 
-The native library computes the same in float32. Where the two differ outside `boundary_band`,
-one of them is wrong.
+The native library computes the same in float32. A difference outside `boundary_band` is an error in
+one of them.
 """
 
 from .band import boundary_band

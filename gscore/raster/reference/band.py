@@ -24,9 +24,9 @@ def boundary_band(
     dtype: torch.dtype = torch.float64,
     pairs_per_chunk: int = PAIRS_PER_CHUNK,
 ) -> Tensor:
-    """Mark the pixels whose value hinges on a comparison that rounding could turn over.
+    """Mark the pixels whose value depends on a comparison that rounding could change.
 
-    Only splats that the pixel reaches before it stops count. A pixel is marked where
+    Only splats blended before the pixel stops count. A pixel is marked if
 
     - alpha is within `alpha_tolerance` (relative) of the threshold 1/255,
     - alpha before the cap is within `cap_tolerance` (relative) of 0.99,
@@ -46,25 +46,27 @@ def boundary_band(
         [H, W] bool.
     """
     near, far = view.near, view.far
-    # A little deeper than what is drawn, so that splats just culled are seen here.
+    # Slightly wider depth limits, to include splats that are just culled.
     deeper = replace(view, near=near * (1 - depth_tolerance), far=far * (1 + depth_tolerance))
     faintest = ALPHA_MIN * (1 - alpha_tolerance)
-    seen = project(splats, deeper, settings, dtype=dtype, min_opacity=faintest)
-    pixels = pixel_centers(view.width, view.height, like=seen.means2d)
-    at_limit = (seen.depths - near).abs() < depth_tolerance * near
-    at_limit |= (seen.depths - far).abs() < depth_tolerance * far
+    projected = project(splats, deeper, settings, dtype=dtype, min_opacity=faintest)
+    pixels = pixel_centers(view.width, view.height, like=projected.means2d)
+    at_limit = (projected.depths - near).abs() < depth_tolerance * near
+    at_limit |= (projected.depths - far).abs() < depth_tolerance * far
     marks = []
-    for part in pixels.split(max(1, pairs_per_chunk // max(1, len(seen.index)))):
-        uncapped = gaussian_alpha(part, seen.means2d, seen.conics, seen.opacities)  # [P, M]
+    for part in pixels.split(max(1, pairs_per_chunk // max(1, len(projected.index)))):
+        uncapped = gaussian_alpha(
+            part, projected.means2d, projected.conics, projected.opacities
+        )  # [P, M]
         drawn = uncapped >= ALPHA_MIN
         after = torch.cumprod(torch.where(drawn, 1 - uncapped.clamp(max=ALPHA_MAX), 1.0), 1)
         before = torch.cat([after.new_ones(len(part), 1), after], 1)[:, :-1]
         reached = before > STOP_AT
-        hinges = (255 * uncapped - 1).abs() < alpha_tolerance
-        hinges |= (uncapped / ALPHA_MAX - 1).abs() < cap_tolerance
-        hinges |= drawn & ((after / TRANSMITTANCE_MIN - 1).abs() < transmittance_tolerance)
-        hinges |= drawn & (at_limit | depth_ties(seen, drawn, depth_tolerance))
-        marks.append((hinges & reached).any(1))
+        marginal = (255 * uncapped - 1).abs() < alpha_tolerance
+        marginal |= (uncapped / ALPHA_MAX - 1).abs() < cap_tolerance
+        marginal |= drawn & ((after / TRANSMITTANCE_MIN - 1).abs() < transmittance_tolerance)
+        marginal |= drawn & (at_limit | depth_ties(projected, drawn, depth_tolerance))
+        marks.append((marginal & reached).any(1))
     return torch.cat(marks).reshape(view.height, view.width)
 
 

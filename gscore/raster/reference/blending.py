@@ -12,16 +12,16 @@ from torch.utils.checkpoint import checkpoint
 from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT
 
 PAIRS_PER_CHUNK = 1 << 18
-"""Splat-pixel pairs held at once: bounds memory to about a hundred megabytes in float64."""
+"""Splat-pixel pairs per chunk: limits memory to about a hundred megabytes in float64."""
 
 
 class Blended(NamedTuple):
-    """What one pass over the splats leaves at each of P pixels."""
+    """Result of blending at P pixels."""
 
     sums: Tensor
     """[P, F], sum of weight times feature."""
     transmittance: Tensor
-    """[P], light that passes all splats."""
+    """[P], final transmittance."""
     median_depth: Tensor
     """[P], z of the splat that brings the transmittance to 0.5 or below; 0 if none does."""
 
@@ -74,7 +74,7 @@ def blend_pixels(
         conics: [M, 3].
         opacities: [M].
         depths: [M], camera z, ascending.
-        features: [M, F], whatever is to be summed: colour, depth, one.
+        features: [M, F], values to sum: colour, depth, one.
         far_depths: [P], splats with z above it are not drawn at a pixel; NaN or None: all are.
 
     Returns:
@@ -86,8 +86,8 @@ def blend_pixels(
     if far_depths is not None:
         alpha = torch.where(depths > far_depths[:, None], 0.0, alpha)
 
-    # Transmittance only falls, so the splats that come before the stop are those after which it
-    # would still be above the limit.
+    # Transmittance never increases, so the splats before the stop are those after which it is still
+    # above the limit.
     keep = torch.cumprod(1 - alpha, 1).detach() > STOP_AT
     alpha = torch.where(keep, alpha, 0.0)
 
@@ -123,8 +123,8 @@ def blend(
         features: [M, F].
         width: pixels.
         height: pixels.
-        far_depths: [H, W], as there.
-        pairs_per_chunk: memory bound; changes nothing but the memory used.
+        far_depths: [H, W], as for `blend_pixels`.
+        pairs_per_chunk: memory limit; does not change the result.
 
     Returns:
         The fields of `Blended` for P = height * width pixels, row by row.

@@ -1,6 +1,6 @@
 """Reference geometry: splat parameters to ellipses in the image, the stages of EWA splatting.
 
-N splats, one camera. Camera frame: +x right, +y down, +z forward (OpenCV); pixel centres lie at
+N splats, one camera. Camera frame: +x right, +y down, +z forward (OpenCV); pixel centres are at
 +0.5. Every function is differentiable in its tensor arguments and keeps their dtype.
 
 Sources: Zwicker, Pfister, van Baar and Gross, "EWA Volume Splatting", IEEE Visualization 2001
@@ -19,8 +19,7 @@ def quat_to_rotmat(quats: Tensor) -> Tensor:
     """Rotation matrices of quaternions of any non-zero length.
 
     Args:
-        quats: [N, 4], wxyz; normalised here, so the length carries no information and its
-            gradient is orthogonal to the quaternion.
+        quats: [N, 4], wxyz; normalised here, so the gradient is orthogonal to the quaternion.
 
     Returns:
         [N, 3, 3]; columns are the splat's axes in the world.
@@ -96,8 +95,8 @@ def projection_jacobian(means_cam: Tensor, K: Tensor, width: int, height: int) -
 
     Far outside the image the affine approximation grows without bound and smears splats over the
     picture, so x/z and y/z are clamped to the image plus a margin of 0.3 tan(fov/2) on each side,
-    measured from the principal point (arXiv 2409.06765 and gsplat 1.5.3). Only this
-    matrix sees the clamp; it is differentiated as written: a clamped x/z is a constant.
+    measured from the principal point (arXiv 2409.06765 and gsplat 1.5.3). The clamp only affects
+    this matrix; it is differentiated as written: a clamped x/z is a constant.
 
     Args:
         means_cam: [N, 3], camera frame, z > 0.
@@ -136,7 +135,7 @@ def project_parallel(means_cam: Tensor, K: Tensor) -> Tensor:
 
 
 def parallel_jacobian(means_cam: Tensor, K: Tensor) -> Tensor:
-    """Derivative of `project_parallel`, the same for every splat; nothing is approximated.
+    """Derivative of `project_parallel`, exact and equal for all splats.
 
     Args:
         means_cam: [N, 3], camera frame.
@@ -164,11 +163,11 @@ def project_covariance(covars_cam: Tensor, jacobian: Tensor) -> Tensor:
 
 
 def conic(covars2d: Tensor, eps2d: float) -> tuple[Tensor, Tensor]:
-    """Inverse of the low-passed covariance, and the share of opacity the low-pass left.
+    """Inverse of the low-pass filtered covariance, and the opacity compensation.
 
     The low-pass filter (Zwicker et al. 2001, section on the resampling filter) adds `eps2d` to both
-    variances. The compensation keeps a splat's integral as if it had not been widened:
-    sqrt(det / det_filtered), at least 0.005, with no gradient where that floor holds.
+    variances. The compensation preserves a splat's integral: sqrt(det / det_filtered), at least
+    0.005, without gradient at that floor.
 
     Args:
         covars2d: [N, 2, 2], pixels squared.

@@ -1,8 +1,8 @@
 """Reference spherical harmonics: view-dependent colour in the sign convention of 3DGS.
 
-Order (l, m): (0,0), (1,-1), (1,0), (1,1), (2,-2), ... with the Condon-Shortley phase, so the
-functions of odd m carry a minus sign: degree 1 reads -y, z, -x. Constants are written as their
-closed forms. Source: Kerbl et al. 2023, section 4; any table of real spherical harmonics.
+Order (l, m): (0,0), (1,-1), (1,0), (1,1), (2,-2), ... with the Condon-Shortley phase, so functions
+of odd m have a minus sign: degree 1 is -y, z, -x. Constants are in closed form. Source: Kerbl et
+al. 2023, section 4; any table of real spherical harmonics.
 """
 
 from math import pi, sqrt
@@ -73,10 +73,10 @@ def sh_colors(
     *,
     orthographic: bool = False,
 ) -> Tensor:
-    """Colour of each splat seen from the camera, max(0, 0.5 + SH(direction)).
+    """View-dependent colour of each splat, max(0, 0.5 + SH(direction)).
 
-    The direction runs from the camera centre, -R^T t, to the splat. Where the maximum
-    holds, no gradient passes.
+    The direction is from the camera centre, -R^T t, to the splat. Colours clamped at 0 pass no
+    gradient.
 
     Args:
         means: [N, 3], world units.

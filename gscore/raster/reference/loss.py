@@ -31,8 +31,8 @@ def image_loss_reference(
         mask_mode: "none", "composite" (target = photo * mask + background * (1 - mask)) or
             "ignore" (image and photo are both multiplied by the mask).
         background: RGB used by "composite".
-        gain: [3] float64: the image is multiplied by it, and no brighter than white where the
-            target is white.
+        gain: [3] float64: the image is multiplied by it, and clamped to white where the target is
+            white.
 
     Returns:
         The scalar loss and the mean SSIM, zero padded.

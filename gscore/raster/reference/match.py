@@ -16,7 +16,7 @@ def match_descriptors(
 
 
 def _distinct(squared: np.ndarray, max_distance: float, max_ratio: float) -> list[int]:
-    """The nearest of each row where that is near and distinct, else -1."""
+    """The nearest neighbour of each row if it is near and distinct, else -1."""
     found = []
     for row in squared:
         order = np.argsort(row)

@@ -18,8 +18,8 @@ def mesh_depth(
 ) -> np.ndarray:
     """As `gscore.raster.mesh.mesh_depth`, [H, W] float64.
 
-    The corners weighed by l / z give the ray of a pixel, whose z is 1: one system of three
-    equations a triangle. With parallel rays, K times (X, Y, 1) weighed by l gives the pixel.
+    The corners weighted by l / z give the ray of a pixel, with z = 1: one 3 x 3 system per
+    triangle. With parallel rays, K times (X, Y, 1) weighted by l gives the pixel.
     """
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([x, y, np.ones_like(x)]).reshape(3, -1)
@@ -31,7 +31,7 @@ def mesh_depth(
     for rows in triangles:
         corners = places[rows] @ np.asarray(K, np.float64).T
         if np.linalg.matrix_rank(corners) < 3:
-            continue  # a line, or seen edge-on
+            continue  # degenerate, or edge-on
         shares = np.linalg.solve(corners.T, rays)
         with np.errstate(divide="ignore"):
             inverse = 1 / (depths[rows] @ shares) if orthographic else shares.sum(axis=0)

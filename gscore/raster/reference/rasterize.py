@@ -27,7 +27,7 @@ SH_COUNT_TO_DEGREE = {0: 0, 3: 1, 8: 2, 15: 3, 24: 4}
 
 
 class SplatTensors(NamedTuple):
-    """Parameters of N splats, raw or activated as the caller says."""
+    """Parameters of N splats, raw or activated."""
 
     means: Tensor
     """[N, 3], world units."""
@@ -48,7 +48,7 @@ class SplatTensors(NamedTuple):
 
 
 class ProjectedSplats(NamedTuple):
-    """The M splats a camera can see, front to back; ties in depth stay in input order."""
+    """The M visible splats of a camera, front to back; ties in depth stay in input order."""
 
     index: Tensor
     """[M] int64, row of the input."""
@@ -57,7 +57,7 @@ class ProjectedSplats(NamedTuple):
     conics: Tensor
     """[M, 3], inverse image covariance (xx, xy, yy)."""
     opacities: Tensor
-    """[M], activated, compensated on request."""
+    """[M], activated; compensated if `antialias`."""
     colors: Tensor
     """[M, 3], RGB."""
     depths: Tensor
@@ -65,7 +65,7 @@ class ProjectedSplats(NamedTuple):
 
 
 class ReferenceOutput(NamedTuple):
-    """Pictures of one camera, in the dtype the reference ran in."""
+    """Pictures of one camera, in the dtype of the computation."""
 
     rgb: Tensor
     """[H, W, 3], background included."""
@@ -76,11 +76,11 @@ class ReferenceOutput(NamedTuple):
     depth: Tensor | None
     """[H, W], expected depth: sum of weight * z / sum of weight; 0 where nothing was blended."""
     median_depth: Tensor | None
-    """[H, W], depth at which half the light is gone, 0 where it never is; not differentiable."""
+    """[H, W], z at which transmittance falls to 0.5, 0 where it never does; not differentiable."""
 
 
 def check_inputs(splats: SplatTensors, view: Frustum, sh_degree: int | None) -> int:
-    """Raise on shapes and cameras the rasterizer does not define; return the SH degree to use."""
+    """Raise on invalid shapes and cameras; return the SH degree to use."""
     n, K = len(splats.means), view.K
     shapes = {
         "means": (splats.means, [n, 3]),
@@ -92,13 +92,13 @@ def check_inputs(splats: SplatTensors, view: Frustum, sh_degree: int | None) -> 
         "viewmat": (view.viewmat, [4, 4]),
         "K": (K, [3, 3]),
     }
-    for name, (tensor, wanted) in shapes.items():
-        if list(tensor.shape) != wanted:
-            raise ShapeError(f"{name} must be {wanted}, got {list(tensor.shape)}.")
+    for name, (tensor, expected) in shapes.items():
+        if list(tensor.shape) != expected:
+            raise ShapeError(f"{name} must be {expected}, got {list(tensor.shape)}.")
     rest = splats.shN.shape[1]
     if rest not in SH_COUNT_TO_DEGREE:
         raise ShapeError(
-            f"shN must hold 0, 3, 8, 15 or 24 coefficients a splat (degree 0 to 4), got {rest}."
+            f"shN must have 0, 3, 8, 15 or 24 coefficients per splat (degree 0 to 4), got {rest}."
         )
     if view.width < 1 or view.height < 1:
         raise ShapeError(f"the image must be at least 1 x 1 px, got {view.width} x {view.height}.")
@@ -127,7 +127,7 @@ def alive_rows(splats: SplatTensors, view: Frustum) -> Tensor:
 def project_rows(
     splats: SplatTensors, view: Frustum, settings: Settings, sh_degree: int
 ) -> ProjectedSplats:
-    """The per-splat chain for every row given: activate, project, colour. Arguments as below."""
+    """Activate, project and colour all rows; arguments as for `project`."""
     scales, opacities = splats.scales, splats.opacities
     if settings.raw:
         scales, opacities = scales.exp(), opacities.sigmoid()
@@ -164,12 +164,12 @@ def project(
     dtype: torch.dtype = torch.float64,
     min_opacity: float = ALPHA_MIN,
 ) -> ProjectedSplats:
-    """Everything that happens per splat: cull, activate, project, colour, sort.
+    """Per-splat part of the pipeline: cull, activate, project, colour, sort.
 
-    Of the settings those of a splat count. `dtype` is that of `rasterize_reference`; `min_opacity`
-    is the opacity below which a splat cannot reach the alpha threshold anywhere. What is culled is
-    decided first, without gradients, and left out of the differentiated chain: culled rows get an
-    exact zero gradient, and a NaN or an overflow in one row reaches no other and not the camera.
+    `dtype` is as for `rasterize_reference`; `min_opacity` is the opacity below which a splat cannot
+    reach the alpha threshold. Culling is decided first, without gradients, and culled rows are left
+    out of the differentiated chain: they get an exact zero gradient, and a NaN or overflow in one
+    row does not affect others or the camera.
     """
     degree = check_inputs(splats, view, settings.sh_degree)
     splats = SplatTensors(*(field.to(dtype) for field in splats))
@@ -201,9 +201,9 @@ def composite(
     depth: bool = False,
     pairs_per_chunk: int = PAIRS_PER_CHUNK,
 ) -> ReferenceOutput:
-    """Everything that happens per pixel: blend colour and depth, put the background behind.
+    """Per-pixel part of the pipeline: blend colour and depth, add the background.
 
-    Arguments as `rasterize_reference`. Colour, 1/z, z and 1 are blended alike, as features.
+    Arguments as for `rasterize_reference`. Colour, 1/z, z and 1 are blended as features.
     """
     z = splats.depths[:, None]
     blended = blend(
@@ -256,7 +256,7 @@ def rasterize_reference(
     dtype: torch.dtype = torch.float64,
     pairs_per_chunk: int = PAIRS_PER_CHUNK,
 ) -> ReferenceOutput:
-    """Rasterize N splats into one camera: slow, exact, differentiable by plain autograd.
+    """Rasterize N splats for one camera: slow, exact, differentiable by plain autograd.
 
     Differentiable in means, quats, scales, opacities, sh0, shN and viewmat; the viewmat gradient
     is the full chain through position, covariance and SH direction, entry by entry of the upper
@@ -274,25 +274,25 @@ def rasterize_reference(
         width: pixels.
         height: pixels.
         raw: whether scales and opacities are the raw parameters of a 3DGS file.
-        sh_degree: SH degree to use, at most the stored one; None uses all.
-        background: [3], RGB behind all splats; None is black. Constant.
+        sh_degree: SH degree to use, at most the stored one; None: the stored one.
+        background: [3], RGB background colour, constant; None: black.
         near: splats with z <= near are not drawn, world units.
         far: splats with z > far are not drawn, world units.
         eps2d: variance added in the image, pixels squared.
-        antialias: scale opacities to undo the widening by `eps2d`.
+        antialias: multiply opacities by the compensation of `eps2d`.
         orthographic: parallel rays; K's focal lengths are pixels per world unit.
         far_depths: [H, W], splats with z above it are not drawn at a pixel; NaN or None: all are.
         inverse_depth: whether to return the accumulated inverse depth.
         depth: whether to return expected and median depth.
         dtype: floating dtype to compute in; inputs of another are converted.
-        pairs_per_chunk: splat-pixel pairs held in memory at once.
+        pairs_per_chunk: splat-pixel pairs per chunk, a memory limit.
 
     Returns:
         The pictures in `dtype`.
 
     Raises:
-        ShapeError: an input has the wrong shape, the image no pixels, K has skew or no focal
-            length, or sh_degree exceeds what is stored.
+        ShapeError: an input has a wrong shape, the image no pixels, K has skew or no focal length,
+            or sh_degree exceeds the stored one.
     """
     splats = project(
         SplatTensors(means, quats, scales, opacities, sh0, shN),

@@ -7,7 +7,7 @@ import numpy as np
 from ..stereo import Checked, StereoView, Swept, Warp
 
 _NEAR = 2
-"""Planes around the highest peak in which another one is no rival."""
+"""Maximum distance of two peaks, in planes, that count as one."""
 
 
 def sweep(
@@ -40,7 +40,7 @@ def sweep(
 
 
 def _window_sums(values: np.ndarray, radius: int) -> np.ndarray:
-    """[H, W] sums over windows; what lies beyond the sides counts 0."""
+    """[H, W] sums over windows, zero padded."""
     padded = np.pad(values, radius)
     windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * radius + 1,) * 2)
     return windows.sum(axis=(2, 3))
@@ -54,12 +54,12 @@ def _scores(
     best: int,
     noise: float,
 ) -> np.ndarray:
-    """[H, W] of one plane: the mean over the sources that agree most."""
-    likeness = sorted_likeness(reference, sources, inverse_depth, radius, noise)
-    return likeness[:best].mean(axis=0)
+    """Scores [H, W] of one plane: the mean over the `best` highest correlations."""
+    correlations = sorted_correlations(reference, sources, inverse_depth, radius, noise)
+    return correlations[:best].mean(axis=0)
 
 
-def sorted_likeness(
+def sorted_correlations(
     reference: StereoView,
     sources: Sequence[StereoView],
     inverse_depth: float,
@@ -86,7 +86,7 @@ def sorted_likeness(
 def _seen(
     reference: StereoView, source: StereoView, inverse_depth: float, rim: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the source shows of the pixels of a plane, less 128, and whether it does."""
+    """Grey values of the source at the pixels of a plane, less 128, and their validity."""
     height, width = source.grey.shape
     rows, columns = reference.grey.shape
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
@@ -99,7 +99,7 @@ def _seen(
     fu, fv, grey = u - left, v - top, source.grey.astype(np.float64)
     upper = grey[top, left] * (1 - fu) + grey[top, right] * fu
     lower = grey[below, left] * (1 - fu) + grey[below, right] * fu
-    # Beyond the reference's sides there is nothing to compare with, so windows there do not count.
+    # Windows that extend beyond the reference are excluded by the caller.
     return upper * (1 - fv) + lower * fv - 128, seen
 
 
@@ -114,7 +114,7 @@ def _apply(
 
 
 def _peaks(volume: np.ndarray, depths: np.ndarray) -> np.ndarray:
-    """[3, H, W] inverse depth between planes, score and rival of a volume [D, H, W] of scores."""
+    """[3, H, W] interpolated inverse depth, score and second best score of a volume [D, H, W]."""
     step = depths[1] - depths[0]
     out = np.stack([np.zeros(volume.shape[1:]), *np.full((2, *volume.shape[1:]), -1.0)])
     for y, x in np.ndindex(volume.shape[1:]):
@@ -131,9 +131,9 @@ def _peaks(volume: np.ndarray, depths: np.ndarray) -> np.ndarray:
                 best, place = here, i
         if 0 < place < len(depths) - 1:
             left, right = scores[place], scores[place + 2]
-            aside = np.clip(0.5 * (right - left) / max(2 * best - left - right, 1e-12), -0.5, 0.5)
-            top = min(best + 0.25 * (right - left) * aside, 1.0)
-            out[:, y, x] = depths[place] + aside * step, top, rival
+            offset = np.clip(0.5 * (right - left) / max(2 * best - left - right, 1e-12), -0.5, 0.5)
+            top = min(best + 0.25 * (right - left) * offset, 1.0)
+            out[:, y, x] = depths[place] + offset * step, top, rival
     return out
 
 
@@ -146,7 +146,7 @@ def check(
     relative: float = 0.01,
     passed: float = 0.05,
 ) -> Checked:
-    """As `gscore.raster.stereo.check`, the mean in float64."""
+    """As `gscore.raster.stereo.check`, with the mean in float64."""
     rows, columns = inverse_depth.shape
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     known = np.isfinite(inverse_depth) & (inverse_depth > 0)
