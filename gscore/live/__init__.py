@@ -1,4 +1,4 @@
 """Viewer server: the network protocol of the SIBR viewer of 3DGS, over TCP.
 
-`protocol` knows the messages, `server` the connections; the training meets `onlookers`.
+`viewer_protocol` parses messages, `server` handles connections; a training uses `viewer_clients`.
 """

@@ -15,39 +15,39 @@ from . import viewer_protocol
 from .viewer_clients import ViewerClient, ViewerClients
 
 MOST_VIEWERS = 8
-"""Viewers at once."""
+"""Maximum number of connected viewers."""
 PATIENCE = 20.0
-"""Seconds for the rest of a request that has begun, and for taking an answer; and of silence, after
-which another viewer may have the place."""
+"""Timeout in seconds for the rest of a request and for sending an answer, and idle time after which
+a new viewer may replace this one."""
 _REST = 0.5
-"""Seconds before another try to let somebody in."""
-_KEEPING = {"TCP_KEEPIDLE": 60, "TCP_KEEPALIVE": 60, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
-"""Seconds of silence, by its names on Linux and macOS; seconds between questions; how many."""
+"""Seconds before accepting again after an error."""
+_KEEPALIVE = {"TCP_KEEPIDLE": 60, "TCP_KEEPALIVE": 60, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
+"""Idle seconds, under its names on Linux and macOS; seconds between probes; number of probes."""
 _NO_LINGERING = struct.pack("hh" if os.name == "nt" else "ii", 1, 0)
 
 _log = logging.getLogger(__name__)
 
 
 class Server:
-    """Listens in a `with`; the training answers `viewers`."""
+    """Server that listens inside a `with` block; the training answers `viewers`."""
 
     def __init__(
         self, options: LiveOptions, *, text: str = "", after_the_end: bool = False
     ) -> None:
-        """Take the port.
+        """Bind the port.
 
         Args:
             options: Address and port.
-            text: Told with each answer: viewers look for the capture there.
-            after_the_end: Viewers may look on when the last step is done.
+            text: Sent with each answer: the folder in which viewers look for the capture.
+            after_the_end: Viewers may stay after the last step.
 
         Raises:
-            ConfigError: the port is taken or may not be used, or this computer has no such address.
+            ConfigError: the port is in use or not permitted, or this computer lacks the address.
         """
         self._options = options
         why = f"Viewers can connect to {options.ip}, port {options.port}."
         self.viewers = ViewerClients(why=why, after_the_end=after_the_end)
-        """Who watches."""
+        """Connected viewers."""
         self._text = text
         self._socket = self._listening()
         self._connections: dict[socket.socket, ViewerClient] = {}
@@ -92,7 +92,7 @@ class Server:
         return listening
 
     def _accept(self) -> None:
-        told = False
+        warned = False
         while not self.viewers.closed:
             try:
                 connection, _ = self._socket.accept()
@@ -102,19 +102,18 @@ class Server:
             except (OSError, RuntimeError) as error:  # too many files, too many threads
                 if self.viewers.closed:
                     return
-                if not told:
+                if not warned:
                     _log.warning("A viewer cannot connect: %s", error)
-                    told = True
+                    warned = True
                 time.sleep(_REST)
 
     def _admit(self, connection: socket.socket) -> None:
-        """Serve a viewer in a thread; one too many takes the place of one that has fallen silent,
-        or is let go.
+        """Serve a viewer in a thread; if there are too many, it replaces an idle one or is refused.
 
         Raises:
-            RuntimeError: there can be no thread more.
+            RuntimeError: no thread can be started.
         """
-        one = self.viewers.enter(MOST_VIEWERS) or self._in_place_of_a_silent_one()
+        one = self.viewers.enter(MOST_VIEWERS) or self._replace_idle()
         if one is None:
             connection.close()
             return
@@ -125,28 +124,28 @@ class Server:
                 target=self._serve, args=(connection, one), name="gscore-viewer", daemon=True
             ).start()
         except RuntimeError:
-            self._let_go(connection, one)
+            self._disconnect(connection, one)
             raise
 
-    def _in_place_of_a_silent_one(self) -> ViewerClient | None:
-        silent = self.viewers.longest_silent(PATIENCE)
-        if silent is None:
+    def _replace_idle(self) -> ViewerClient | None:
+        idle = self.viewers.longest_idle(PATIENCE)
+        if idle is None:
             return None
         with self._lock:
-            theirs = [c for c, one in self._connections.items() if one is silent]
+            theirs = [c for c, one in self._connections.items() if one is idle]
         for connection in theirs:
             _shut(connection)  # its thread ends, and closes it
-        self.viewers.leave(silent)
+        self.viewers.leave(idle)
         return self.viewers.enter(MOST_VIEWERS)
 
-    def _let_go(self, connection: socket.socket, one: ViewerClient) -> None:
+    def _disconnect(self, connection: socket.socket, one: ViewerClient) -> None:
         self.viewers.leave(one)
         with self._lock:
             self._connections.pop(connection, None)
         connection.close()
 
     def _serve(self, connection: socket.socket, one: ViewerClient) -> None:
-        """Answer until the viewer goes, says what no viewer says, or does not take its answers."""
+        """Answer until the viewer disconnects, sends an invalid request, or stops receiving."""
         try:
             _keep_alive(connection)  # fails on macOS where the connection was reset already
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -155,21 +154,21 @@ class Server:
                 picture = one.ask(request)
                 if picture is None:
                     return
-                connection.settimeout(PATIENCE)  # for all of an answer, not for each piece
+                connection.settimeout(PATIENCE)  # for a whole answer, not for each piece
                 connection.sendall(viewer_protocol.answer(picture, self._text))
         except TimeoutError:
-            _drop_what_waits(connection)
+            _discard_unsent(connection)
         except (OSError, ValueError):
             return
         finally:
-            self._let_go(connection, one)
+            self._disconnect(connection, one)
 
 
 def _request(connection: socket.socket) -> bytes:
-    """The text of the next request, for which one may wait for ever; not for its rest."""
+    """The text of the next request; only the wait for its first byte has no timeout."""
     connection.settimeout(None)
     head = connection.recv(1)
-    end = time.monotonic() + PATIENCE  # for all of it, not for each piece
+    end = time.monotonic() + PATIENCE  # for the whole request, not for each piece
     head += _exactly(connection, viewer_protocol.LENGTH - len(head), end)
     return _exactly(connection, viewer_protocol.length_of(head), end)
 
@@ -186,25 +185,24 @@ def _exactly(connection: socket.socket, count: int, end: float) -> bytes:
 
 
 def _keep_alive(connection: socket.socket) -> None:
-    """Have the system ask a silent viewer whether it is still there: a cable that was pulled out
-    says nothing."""
+    """Enable TCP keepalive probes, because a broken link does not close the connection."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in _KEEPING.items():
-        option = getattr(socket, name, None)  # none of them is everywhere
+    for name, value in _KEEPALIVE.items():
+        option = getattr(socket, name, None)  # no option exists on all systems
         if option is not None:
             connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
-def _drop_what_waits(connection: socket.socket) -> None:
-    """Close without what was not sent yet: to a viewer that takes a few bytes a second, the system
-    would go on sending it for minutes."""
+def _discard_unsent(connection: socket.socket) -> None:
+    """Discard unsent data on close, because the system would send it for minutes to a viewer that
+    receives a few bytes per second."""
     with contextlib.suppress(OSError):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGERING)
 
 
 def _shut(connection: socket.socket) -> None:
     with contextlib.suppress(OSError):
-        connection.shutdown(socket.SHUT_RDWR)  # wakes the thread that waits in it
+        connection.shutdown(socket.SHUT_RDWR)  # wakes the thread that blocks on it
 
 
 def _end(connection: socket.socket) -> None:

@@ -12,14 +12,15 @@ from .viewer_protocol import FrameRequest
 _log = logging.getLogger(__name__)
 
 HOLD = 60.0
-"""Seconds for which a request holds the training, or keeps it from ending; viewers ask
-many times a second."""
+"""Seconds for which a request pauses the training, or delays its end; viewers send many requests
+per
+second."""
 Draw = Callable[[FrameRequest], bytes]
-"""Gives the picture of a request, 3 bytes a pixel."""
+"""Renders the picture of a request, 3 bytes per pixel."""
 
 
 def _drawn(draw: Draw, request: FrameRequest) -> bytes:
-    """The picture, black where there is too little memory for it: no viewer ends a training."""
+    """The picture, black if rendering fails, because a viewer must not end a training."""
     try:
         return draw(request)
     except (GsError, MemoryError) as error:
@@ -28,35 +29,35 @@ def _drawn(draw: Draw, request: FrameRequest) -> bytes:
 
 
 class ViewerClient:
-    """One viewer: the thread of its connection waits in `ask`, the training's answers."""
+    """One viewer: its connection's thread waits in `ask` until the training's thread answers."""
 
     def __init__(self, crowd: "ViewerClients") -> None:
         self._crowd = crowd
         self._answered = threading.Event()
         self._picture = b""
         self.request: FrameRequest | None = None
-        """Frame requests without an answer."""
+        """Pending frame request."""
         self.waits = False
         """Whether its last request has no answer yet."""
         self.trains, self.stays = True, False
-        """From its last request."""
+        """Flags of its last request."""
         self.asked_at = time.monotonic()
-        """When that came, or else the viewer, seconds of the monotonic clock."""
+        """Time of its last request, or of its connection; seconds of the monotonic clock."""
 
     def ask(self, request: FrameRequest) -> bytes | None:
-        """The picture, as soon as the training has drawn it; None: the training is over."""
+        """Request a picture and wait until the training has drawn it; None: the training ended."""
         self.trains, self.stays = request.trains, request.stays
         self.asked_at = time.monotonic()
         self._answered.clear()
         self.request, self.waits = request, True
         self._crowd.wake()
-        if not self._crowd.closed:  # else nobody is there who would answer
+        if not self._crowd.closed:  # after that no answer would arrive
             self._answered.wait()
         self.waits = False
         return None if self._crowd.closed else self._picture
 
     def answer(self, picture: bytes) -> None:
-        """Let `ask` return."""
+        """Make `ask` return `picture`."""
         self._picture = picture
         self._answered.set()
 
@@ -65,19 +66,19 @@ class ViewerClients:
     """All connected viewers. Without any, `answer` reads one attribute."""
 
     def __init__(self, *, why: str = "", after_the_end: bool = False) -> None:
-        """`after_the_end`: they may look on when the last step is done."""
+        """`after_the_end`: viewers may stay after the last step."""
         self.why = why
-        """A sentence on how they come here."""
+        """Message on how viewers connect."""
         self._after_the_end = after_the_end
         self._all: list[ViewerClient] = []
         self._lock = threading.Lock()
         self._asked = threading.Event()
         self._rest = 0.0
         self.closed = False
-        """Requests receive no answer any more."""
+        """Whether requests receive no answer any more."""
 
     def enter(self, most: int) -> ViewerClient | None:
-        """Another one; None: there are as many as there may be, or it is over."""
+        """Add a viewer; None: there are `most` already, or the server is closed."""
         with self._lock:
             if self.closed or len(self._all) >= most:
                 return None
@@ -85,7 +86,7 @@ class ViewerClients:
             return self._all[-1]
 
     def leave(self, one: ViewerClient) -> None:
-        """One does not watch any more; nothing where it has left before."""
+        """Remove a viewer, if it was not removed before."""
         with self._lock, contextlib.suppress(ValueError):
             self._all.remove(one)
 
@@ -93,37 +94,37 @@ class ViewerClients:
         """Signal that a frame request is waiting."""
         self._asked.set()
 
-    def longest_silent(self, seconds: float) -> ViewerClient | None:
-        """Who has not asked for longest, and for at least so long; nobody who waits for an answer
-        is silent."""
+    def longest_idle(self, seconds: float) -> ViewerClient | None:
+        """The viewer idle for longest, and for at least `seconds`; one with a pending request is
+        not idle."""
         until = time.monotonic() - seconds
         with self._lock:
-            silent = [one for one in self._all if not one.waits and one.asked_at <= until]
-        return min(silent, key=lambda one: one.asked_at, default=None)
+            idle = [one for one in self._all if not one.waits and one.asked_at <= until]
+        return min(idle, key=lambda one: one.asked_at, default=None)
 
     @property
     def hold(self) -> bool:
-        """Whether somebody wants the training to wait, and has lately said so: a connection that
-        was cut somewhere on the way looks like one that is silent."""
-        return any(not one.trains for one in self._lately())
+        """Whether a recent request pauses the training; recent, because a broken connection looks
+        like an idle one."""
+        return any(not one.trains for one in self._recent())
 
     @property
     def stay(self) -> bool:
-        """Whether somebody wants to look on after the last step, and has lately said so."""
-        return self._after_the_end and any(one.stays for one in self._lately())
+        """Whether a recent request keeps the server alive after the last step."""
+        return self._after_the_end and any(one.stays for one in self._recent())
 
-    def _lately(self) -> list[ViewerClient]:
-        """Who has asked within the last minute, or waits for an answer since."""
+    def _recent(self) -> list[ViewerClient]:
+        """Viewers with a request in the last minute, or a pending one."""
         since = time.monotonic() - HOLD
         return [one for one in list(self._all) if one.waits or one.asked_at > since]
 
     def answer(self, draw: Draw, *, at_leisure: bool = False) -> None:
-        """Draw what is asked for, for each at most once.
+        """Answer the pending request of each viewer.
 
         Args:
             draw: Called in this thread.
-            at_leisure: No step waits for this; else drawing rests as long as it took, so that it
-                takes half of the time at most.
+            at_leisure: No training step is waiting; if False, drawing pauses for as long as it
+                took, so it takes at most half of the time.
         """
         if not self._asked.is_set() or (not at_leisure and time.monotonic() < self._rest):
             return
@@ -137,7 +138,7 @@ class ViewerClients:
         self._rest = ended + (ended - began)
 
     def close(self) -> None:
-        """Let go of everybody."""
+        """Disconnect all viewers."""
         with self._lock:
             self.closed = True
             for one in self._all:

@@ -1,18 +1,18 @@
 """Viewer protocol: frame requests of a viewer, validated, and the answer.
 
-A request is a length, four bytes little-endian, and so many bytes of a JSON object:
+A request is a length, four bytes little-endian, and that number of bytes of a JSON object:
 
-    resolution_x, resolution_y       px; 0: no picture is wanted
+    resolution_x, resolution_y       px; 0: no picture
     fov_x, fov_y                     radians, of the whole width and height
     view_matrix                      16 numbers, column after column: world to camera with the axes
                                      of OpenGL (y up, z backwards)
-    train                            0: the training is to wait
-    keep_alive                       1: answer on after the last step
-    scaling_modifier                 by which the sizes of splats are multiplied
+    train                            0: pause the training
+    keep_alive                       1: keep answering after the last step
+    scaling_modifier                 factor on the sizes of splats
 
-and others that change nothing here: view_projection_matrix, z_near, z_far, shs_python,
-rot_scale_python. An answer is the picture, if one was asked for, as 3 bytes a pixel, RGB, rows from
-the top; then the length of a text, four bytes little-endian, and the text: the capture's folder.
+and others that are ignored: view_projection_matrix, z_near, z_far, shs_python, rot_scale_python. An
+answer is the picture, if requested, as 3 bytes per pixel, RGB, rows from the top; then the length
+of a text, four bytes little-endian, and the text: the capture's folder.
 """
 
 import math
@@ -25,17 +25,17 @@ from ..json_text import parse_json
 from ..scene import FARTHEST
 
 LENGTH = 4
-"""Bytes of a length."""
+"""Bytes of a length field."""
 LONGEST = 1 << 16
-"""Bytes of a request; the viewer's have about a thousand."""
+"""Maximum size of a request, bytes; the viewer's have about a thousand."""
 LARGEST_PICTURE = 3840 * 2160
-"""Of a picture."""
+"""Maximum number of pixels."""
 _LONGEST_SIDE = 8192
 _FOV = (1e-3, math.pi - 1e-3)
 """Radians."""
 _SCALING = (1e-4, 1.0)
 _SKEWED = 1e-2
-"""Largest error of a rotation times its transpose: viewers compute in float32."""
+"""Maximum error of a rotation times its transpose, because viewers compute in float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,18 +51,18 @@ class FrameRequest:
     K: np.ndarray
     """[3, 3] float64, px."""
     scaling: float
-    """Of the splats' sizes."""
+    """Factor on the splats' sizes."""
     trains: bool
-    """Whether the training may go on."""
+    """Whether the training may continue."""
     stays: bool
-    """Whether it wants to look on after the last step."""
+    """Whether the viewer stays after the last step."""
 
 
 def length_of(head: bytes) -> int:
-    """The length that four bytes state.
+    """Decode the length of a request from four bytes.
 
     Raises:
-        ValueError: no request is so long.
+        ValueError: the length is invalid.
     """
     length = int.from_bytes(head, "little")
     if not 0 < length <= LONGEST:
@@ -71,10 +71,10 @@ def length_of(head: bytes) -> int:
 
 
 def parse(text: bytes) -> FrameRequest:
-    """What a request asks for.
+    """Parse and validate a request.
 
     Raises:
-        ValueError: it is none, or asks for what no camera shows; the message says what is wrong.
+        ValueError: it is malformed or has an invalid camera; the message names the field.
     """
     try:
         content = parse_json(text)
@@ -104,8 +104,8 @@ def parse(text: bytes) -> FrameRequest:
 
 def answer(picture: bytes, text: str) -> bytes:
     """The bytes of an answer; `picture` is empty if not requested."""
-    told = text.encode("utf-8", "replace")
-    return picture + len(told).to_bytes(LENGTH, "little") + told
+    encoded = text.encode("utf-8", "replace")
+    return picture + len(encoded).to_bytes(LENGTH, "little") + encoded
 
 
 def _number(

@@ -7,30 +7,30 @@ _FILES = {
     2: ("memory.max", "memory.current", "inactive_file"),
     1: ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 }
-"""By version: the limit, what is used, and the line of memory.stat that says how much of that are
-files which the kernel drops when memory is asked for."""
+"""By cgroup version: files of the limit and the usage, and the line of memory.stat with the
+reclaimable file cache."""
 _NO_LIMIT = 1 << 60
-"""Version 1 writes a number near 2^63 where there is none."""
+"""Value from which on there is no limit; version 1 writes a number near 2^63."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryGroup:
-    """A group that limits memory."""
+    """A control group with a memory limit."""
 
     limit: int
     """Bytes."""
     free: int
-    """Bytes that may still be taken; below 0 where the limit was lowered."""
+    """Bytes available; negative if the limit was lowered below the usage."""
 
 
 def memory_groups(
     listing: Path = Path("/proc/self/cgroup"), mounted: Path = Path("/sys/fs/cgroup")
 ) -> list[MemoryGroup]:
-    """The groups of this process and those around them that have a limit, innermost first.
+    """The groups of this process and their parents that have a limit, innermost first.
 
     Args:
-        listing: What the kernel lists the process's groups in, see cgroups(7).
-        mounted: Where the control groups are mounted.
+        listing: File with the process's groups, see cgroups(7).
+        mounted: Mount point of the control groups.
     """
     try:
         lines = listing.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -44,7 +44,7 @@ def memory_groups(
             version, root = 1, mounted / "memory"
         elif controllers:
             continue
-        # Inside a container the place may be named as the host sees it; its root is then ours.
+        # Inside a container the path may be that on the host; the mount is then its root.
         names = [part for part in PurePosixPath(place).parts if part not in ("/", "..")]
         for depth in range(len(names), -1, -1):
             group = _read(root.joinpath(*names[:depth]), version)

@@ -1,30 +1,30 @@
-"""Colour fit: the error after colour correction by a gain and an offset per channel, fitted on one
-half of a picture and evaluated on the other."""
+"""Colour fit: error after colour correction by gain and offset per channel, fitted on one half of a
+picture and evaluated on the other."""
 
 import numpy as np
 
 _FLAT = 1.0 / 255.0
-"""A render whose standard deviation in the fitted half is smaller says nothing about gain: what
-varies there is rounding of 8 bit."""
+"""Minimum standard deviation of a render in the fitted half to fit a gain; less is 8-bit
+rounding."""
 _ROUNDING = 1e-24
-"""A mean squared error below this is float64's rounding in the fit, not a difference."""
+"""Mean squared error below which only float64 rounding of the fit is left."""
 
 
 def corrected_mse(
     image: np.ndarray, target: np.ndarray, weight: np.ndarray | None = None
 ) -> float | None:
-    """Mean squared error of a picture whose colours were corrected by its other half.
+    """Mean squared error after colour correction, each half by the fit of the other.
 
-    The halves lie left and right of the column that divides the weights most evenly: side by side,
-    since pixels of a finer pattern would be fitted and judged by the same objects. Each half is
-    corrected by the fit of the other and clamped to [0, 1]; errors of both are averaged.
+    The column that divides the weights most evenly separates the halves. They are contiguous,
+    because in a finer pattern fit and evaluation would share the same objects. Each half is
+    corrected by the fit of the other and clamped to [0, 1]; the errors are averaged.
 
     Args:
         image, target: [3, H, W] float64 in [0, 1].
-        weight: [H, W] float64 weights of the pixels, not negative; None: all alike.
+        weight: [H, W] float64 weights of the pixels, not negative; None: uniform.
 
     Returns:
-        The error, 0 where only rounding is left, or None where one half would hold no weight.
+        The error, 0 if only rounding is left, or None if one half would have no weight.
     """
     height, width = image.shape[1:]
     columns = np.full(width, float(height)) if weight is None else weight.sum(axis=0)
@@ -44,10 +44,10 @@ def corrected_mse(
 def fit_colours(
     image: np.ndarray, target: np.ndarray, weight: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The gain >= 0 and the offset per channel with the least squared error to the target.
+    """Gain >= 0 and offset per channel with the least squared error to the target.
 
-    On these pixels the result is never worse than no correction, which is gain 1 and offset 0.
-    Where the picture is flat the gain stays 1.
+    On these pixels the result is never worse than gain 1 and offset 0. The gain is 1 if the picture
+    is flat.
 
     Args:
         image, target: [3, H, W] float64.
@@ -58,11 +58,11 @@ def fit_colours(
     """
     mean, aim = _mean(image, weight), _mean(target, weight)
     centred = image - mean[:, None, None]
-    pull = centred if weight is None else centred * weight
+    weighted = centred if weight is None else centred * weight
     total = image[0].size if weight is None else weight.sum()
-    variance = np.einsum("chw,chw->c", pull, centred) / total
-    # The weighted sum of `pull` is zero, so the target needs no centring.
-    covariance = np.einsum("chw,chw->c", pull, target) / total
+    variance = np.einsum("chw,chw->c", weighted, centred) / total
+    # The sum of `weighted` is zero, so the target needs no centring.
+    covariance = np.einsum("chw,chw->c", weighted, target) / total
     flat = variance < _FLAT**2
     gain = np.where(flat, 1.0, np.maximum(covariance, 0.0) / np.where(flat, 1.0, variance))
     return gain, aim - gain * mean
@@ -81,7 +81,7 @@ def _squared_error(
     gain: np.ndarray,
     offset: np.ndarray,
 ) -> float:
-    """Sum over pixels and channels of a half that is corrected by the fit of the other."""
+    """Sum of squared errors of a half after correction by the fit of the other."""
     corrected = image * gain[:, None, None]
     corrected += offset[:, None, None]
     np.clip(corrected, 0.0, 1.0, out=corrected)
@@ -92,7 +92,7 @@ def _squared_error(
 
 
 def _middle(columns: np.ndarray) -> int | None:
-    """How many columns the left half has, or None where one of the halves must be empty."""
+    """Number of columns in the left half, or None if one half would be empty."""
     before = np.cumsum(columns)[:-1]
     if before.size == 0:
         return None

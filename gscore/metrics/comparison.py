@@ -1,4 +1,4 @@
-"""Comparison of two runs: the views that both measured, and the differences of their metrics."""
+"""Comparison of two runs: common views, and the differences of their metrics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,25 +12,25 @@ from ..quoting import as_typed, brief
 from ..text_format import psnr_name, stopped_words
 
 HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False}
-"""Of the numbers that views are compared by, in the order of tables."""
+"""Compared metrics, in the order of tables."""
 _HELD_OUT = "a held-out view"
 _TRAINED_ON = "a training view"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedRun:
-    """One of both runs."""
+    """One of the two runs."""
 
     label: str
-    """What it is called: its folder, and as much before that as tells both apart."""
+    """Name of its folder, with as many parents as make both labels unique."""
     folder: str
-    """As it was given."""
+    """Path as given."""
     metrics: Mapping[str, Any]
-    """Its metrics.json, read back."""
+    """Contents of its metrics.json."""
     options: Mapping[str, Any]
-    """Its config.json, value by option."""
+    """Contents of its config.json, value by option."""
     command: str = ""
-    """That trains it again, for a shell; empty: not known."""
+    """Shell command that trains it again; empty: unknown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,30 +39,30 @@ class ViewPair:
 
     name: str
     numbers: Mapping[str, tuple[float, float]]
-    """By the keys of `HIGHER_IS_BETTER`, of the first run and the second; what either lacks is
-    left out. `psnr` is the one that runs are judged by."""
+    """Values of the first and second run by the keys of `HIGHER_IS_BETTER`; keys that either lacks
+    are left out. `psnr` is the headline PSNR."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunComparison:
-    """Both runs, view by view."""
+    """Comparison of two runs, view by view."""
 
     runs: tuple[ComparedRun, ComparedRun]
     pairs: tuple[ViewPair, ...]
-    """In the order of the first run's views."""
+    """Pairs in the order of the first run's views."""
     psnr_name: str
-    """What the PSNR is called: of all pixels, or of those inside the masks."""
+    """Name of the PSNR: of all pixels, or of those inside the masks."""
     only_in: tuple[tuple[str, ...], tuple[str, ...]]
-    """Names of the views that one run alone scored."""
+    """Names of the views scored by one run only, for each run."""
     means: Mapping[str, tuple[float, float]]
-    """As the numbers of `ViewPair`, over the pairs that have them; left out where any lacks one."""
+    """Means of the numbers of all pairs; keys that any pair lacks are left out."""
     options: Mapping[str, tuple[Any, Any]]
-    """Options in which the runs differ: both values."""
+    """Both values of the options in which the runs differ."""
     warnings: tuple[str, ...]
-    """Sentences on limits of the comparison."""
+    """Messages on limits of the comparison."""
 
     def content(self) -> dict[str, Any]:
-        """For JSON: a list of two where there is one for each run."""
+        """Comparison for JSON; values of both runs are lists of two."""
         return {
             "runs": [run.label for run in self.runs],
             "means": {key: list(values) for key, values in self.means.items()},
@@ -80,7 +80,7 @@ def compare_runs(first: ComparedRun, second: ComparedRun) -> RunComparison:
     """Pair the views of two runs of one capture by name.
 
     Raises:
-        ConfigError: views of no run, in no size or with no masks in common can be compared.
+        ConfigError: the runs have no views in common, or other sizes or mask modes.
     """
     runs = (first, second)
     scored = [_views(run) for run in runs]
@@ -88,7 +88,7 @@ def compare_runs(first: ComparedRun, second: ComparedRun) -> RunComparison:
     names = [name for name in scored[0] if name in scored[1]]
     if not names:
         raise ConfigError(
-            f"{brief(first.label)} and {brief(second.label)} were scored on no view in common; "
+            f"{brief(first.label)} and {brief(second.label)} have no scored view in common; "
             "measure one of them on views of the other with gscore eval --hold-out."
         )
     for name in names:
@@ -115,7 +115,7 @@ def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
     found = {view["name"]: view for view in views if isinstance(view.get("name"), str)}
     if not found:
         raise ConfigError(
-            f"{brief(run.folder)} holds no numbers of views; measure it first: "
+            f"{brief(run.folder)} has no metrics of views; measure it first: "
             f"{as_typed('eval', run.folder)}"
         )
     return found
@@ -127,8 +127,8 @@ def _check_masks(runs: Sequence[ComparedRun]) -> None:
         advice = _measure_again(runs, ("--mask-mode", str(modes[0])), f"masks-{modes[0]}")
         if "composite" in modes:
             advice = (
-                "With composite splats show the subject alone, else what is around it too, so no "
-                "measurement makes them alike: train one with the other's --mask-mode."
+                "With composite masks splats show the subject only, else its surroundings too, so "
+                "they cannot be compared: train one with the other's --mask-mode."
             )
         raise ConfigError(
             f"{brief(runs[0].label)} was scored with --mask-mode {modes[0]}, "
@@ -151,7 +151,7 @@ def _check_sizes(
 
 
 def _measure_again(runs: Sequence[ComparedRun], options: Sequence[str], mark: str) -> str:
-    """What to type so that the second run has numbers as the first, apart from its own."""
+    """Commands that measure the second run like the first, in another folder, and compare it."""
     first, second = (run.folder.rstrip("/") for run in runs)
     apart = f"{second}-{mark}"
     return (
@@ -199,13 +199,13 @@ def _warnings(runs: Sequence[ComparedRun], names: Sequence[str], *, lpips: bool)
         roles = [_role(run, unlike[0]) for run in runs]
         found.append(
             f"{unlike[0]} is {roles[0]} of {runs[0].label} and {roles[1]} of {runs[1].label}"
-            + (f", and {len(unlike) - 1} more are like it" if len(unlike) > 1 else "")
-            + ": a run that saw a photo has the advantage there."
+            + (f", and {len(unlike) - 1} more likewise" if len(unlike) > 1 else "")
+            + ": a run that was trained on a photo has the advantage there."
         )
     for run in runs:
         asked = 0 if run.options.get("time_budget") else run.options.get("iterations") or 0
         if stopped := stopped_words(run.metrics, asked):
-            found.append(f"{run.label} was {stopped}: its figures are of a part of its training.")
+            found.append(f"{run.label} was {stopped}: its metrics are of an incomplete training.")
     nets = [run.metrics.get("lpips_net") for run in runs]
     if not lpips and all(nets):
         found.append(

@@ -18,7 +18,7 @@ from .lpips_net import LpipsNet
 from .named import NAMED_METRICS
 
 _AVERAGED = tuple(metric.key for metric in NAMED_METRICS if metric.averaged)
-"""Keys of the metrics of a view that have a mean, in the order tables show them."""
+"""Keys of the metrics that have a mean, in the order of tables."""
 
 
 @dataclass(frozen=True)
@@ -26,15 +26,14 @@ class Evaluation:
     """Metrics of the renders of some views."""
 
     mean: dict[str, Any]
-    """By the keys of NAMED_METRICS, and the key that names the net of LPIPS. A value that does not
-    exist is None, and `<key>_reason` says why. Also `lpips_net`, and `fps`, 1 / the median time a
-    render takes."""
+    """Means by the keys of NAMED_METRICS and of the LPIPS network, `lpips_net`, and `fps`, 1 /
+    median render time in seconds. A missing value is None, with its reason in `<key>_reason`."""
     views: list[dict[str, Any]] = field(default_factory=list)
-    """The same of each view, with its `name`, `width`, `height` and `render_seconds`."""
+    """The same for each view, with its `name`, `width`, `height` and `render_seconds`."""
 
     @classmethod
     def none(cls, reason: str) -> "Evaluation":
-        """Where nothing was measured, and why."""
+        """An evaluation without metrics, and its reason."""
         mean: dict[str, Any] = {}
         for key in ("psnr", "ssim", "lpips"):
             mean |= {key: None, f"{key}_reason": reason}
@@ -42,8 +41,8 @@ class Evaluation:
 
 
 ViewHook = Callable[[int, np.ndarray, np.ndarray, np.ndarray | None, dict[str, Any]], None]
-"""Called with the place in `indices`, the target, the render ([H, W, 3] float), the [H, W] uint8
-weights of its pixels or None, and the numbers."""
+"""Called with the position in `indices`, the target, the render ([H, W, 3] float), the [H, W] uint8
+weights of its pixels or None, and the metrics."""
 
 
 def target_picture(
@@ -52,13 +51,13 @@ def target_picture(
     mask_mode: str,
     background: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """What a render is compared with, and the weights of its pixels.
+    """Target of a render, and the weights of its pixels.
 
     Args:
         photo: [H, W, 3] uint8.
         mask: [H, W] uint8 or None.
-        mask_mode: `composite` lays the photo over `background`; `ignore` keeps the mask as
-            weights; `none` leaves the photo as it is.
+        mask_mode: `composite`: the photo over `background`; `ignore`: the mask becomes weights;
+            `none`: the photo unchanged.
         background: RGB in [0, 1].
 
     Returns:
@@ -76,12 +75,12 @@ def target_picture(
 def masked_pair(
     picture: np.ndarray, target: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Both pictures with the pixels outside a mask black, so that they count as equal there.
+    """Both pictures with black pixels outside a mask, which makes them equal there.
 
     Args:
         picture: [H, W, 3] float, clipped to [0, 1] first.
         target: [H, W, 3] float in [0, 1].
-        weights: [H, W] uint8, as `target_picture` gives them.
+        weights: [H, W] uint8, as returned by `target_picture`.
     """
     scale = weights[:, :, None] / 255.0
     return np.clip(picture, 0.0, 1.0) * scale, target * scale
@@ -100,17 +99,17 @@ def evaluate(
     """Score a model on some views of a dataset.
 
     Args:
-        render: Gives the picture of view i over `background`, [H, W, 3] float. Only this call is
-            timed, so it should render and nothing else.
+        render: Returns the picture of view i over `background`, [H, W, 3] float. This call is
+            timed, so it should only render.
         dataset: The views; its scene.cameras.names, image(i), mask(i) and mask_mode are used.
         indices: Views to score.
         lpips: The perceptual metric, or None.
-        lpips_reason: Why there is none, from `find_lpips`.
+        lpips_reason: Why it is None, from `find_lpips`.
         background: RGB in [0, 1] under transparent photos (mask mode `composite`).
         on_view: Called after each view, to collect pictures or show progress.
 
     Returns:
-        Means and views, `psnr_masked` only where masks are ignored; rendered warm.
+        Means and views; `psnr_masked` only in mask mode `ignore`. Times exclude a warm-up render.
 
     Raises:
         ShapeError: A render has another size than its photo or is not finite.
@@ -118,7 +117,7 @@ def evaluate(
     views: list[dict[str, Any]] = []
     for place, index in enumerate(indices):
         if place == 0:
-            render(index)  # warm up: first calls allocate and wake the threads
+            render(index)  # warm up: the first call allocates and starts threads
         started = time.perf_counter()
         picture = render(index)
         seconds = time.perf_counter() - started
@@ -154,7 +153,7 @@ def _put_lpips(
 ) -> None:
     values["lpips"] = None
     if lpips is None:
-        values["lpips_reason"] = reason or "not asked for"
+        values["lpips_reason"] = reason or "not requested"
         return
     if min(target.shape[:2]) < SHORTEST_SIDE:
         values["lpips_reason"] = f"needs {SHORTEST_SIDE} x {SHORTEST_SIDE} pixels"
@@ -168,7 +167,7 @@ def _put_lpips(
 def _means(views: list[dict[str, Any]], lpips: Lpips | LpipsNet | None) -> dict[str, Any]:
     """Means over the views; None with the reason of the first view that lacks the value.
 
-    A view that is masked out as a whole is not counted: it would be a perfect one.
+    A completely masked view is left out, because it would count as perfect.
     """
     counted = [view for view in views if view.get("psnr_masked_reason") != EMPTY_MASK]
     views = counted or views

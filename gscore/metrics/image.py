@@ -1,4 +1,4 @@
-"""Image metrics: PSNR, SSIM, D-SSIM and MS-SSIM in float64, each with the convention it names."""
+"""Image metrics: PSNR, SSIM, D-SSIM and MS-SSIM in float64."""
 
 import math
 from typing import Any, Literal
@@ -10,30 +10,30 @@ from ..extras import need
 from .colour_fit import corrected_mse
 
 EMPTY_MASK = "the mask leaves no pixel"
-"""Reason of a view that says nothing about a model."""
+"""Reason for a completely masked view."""
 WINDOW = 11
-"""Width of the Gaussian window of SSIM, pixels."""
+"""Width of the Gaussian window of SSIM, px."""
 SIGMA = 1.5
-"""Standard deviation of that window, pixels."""
+"""Standard deviation of that window, px."""
 C1, C2 = 0.01**2, 0.03**2
 """Constants of SSIM for values in [0, 1] (Wang et al. 2004, eq. 13)."""
 MS_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales of MS-SSIM, finest first (Wang et al. 2003, section 3.2)."""
 MS_SMALLEST = (WINDOW - 1) * 2 ** (len(MS_WEIGHTS) - 1) + 1
-"""Shortest side MS-SSIM needs, pixels: the window must fit into the coarsest scale."""
+"""Minimum side for MS-SSIM, px, so that the window fits into the coarsest scale."""
 
 
 def as_float(name: str, image: Any) -> np.ndarray:
     """`image` as float64 clamped to [0, 1].
 
     Args:
-        name: What to call the picture in an error.
+        name: Name of the picture in errors.
         image: [H, W, 3] numpy array or torch tensor; float with 1.0 = white, or uint8.
 
     Raises:
         ShapeError: Other shape or dtype, an empty picture, or values that are not finite.
     """
-    if hasattr(image, "detach"):  # a torch tensor; torch itself is not needed to measure
+    if hasattr(image, "detach"):  # a torch tensor, handled without importing torch
         image = image.detach().cpu().numpy()
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
@@ -44,7 +44,7 @@ def as_float(name: str, image: Any) -> np.ndarray:
         raise ShapeError(f"{name} must be floating point or uint8, got {image.dtype}.")
     if not np.isfinite(image).all():
         bad = int((~np.isfinite(image)).sum())
-        raise ShapeError(f"{name} holds {bad} values that are not finite; it cannot be measured.")
+        raise ShapeError(f"{name} has {bad} values that are not finite; it cannot be measured.")
     return np.clip(image.astype(np.float64), 0.0, 1.0)
 
 
@@ -52,7 +52,7 @@ def _pair(image: Any, target: Any) -> tuple[np.ndarray, np.ndarray]:
     a, b = as_float("image", image), as_float("target", target)
     if a.shape != b.shape:
         raise ShapeError(
-            f"image and target must have one size, got {list(a.shape)} and {list(b.shape)}."
+            f"image and target must have the same size, got {list(a.shape)} and {list(b.shape)}."
         )
     return a, b
 
@@ -68,7 +68,7 @@ def _to_levels(image: np.ndarray) -> np.ndarray:
 def psnr(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float:
     """Peak signal-to-noise ratio in dB of [H, W, 3] pictures clamped to [0, 1]; inf if equal.
 
-    `mask`, [H, W] float in [0, 1] or uint8, weights the errors; NaN where it hides everything.
+    `mask`, [H, W] float in [0, 1] or uint8, weights the errors; NaN if all weights are 0.
     """
     a, b = _pair(image, target)
     if mask is None:
@@ -78,25 +78,25 @@ def psnr(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float:
 
 
 def psnr_u8(image: Any, target: Any) -> float:
-    """PSNR in dB after rounding both pictures to 8 bit, as scoring saved PNG files does."""
+    """PSNR in dB after rounding both pictures to 8 bit, equal to that of saved PNG files."""
     a, b = _pair(image, target)
     return _decibels(float(np.mean((_to_levels(a) - _to_levels(b)) ** 2)))
 
 
 def psnr_cc(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float:
-    """PSNR in dB after a correction of the colours, for what exposure and white balance hide.
+    """PSNR in dB after colour correction, independent of exposure and white balance.
 
-    Per channel a gain >= 0 and an offset are fitted by least squares on the left half of the
-    picture and judged on the right half, and the other way round. No gain and offset of the image
-    itself changes the result where nothing is clipped. It can be below `psnr`: what fits one half
-    need not fit the other.
+    Per channel, a gain >= 0 and an offset are fitted by least squares on the left half of the
+    picture and evaluated on the right half, and vice versa. Unless values are clipped, a gain and
+    offset of the image do not change the result. It can be below `psnr`, because the fit of one
+    half may not suit the other.
 
     Args:
         image, target: [H, W, 3] float in [0, 1] or uint8.
         mask: [H, W] float in [0, 1] or uint8: weights of fit, error and halves, or None.
 
     Returns:
-        dB; inf if only gain and offset differ; NaN where the mask leaves no pixel in one half.
+        dB; inf if only gain and offset differ; NaN if one half is completely masked.
     """
     a, b = _pair(image, target)
     weight = None if mask is None else _mask_weight(mask, a.shape)[:, :, 0]
@@ -111,7 +111,7 @@ def _gaussian_window() -> np.ndarray:
 
 
 def _blur(planes: np.ndarray) -> np.ndarray:
-    """Gaussian window over the last two axes; zeros outside the picture, float64."""
+    """Gaussian filter over the last two axes, zero padded, float64."""
     correlate1d = need("scipy.ndimage", "SSIM").correlate1d
     window = _gaussian_window()
     rows = correlate1d(planes, window, axis=-2, mode="constant")
@@ -122,7 +122,7 @@ def _ssim_terms(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Luminance and contrast-structure maps of two planar pictures, zero padded.
 
     The interior, `WINDOW // 2` pixels from every side, equals the valid convolution, so one call
-    serves both conventions and the finest scale of MS-SSIM.
+    computes both conventions and the finest scale of MS-SSIM.
 
     Args:
         a, b: [3, H, W] float64 in [0, 1].
@@ -131,8 +131,8 @@ def _ssim_terms(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         [3, H, W] luminance, [3, H, W] contrast times structure (Wang et al. 2004, eq. 6 and 13).
     """
     luminance, contrast = np.empty_like(a), np.empty_like(a)
-    for k, (x, y) in enumerate(zip(a, b, strict=True)):  # one at a time: there are many arrays
-        # Variances are needed only as a sum, so four pictures are blurred and not five.
+    for k, (x, y) in enumerate(zip(a, b, strict=True)):  # one at a time, to save memory
+        # Only the sum of the variances is needed, so four pictures are blurred instead of five.
         mu_x, mu_y, square, product = (_blur(p) for p in (x, y, x * x + y * y, x * y))
         mu_xy = mu_x * mu_y
         mu_square = mu_x * mu_x
@@ -173,8 +173,8 @@ def ssim(image: Any, target: Any, *, padding: Literal["zero", "valid"] = "zero")
 
     Args:
         image, target: [H, W, 3] float in [0, 1] or uint8.
-        padding: `zero`: the picture continues black outside, as in the 3DGS code and the loss;
-            `valid`: only windows that lie inside the picture count.
+        padding: `zero`: zero padding, as in the 3DGS code and the loss; `valid`: only windows
+            inside the picture count.
 
     Raises:
         ShapeError: Sizes differ, or `valid` with a side shorter than the window.
@@ -200,11 +200,11 @@ def ms_ssim(image: Any, target: Any) -> float:
     count as 0.
 
     Args:
-        image, target: [H, W, 3] float in [0, 1] or uint8, both sides at least 161 pixels.
+        image, target: [H, W, 3] float in [0, 1] or uint8, both sides at least 161 px.
 
     Raises:
-        ShapeError: Sizes differ or a side is shorter than 161 pixels. Fewer scales would be
-            another metric, so none is substituted.
+        ShapeError: Sizes differ or a side is shorter than 161 px; fewer scales would be another
+            metric.
     """
     a, b = _pair(image, target)
     _check_fits(a, MS_SMALLEST, "ms_ssim")
@@ -213,7 +213,7 @@ def ms_ssim(image: Any, target: Any) -> float:
 
 
 def _ms_ssim(a: np.ndarray, b: np.ndarray, luminance: np.ndarray, contrast: np.ndarray) -> float:
-    """MS-SSIM of [3, H, W] pictures whose terms at the finest scale are known already."""
+    """MS-SSIM of [3, H, W] pictures from their terms at the finest scale."""
     product = np.ones(3)
     for scale, weight in enumerate(MS_WEIGHTS):
         if scale > 0:
@@ -226,18 +226,18 @@ def _ms_ssim(a: np.ndarray, b: np.ndarray, luminance: np.ndarray, contrast: np.n
 
 
 def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) -> dict[str, Any]:
-    """All metrics of a pair but LPIPS, from one filtering of the pictures.
+    """All metrics of a pair except LPIPS, sharing one filtering of the pictures.
 
     Args:
         image, target: [H, W, 3] float in [0, 1] or uint8.
         mask: [H, W] float in [0, 1] or uint8, or None. Both pictures are multiplied by it, as in
-            the loss, and `psnr_masked` is added: the error weighted by the mask, so that pixels
-            that are ignored do not count as perfect ones.
+            the loss, and `psnr_masked` is added: the error weighted by the mask, so masked pixels
+            do not count as perfect.
 
     Returns:
-        psnr, psnr_u8, psnr_cc (of the pixels that count, see `psnr_cc`), ssim, ssim_valid, d_ssim,
-        ms_ssim and, with a mask, psnr_masked. A value that does not exist is None and
-        `<key>_reason` says why.
+        psnr, psnr_u8, psnr_cc (of unmasked pixels, see `psnr_cc`), ssim, ssim_valid, d_ssim,
+        ms_ssim and, with a mask, psnr_masked. A missing value is None, with its reason in
+        `<key>_reason`.
 
     Raises:
         ShapeError: Sizes differ or values are not finite.
@@ -272,7 +272,7 @@ def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) ->
 
 
 def _mask_weight(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """[H, W, 1] float64 weights of a mask of the size of a picture of this shape."""
+    """[H, W, 1] float64 weights of a mask for a picture of this shape."""
     mask = np.asarray(mask)
     if mask.shape != shape[:2]:
         raise ShapeError(f"mask must be {list(shape[:2])}, got {list(mask.shape)}.")
@@ -281,13 +281,13 @@ def _mask_weight(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _masked_mse(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> float | None:
-    """Mean squared error weighted by [H, W, 1]; None where all weights are zero."""
+    """Mean squared error weighted by [H, W, 1]; None if all weights are zero."""
     total = 3 * float(weight.sum())
     return float((weight * (a - b) ** 2).sum()) / total if total > 0 else None
 
 
 def _put_psnr(values: dict[str, Any], key: str, mse: float | None) -> None:
-    """Store the PSNR of a mean squared error; JSON has no infinity, so that becomes None."""
+    """Store the PSNR of a mean squared error; infinity becomes None, for JSON."""
     if mse is None:
         values[key], values[key + "_reason"] = None, EMPTY_MASK
     elif mse == 0:

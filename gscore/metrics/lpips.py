@@ -14,11 +14,11 @@ from .lpips_net import NETS, LpipsNet
 
 
 class Lpips:
-    """A perceptual distance: 0 for identical pictures, larger is worse.
+    """A perceptual distance: 0 for identical pictures, lower is better.
 
     The ONNX graph is the whole metric: two inputs [n, 3, h, w] float32 RGB in [-1, 1] of any size,
-    one output with a number a picture. The file name says which network it is:
-    `lpips_<net>.onnx`. Numbers of different networks cannot be compared.
+    one output with one number per picture. The file name contains the network:
+    `lpips_<net>.onnx`. Values of different networks cannot be compared.
     """
 
     def __init__(self, path: Path, *, threads: int = 0) -> None:
@@ -26,18 +26,18 @@ class Lpips:
 
         Args:
             path: The ONNX file.
-            threads: Threads to use; 0: all cores.
+            threads: Number of threads; 0: all cores.
 
         Raises:
             BackendError: onnxruntime is not installed.
-            ConfigError: There is no such file, or more threads are asked for than 1024.
-            FormatError: The file is no ONNX graph or does not take two pictures.
+            ConfigError: The file does not exist, or `threads` is more than 1024.
+            FormatError: The file is not an ONNX graph or does not take two pictures.
         """
         onnxruntime = need("onnxruntime", "LPIPS")
         if not path.is_file():
             raise ConfigError(
-                f"No LPIPS network at {path}: expected a file such as lpips_squeeze.onnx, or "
-                f"one of {', '.join(NETS)}, which the package lpips knows."
+                f"There is no LPIPS network {path}: expected a file such as lpips_squeeze.onnx, "
+                f"or one of {', '.join(NETS)} of the package lpips."
             )
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = checked_threads(threads)
@@ -53,27 +53,27 @@ class Lpips:
             raise FormatError(f"{path} must take two pictures, got the inputs {inputs}.")
         self._inputs = inputs
         self.path = path
-        """The file the numbers come from."""
+        """The ONNX file."""
         self.net = path.stem.removeprefix("lpips_")
         """Name of the network, from the file name."""
         self.key = f"lpips_{self.net}"
-        """Key of the number in metrics.json."""
+        """Key in metrics.json."""
 
     def __call__(self, image: Any, target: Any) -> float:
         """The distance of two [H, W, 3] pictures, float in [0, 1] or uint8.
 
         Raises:
-            ShapeError: Sizes differ or a side is shorter than 32 pixels.
+            ShapeError: Sizes differ or a side is shorter than 32 px.
         """
         feed = dict(zip(self._inputs, checked_pair(image, target), strict=True))
         return float(np.asarray(self._session.run(None, feed)[0]).reshape(-1)[0])
 
 
 def lpips_file(path: Path | None = None) -> Path | None:
-    """Where the LPIPS network to use is looked for; None: nowhere.
+    """Path of the LPIPS network; None: not configured.
 
-    In this order: `path`, the file named by GSCORE_LPIPS, and
-    models/lpips_squeeze/lpips_squeeze.onnx in the folder named by GSCORE_DATA.
+    In this order: `path`, the file in GSCORE_LPIPS, and models/lpips_squeeze/lpips_squeeze.onnx in
+    the folder in GSCORE_DATA.
     """
     if path is not None:
         return path
@@ -84,8 +84,8 @@ def lpips_file(path: Path | None = None) -> Path | None:
 
 
 def named_net(path: Path | None) -> str:
-    """The network that was asked for by its name, `alex`, `vgg` or `squeeze`; empty: a file was,
-    or none."""
+    """The name of the requested network, `alex`, `vgg` or `squeeze`; empty if `path` is a file or
+    None."""
     name = "" if path is None else str(path)
     return name if name in NETS and path is not None and not path.is_file() else ""
 
@@ -93,11 +93,10 @@ def named_net(path: Path | None) -> str:
 def find_lpips(
     path: Path | None = None, *, threads: int = 0, download: bool = False
 ) -> tuple[Lpips | LpipsNet | None, str]:
-    """The LPIPS network to use, or None and the reason why there is none.
+    """The LPIPS network to use, or None and the reason.
 
     Args:
-        path: A file the user named, or the name of a network of the package `lpips`, or None: see
-            `lpips_file`.
+        path: A file, the name of a network of the package `lpips`, or None: see `lpips_file`.
         threads: As in `Lpips`.
         download: As in `LpipsNet`, for a name.
 
@@ -105,13 +104,13 @@ def find_lpips(
         The metric and "", or None and a reason for metrics.json.
 
     Raises:
-        GsError: `path` does not work. What was not asked for may be absent.
+        GsError: `path` does not work. A network that was not requested may be missing.
     """
     if net := named_net(path):
         return LpipsNet(net, threads=threads, download=download), ""
     found = lpips_file(path)
     if found is None:
-        return None, "no LPIPS network: name one with --lpips or an ONNX file with GSCORE_LPIPS"
+        return None, "no LPIPS network: give one with --lpips, or an ONNX file in GSCORE_LPIPS"
     try:
         return Lpips(found, threads=threads), ""
     except (BackendError, ConfigError, FormatError) as error:
@@ -121,11 +120,11 @@ def find_lpips(
 
 
 def lpips_warnings(reason: str) -> list[str]:
-    """A sentence where GSCORE_LPIPS names a network that was not found usable; else none.
+    """Warning if the network of GSCORE_LPIPS cannot be used; else empty.
 
     Args:
         reason: From `find_lpips`.
     """
     if not reason or not os.environ.get("GSCORE_LPIPS"):
         return []
-    return [f"LPIPS is not measured, though GSCORE_LPIPS names a network: {reason}"]
+    return [f"LPIPS is not measured, although GSCORE_LPIPS is set: {reason}"]

@@ -8,7 +8,7 @@ from ..errors import ShapeError
 from .image import as_float
 
 SHORTEST_SIDE = 32
-"""Pixels; smaller pictures vanish in the pooling of the networks."""
+"""Minimum side, px; smaller pictures vanish in the pooling of the networks."""
 
 
 def checked_pair(image: Any, target: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -19,12 +19,12 @@ def checked_pair(image: Any, target: Any) -> tuple[np.ndarray, np.ndarray]:
         target: Likewise.
 
     Raises:
-        ShapeError: Sizes differ or a side is shorter than 32 pixels.
+        ShapeError: Sizes differ or a side is shorter than 32 px.
     """
     a, b = as_float("image", image), as_float("target", target)
     if a.shape != b.shape:
         raise ShapeError(
-            f"image and target must have one size, got {list(a.shape)} and {list(b.shape)}."
+            f"image and target must have the same size, got {list(a.shape)} and {list(b.shape)}."
         )
     if min(a.shape[:2]) < SHORTEST_SIDE:
         raise ShapeError(

@@ -17,14 +17,14 @@ NETS = {
     "vgg": "vgg16-397923af.pth",
     "squeeze": "squeezenet1_1-b8a52dc0.pth",
 }
-"""Names of the networks, and torchvision's files of their weights in torch's cache."""
+"""Names of the networks, and torchvision's weight files in torch's cache."""
 _MEGABYTES = {"alex": 233, "vgg": 528, "squeeze": 5}
 
 
 def weights_file(net: str) -> Path:
-    """Where torch keeps the weights of a network, whether or not they are there.
+    """Path of a network's weights in torch's cache, which may not exist.
 
-    As torch decides: TORCH_HOME, else `torch` in XDG_CACHE_HOME, else in `~/.cache`.
+    The cache is TORCH_HOME, else `torch` in XDG_CACHE_HOME, else in `~/.cache`.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache"))
     home = Path(os.environ.get("TORCH_HOME", cache / "torch")).expanduser()
@@ -39,12 +39,12 @@ class LpipsNet:
 
         Args:
             net: One of `NETS`.
-            threads: Threads to use; 0: as torch is set.
-            download: Whether torchvision may fetch weights that are not in torch's cache.
+            threads: Number of threads; 0: torch's setting.
+            download: Allow torchvision to download weights that are not in torch's cache.
 
         Raises:
             BackendError: the package or torchvision is not installed, or does not load.
-            ConfigError: the weights are not there and must not be downloaded.
+            ConfigError: the weights do not exist, and `download` is False.
             GsError: they cannot be downloaded or read.
         """
         self._threads = checked_threads(threads)
@@ -54,7 +54,7 @@ class LpipsNet:
         if not path.is_file() and not download:
             raise ConfigError(
                 f"The weights of LPIPS with {net} are not on this machine: {path} "
-                f"({_MEGABYTES[net]} MB of torchvision's). Put them there, or let them be fetched "
+                f"({_MEGABYTES[net]} MB, from torchvision). Copy them there, or download them "
                 "with --lpips-download."
             )
         try:
@@ -62,19 +62,19 @@ class LpipsNet:
         except Exception as error:  # of urllib, of torch, of the package
             raise GsError(
                 f"LPIPS with {net} cannot be loaded from {path}: {brief(error)}. Remove the file "
-                "to have it fetched again, or look at the connection."
+                "to download it again, or check the connection."
             ) from error
         self.path = path
-        """The file of the weights."""
+        """The weights file."""
         self.net = net
         self.key = f"lpips_{net}"
-        """Key of the number in metrics.json."""
+        """Key in metrics.json."""
 
     def __call__(self, image: Any, target: Any) -> float:
         """The distance of two [H, W, 3] pictures, float in [0, 1] or uint8.
 
         Raises:
-            ShapeError: Sizes differ or a side is shorter than 32 pixels.
+            ShapeError: Sizes differ or a side is shorter than 32 px.
         """
         torch = self._torch
         pair = [torch.from_numpy(np.ascontiguousarray(x)) for x in checked_pair(image, target)]

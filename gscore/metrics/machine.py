@@ -11,10 +11,10 @@ from .cgroup import memory_groups
 
 
 def peak_memory_bytes() -> int | None:
-    """Largest resident memory of this process so far, or None where the system does not say.
+    """Peak resident memory of this process, or None if the system does not report it.
 
-    On Linux the kernel's high-water mark of this program image is read: `ru_maxrss` also counts
-    the parent that started it, which may be a whole Blender.
+    On Linux this is the kernel's high-water mark of this program image, because `ru_maxrss` also
+    counts the parent that started it, for example Blender.
     """
     if sys.platform == "linux":
         return _proc_bytes(Path("/proc/self/status"), "VmHWM")
@@ -27,7 +27,7 @@ def peak_memory_bytes() -> int | None:
 
 
 def total_memory_bytes() -> int | None:
-    """Physical memory, less where a container is limited to less, or None if unknown."""
+    """Physical memory, or the limit of the container if that is less; None if unknown."""
     if sys.platform == "linux":
         total = _proc_bytes(Path("/proc/meminfo"), "MemTotal")
         groups = memory_groups()
@@ -38,7 +38,7 @@ def total_memory_bytes() -> int | None:
 
 
 def available_memory_bytes() -> int | None:
-    """Memory a new program could use now without swapping, or None if unknown."""
+    """Memory that a new program could use without swapping, or None if unknown."""
     if sys.platform == "linux":
         free = _proc_bytes(Path("/proc/meminfo"), "MemAvailable")
         groups = memory_groups()
@@ -49,7 +49,7 @@ def available_memory_bytes() -> int | None:
 
 
 def cpu_name() -> str:
-    """The processor's name by its maker, if the system provides it."""
+    """The processor's model name, if the system provides it."""
     if sys.platform == "linux":
         try:
             lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -87,7 +87,7 @@ def version_of(distribution: str) -> str | None:
 
 
 def machine() -> dict[str, Any]:
-    """The machine in words and numbers, for metrics.json; unknown values are None."""
+    """Description of the machine for metrics.json; unknown values are None."""
     return {
         "cpu": cpu_name(),
         "cores": cores(),
@@ -100,7 +100,7 @@ def machine() -> dict[str, Any]:
 
 
 def _proc_bytes(path: Path, key: str) -> int | None:
-    """A line `key:  123 kB` of a /proc file, in bytes."""
+    """Value of a line `key:  123 kB` in a /proc file, bytes."""
     try:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:

@@ -4,18 +4,18 @@ from typing import NamedTuple
 
 
 class NamedMetric(NamedTuple):
-    """A metric as metrics.json has it and the report shows it."""
+    """A metric of metrics.json and its presentation in the report."""
 
     key: str
-    """In metrics.json."""
+    """Key in metrics.json."""
     title: str
     digits: int
     """Decimals in tables and tiles; definitions show one more."""
     unit: str = ""
     note: str = ""
-    """Below the number at the top of the report; empty: it is not shown there."""
+    """Text below the value at the top of the report; empty: not shown there."""
     definition: str = ""
-    """Among the report's definitions; empty: it is not listed there."""
+    """Text in the report's definitions; empty: not listed there."""
     averaged: bool = True
     """Whether there is a mean over the views."""
 
@@ -33,16 +33,16 @@ NAMED_METRICS = (
         "psnr_u8",
         "PSNR 8 bit",
         2,
-        definition="both pictures rounded to 8 bit first, as scoring files does",
+        definition="both pictures rounded to 8 bit first, equal to that of saved files",
     ),
     NamedMetric(
         "psnr_masked",
         "PSNR inside the masks",
         2,
         unit="dB",
-        note="of the pixels that count",
-        definition="only pixels the mask keeps; the other numbers count masked-out pixels as "
-        "equal, as the loss does",
+        note="unmasked pixels only",
+        definition="unmasked pixels only; the other metrics count masked pixels as equal, as the "
+        "loss does",
     ),
     NamedMetric(
         "psnr_cc",
@@ -51,8 +51,8 @@ NAMED_METRICS = (
         unit="dB",
         note="without gain and offset of the colours",
         definition="after gain and offset per channel, fitted on one half of the picture and "
-        "measured on the other, left and right in turn; only pixels that count. Far above the "
-        "plain PSNR, exposure or white balance differs from photo to photo",
+        "measured on the other, left and right in turn; unmasked pixels only. If it is far above "
+        "the plain PSNR, exposure or white balance differs from photo to photo",
     ),
     NamedMetric("psnr_aligned", "PSNR from an aligned camera", 2, averaged=False),
     NamedMetric(
@@ -66,7 +66,7 @@ NAMED_METRICS = (
         "ssim_valid",
         "SSIM valid",
         4,
-        definition="the same window, only where it lies inside the picture",
+        definition="the same window, only where it is inside the picture",
     ),
     NamedMetric("d_ssim", "D-SSIM", 4, note="(1 - SSIM) / 2"),
     NamedMetric(
@@ -81,7 +81,7 @@ NAMED_METRICS = (
         "LPIPS",
         4,
         note="net: {net}, lower is better",
-        definition="network {net}, inputs in [-1, 1]; numbers of other networks cannot be compared",
+        definition="network {net}, inputs in [-1, 1]; values of other networks cannot be compared",
     ),
 )
-"""In the order of tables. `{net}` stands for the network of LPIPS."""
+"""All metrics in the order of tables. `{net}` is replaced by the network of LPIPS."""

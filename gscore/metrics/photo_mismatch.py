@@ -1,21 +1,22 @@
 """Photo mismatch: detects splats evaluated on photos of another scene."""
 
 STRANGERS_PSNR = 12.0
-"""Decibels below which splats and photos are taken for those of different things. Previews of two
-captures on the photos of three others each reach 8.3 to 11.1 dB, on their own held-out ones 16 and
-more."""
+"""PSNR in dB below which splats and photos are considered to be of different scenes. Previews of
+two
+captures reach 8.3 to 11.1 dB on photos of three others each, and at least 16 dB on their own
+held-out photos."""
 
 
 def photo_mismatch_warnings(psnr: float | None, which: str) -> list[str]:
-    """A sentence where splats hardly look like the photos; else nothing.
+    """Warning if splats do not match the photos; else empty.
 
     Args:
-        psnr: Of the photos, dB; None: it was not measured.
-        which: Whose splats they are, to begin the sentence with.
+        psnr: PSNR on the photos, dB; None: not measured.
+        which: Subject of the sentence, naming the splats, in the plural.
     """
     if psnr is None or psnr >= STRANGERS_PSNR:
         return []
     return [
-        f"{which} reach {psnr:.1f} dB on these photos, no more than pictures of something else do. "
-        "Are they of this capture, in its own coordinates?"
+        f"{which} reach {psnr:.1f} dB on these photos, no more than pictures of another scene. Are "
+        "they of this capture, in its own coordinates?"
     ]

@@ -1,7 +1,7 @@
 """Splat errors: the error of renders against photos, attributed to splats by blending weight.
 
-The error of a splat is the mean error of the pixels that it is blended into, weighted by its
-blending weights: the weights with which the gradient of a loss of the picture reaches its colour.
+The error of a splat is the mean error of its pixels, weighted by its blending weights: the factors
+by which a gradient in the picture reaches its colour.
 """
 
 import numpy as np
@@ -11,14 +11,14 @@ from ..raster.request import Frustum, Settings
 from ..splats import Splats
 
 _LEAST = 1.0
-"""Weight, in pixels of all views, below which a splat has no error."""
+"""Minimum sum of weights over all views for an error of a splat, px."""
 
 
 class SplatErrors:
-    """Adds up the errors of views."""
+    """Accumulates the errors of splats over views."""
 
     def __init__(self, splats: Splats, *, antialias: bool = False, threads: int = 0) -> None:
-        """Of `splats`, raw parameters, drawn with or without the `antialias` compensation."""
+        """Start for `splats`, raw parameters, with or without the `antialias` compensation."""
         self._geometry = [
             np.require(getattr(splats, name), np.float32, ["C", "A"]) for name in GEOMETRY
         ]
@@ -37,7 +37,7 @@ class SplatErrors:
             view: The camera, in the world of the splats.
             picture: [H, W, 3] float, the render; clipped to [0, 1].
             target: [H, W, 3] float in [0, 1], the photo.
-            weights: [H, W] uint8, how much each pixel counts, 255 for all of it; None: all do.
+            weights: [H, W] uint8, pixel weights, 255 is 1; None: all 1.
         """
         counts = np.ones(target.shape[:2]) if weights is None else weights / 255.0
         error = np.abs(np.clip(picture, 0.0, 1.0) - target).mean(axis=2) * counts
@@ -49,10 +49,10 @@ class SplatErrors:
         self._sums += found[:, :2]
 
     def mean(self) -> np.ndarray:
-        """[N] float32, 0 to 1: mean absolute difference of a channel in the pixels of each splat;
-        NaN for splats that hardly any pixel shows."""
+        """[N] float32, 0 to 1: mean absolute difference per channel in the pixels of each splat;
+        NaN for splats with hardly any visible pixel."""
         error, weight = self._sums.T
-        seen = weight >= _LEAST
+        visible = weight >= _LEAST
         found = np.full(len(error), np.nan, np.float32)
-        found[seen] = np.clip(error[seen] / weight[seen], 0.0, 1.0)
+        found[visible] = np.clip(error[visible] / weight[visible], 0.0, 1.0)
         return found

@@ -14,47 +14,47 @@ from .machine import machine, peak_memory_bytes
 
 _LISTS = frozenset({"views", "train_views", "test_views", "history", "evals", "decided"})
 _PARTS = ("models", "depth", "exposure", "poses", "ranks", "decided", "asked")
-"""Fields of a `Course` that are left out when empty."""
+"""Fields of a `Course` that are omitted when empty."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """How a training went: what no evaluation after it can know. None: not known."""
+    """Facts of a training that a later evaluation cannot measure. None: unknown."""
 
     steps: int | None = None
     train_seconds: float | None = None
-    """Without evaluation."""
+    """Training time without evaluation, s."""
     reason: str | None = None
     """Why it ended, as in `events.Done`."""
     trained_at: str | None = None
-    """When it ended, ISO 8601 with the time zone."""
+    """Time of its end, ISO 8601 with the time zone."""
     history: Sequence[dict[str, Any]] = ()
-    """Fields of `events.Progress` over the training, and `photo_factor`, what the sides of the
-    photos were divided by."""
+    """Fields of `events.Progress` over the training, and `photo_factor`, the divisor of the photos'
+    sides."""
     evals: Sequence[dict[str, Any]] = ()
-    """{"step", "elapsed_s", "psnr"} measured on the same split during it."""
+    """{"step", "elapsed_s", "psnr"}, measured on the same split during the training."""
     peak_memory_bytes: int | None = None
     """None: that of this process."""
     models: int | None = None
-    """How many are shown as one; None: it is one alone."""
+    """Number of models merged into one; None: a single model."""
     depth: dict[str, Any] | None = None
     """Numbers of `DepthReport`; None: there were no maps."""
     exposure: dict[str, Any] | None = None
     """Spread of the exposure of photos; None: not measured."""
     poses: dict[str, Any] | None = None
-    """How far each training camera was moved, and why; None: none was."""
+    """Corrections of the training cameras' poses, and the reason; None: no correction."""
     ranks: dict[str, Any] | None = None
-    """Where many processes trained together: `count`, `batches` that they took since the start or
-    the last resumption, and of each rank what it sent, worked and waited for a batch."""
+    """Distributed training: `count`, `batches` since the start or the last resumption, and per rank
+    the bytes sent, working time and waiting time per batch."""
 
     decided: Sequence[str] | None = None
-    """Sentences on what the run decided by itself, for these photos; None: not known."""
+    """Messages on automatic decisions of the run; None: unknown."""
     asked: Mapping[str, int] | None = None
-    """Value by option of what photos limited, before they did; None: nothing was."""
+    """Requested values of options that were limited by the number of photos; None: none was."""
 
     @classmethod
     def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
-        """The metrics.json of a training, as returned by `read_metrics`."""
+        """Course from the metrics.json of a training, as returned by `read_metrics`."""
         names = (each.name for each in fields(cls))
         return cls(**{name: metrics[name] for name in names if metrics.get(name) is not None})
 
@@ -65,14 +65,13 @@ class Metrics:
 
     evaluation: Evaluation
     split: str
-    """`test` if the scored views were held out of the training, `train` if not, `all` for views of
-    both kinds."""
+    """`test` if the scored views were held out of the training, `train` if not, `all` for both."""
     train_views: Sequence[str]
     """Names."""
     test_views: Sequence[str]
     """Names."""
     mask_mode: str
-    """How masks counted, as in `evaluate`."""
+    """Meaning of masks, as in `evaluate`."""
     background: Sequence[float]
     """RGB in [0, 1], as in `evaluate`."""
     splats: int
@@ -80,16 +79,16 @@ class Metrics:
     storage_bytes: int
     """Size of the PLY."""
     isa: str
-    """Settings of the rasterizer."""
+    """Instruction set of the rasterizer."""
     threads: int
     course: Course = field(default_factory=Course)
     model: str = ""
-    """Path of the splats, where these numbers lie in another folder than their run's."""
+    """Path of the splats, if metrics.json is not in the folder of their run; else empty."""
 
     def content(self) -> dict[str, Any]:
-        """The file: means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim, ms_ssim, lpips,
-        lpips_net, lpips_<net>, fps), then the model, the training, the split, the machine, an entry
-        a view, curves and depth. A value that is not known is None; `<key>_reason` says why."""
+        """Contents of the file: means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim,
+        ms_ssim, lpips, lpips_net, lpips_<net>, fps), then model, training, split, machine, views,
+        curves and depth. An unknown value is None, with its reason in `<key>_reason`."""
         course = self.course
         content = {
             **self.evaluation.mean,
@@ -118,13 +117,13 @@ class Metrics:
 
 
 def _finite_row(row: dict[str, Any]) -> dict[str, Any]:
-    """None for numbers that are not finite: JSON has no NaN."""
+    """The row with None in place of numbers that are not finite, for JSON."""
     odd = {k for k, v in row.items() if isinstance(v, float) and not math.isfinite(v)}
     return {key: None if key in odd else value for key, value in row.items()}
 
 
 def headline(metrics: dict[str, Any]) -> dict[str, Any]:
-    """metrics.json without the long lists, those of depth and poses too: what `--json` prints."""
+    """metrics.json for `--json`, without long lists, also in depth and poses."""
     short = {key: value for key, value in metrics.items() if key not in _LISTS}
     if "depth" in short:
         short["depth"] = {k: v for k, v in short["depth"].items() if k not in _LISTS}
@@ -134,7 +133,7 @@ def headline(metrics: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_metrics(path: Path, metrics: dict[str, Any]) -> None:
-    """Write metrics.json completely or not at all; strict JSON, a number or null.
+    """Write metrics.json atomically, as strict JSON.
 
     Raises:
         GsError: The file cannot be written.

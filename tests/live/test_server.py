@@ -288,10 +288,10 @@ def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
     thread = threading.Thread(target=one.ask, args=(request,))
     thread.start()
     time.sleep(0.3)
-    assert crowd.stay and crowd.longest_silent(0.1) is None  # it waits for its answer
+    assert crowd.stay and crowd.longest_idle(0.1) is None  # it waits for its answer
     crowd.answer(lambda request: bytes(48))
     thread.join()
-    assert not crowd.stay and crowd.longest_silent(0.1) is one
+    assert not crowd.stay and crowd.longest_idle(0.1) is one
     crowd.close()
 
 

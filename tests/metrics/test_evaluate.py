@@ -112,7 +112,7 @@ def test_only_rendering_is_timed_and_warm(fake_dataset):
 
 def test_a_broken_render_names_the_view(fake_dataset):
     """Oracle: the error's text."""
-    with pytest.raises(ShapeError, match=r"View view_0\.png .* one size"):
+    with pytest.raises(ShapeError, match=r"View view_0\.png .* same size"):
         evaluate(lambda i: np.zeros((40, 51, 3)), fake_dataset(photos(1)), [0])
     with pytest.raises(ShapeError, match=r"View view_0\.png .* not finite"):
         evaluate(lambda i: np.full((40, 50, 3), np.inf), fake_dataset(photos(1)), [0])

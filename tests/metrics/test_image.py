@@ -241,7 +241,7 @@ def test_what_does_not_fit_is_null_with_a_reason(random_pair):
         (np.zeros((40, 53)), r"image must be \[H, W, 3\], got \[40, 53\]"),
         (np.zeros((0, 53, 3)), r"got \[0, 53, 3\]"),
         (np.zeros((40, 53, 3), np.int64), "floating point or uint8, got int64"),
-        (np.zeros((41, 53, 3)), "one size"),
+        (np.zeros((41, 53, 3)), "the same size"),
         (np.full((40, 53, 3), np.nan), "6360 values that are not finite"),
     ],
 )

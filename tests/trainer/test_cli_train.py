@@ -272,7 +272,7 @@ def test_resuming_with_other_options_says_which(
         (["{capture}", "-o", "{out}", "--start-checkpoint", "{out}/x"], "no such checkpoint"),
         (["{capture}", "-o", "{out}", "--config", "{out}/x.json"], "there is no such config"),
         (["{capture}", "-o", "{out}", "--max-splats", "0"], "max_splats must be 1 to 1000000000"),
-        (["{capture}", "-o", "{out}", "--lpips", "{out}/x.onnx"], "No LPIPS network at"),
+        (["{capture}", "-o", "{out}", "--lpips", "{out}/x.onnx"], "There is no LPIPS network"),
         (["{capture}", "-o", "{out}", "-r", "0.5"], "resolution is 0.5"),
         (["{capture}", "-o", "{out}", "--debug"], "no debug dumps"),
         (["{capture}", "-o", "{out}", "--test-every", "6", "--test-last", "3"], "give one of them"),
