@@ -1,4 +1,4 @@
-// Adam driver: constants of a step, tables for skipped steps, rows in parallel.
+// Adam driver: constants of a step, tables for pending steps, rows in parallel.
 #include "adam.h"
 
 #include "dispatch.h"
@@ -56,7 +56,7 @@ AdamTensor constants(const gs_adam_tensor &t, const Tables &tables) {
     return a;
 }
 
-// Rows that skipped this step too have one more term in their sums.
+// Updates the sums for rows that skip this step too.
 void add_skipped_step(const gs_adam_tensor &t) {
     const double ratio = kBeta1 / std::sqrt(kBeta2), first = double(t.lr) * root(t.step) / bias1(t.step);
     double power = std::pow(ratio, kMaxLag);

@@ -5,7 +5,7 @@
 
 namespace gs {
 
-// Most steps that a row may skip: the limit of its counter, a byte.
+// Maximum number of pending steps of a row: the limit of its counter, a byte.
 constexpr int kMaxLag = GS_ADAM_LAGS - 1;
 // Gradients are clamped to this, so that their squares stay finite.
 constexpr float kGradientMax = 1e18f;

@@ -1,9 +1,10 @@
 // Lazy Adam kernel (Kingma and Ba 2015): rows skip steps without gradient and catch up later.
 //
-// A row that receives no gradient for k steps after step t would have moved, at its j-th step, by
+// A row without gradient for k steps after step t moves, at its j-th step, by
 //   lr sqrt(1 - beta2^(t+j)) / (1 - beta1^(t+j)) (beta1 / sqrt(beta2))^j m / (sqrt(v) + eps),
-// where m and v are those of step t: the sum over j is m / (sqrt(v) + eps) times a number that all rows of a tensor
-// share, tabulated by k. Only eps, which should shrink with the bias correction and grow with j, is approximated.
+// with m and v of step t: the sum over j is m / (sqrt(v) + eps) times a factor common to all rows of a tensor,
+// tabulated
+// by k. Only eps, which should shrink with the bias correction and grow with j, is approximated.
 // eps is 1e-15, far below the roots of second moments: 1 / (sqrt(v) + eps) is computed as 1 / sqrt(v + eps^2), which
 // differs only for gradients that small, and needs neither a division nor a root.
 #pragma once
@@ -56,7 +57,7 @@ struct Move {
     Vec param, moment1, moment2;
 };
 
-// Calls body(i, n) for the vectors of `size` floats; n < kLanes floats are left for the last one.
+// Calls body(i, n) for the vectors of `size` floats; the last one may have n < kLanes floats.
 template <class Body> static inline void vectors(int64_t size, Body body) {
     int64_t i = 0;
     for (; i + kLanes <= size; i += kLanes)
@@ -142,10 +143,10 @@ static int64_t zero_bad_rows(const AdamArgs &a, int64_t begin, int64_t end) {
     return bad;
 }
 
-// Rows visited at a time, so that what is read twice is still in the nearest cache.
+// Rows processed at a time, so that data read twice is still in the L1 cache.
 constexpr int64_t kRows = 64;
 
-// Rows [begin, end) alike: all `lag` steps behind. Their gradients are used up.
+// Steps rows [begin, end), all with `lag` pending steps; their gradients become zero.
 static int64_t move_rows(const AdamTensor &a, int64_t begin, int64_t end, int lag) {
     const gs_adam_tensor &t = a.t;
     const int64_t first = begin * t.width, size = (end - begin) * t.width;
@@ -212,9 +213,9 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
     return bad;
 }
 
-// Which of the splats [begin, begin + kLanes) may reach the picture: all that `project` draws, and some more. The
+// Mask of the splats [begin, begin + kLanes) that may reach the picture: all that `project` draws, and some more. The
 // Jacobian's rows are at most f / z sqrt(1 + ratio^2) long, so the largest scale bounds the splat on screen, with
-// sqrt(2 ln 255) deviations to where alpha falls to 1/255, and more where an opacity that is given as it is exceeds 1.
+// sqrt(2 ln 255) deviations to alpha = 1/255, and more if an activated opacity exceeds 1.
 static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lanes) {
     const gs_splats &in = *a.splats;
     const gs_camera &c = *a.camera;
@@ -249,7 +250,7 @@ static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lane
         const Vec deviation = (std::sqrt(1.0f + edge * edge) * focal[i]) * largest * inverse_z;
         const Vec reach = deviations * sqrt(fma(deviation, deviation, set1(a.eps2d))) + 1.0f;
         const Vec at = fma(set1(focal[i]), cam[i] * inverse_z, set1(center[i]));
-        // Inverted comparisons: what is not a number may be seen.
+        // Inverted comparisons, so that NaN counts as visible.
         inside &= ~(bits(gt(Vec{}, at + reach)) | bits(gt(at - reach, set1(side[i]))));
     }
     return inside & ((1u << lanes) - 1);

@@ -1,7 +1,9 @@
 // Tile binning kernel: the tiles, and the rows inside them, that a projected splat reaches.
-// The region alpha >= 1/255 is an ellipse. Cut by a slab of pixel columns it is convex, so its rows form one interval
-// with closed-form ends; with a slab for each strip of a tile, tiles and blocks follow from these intervals alone.
-// Splats within two columns of tiles are cut a splat a lane, wider ones a strip a lane.
+// The region alpha >= 1/255 is an ellipse. Its intersection with a slab of pixel columns is convex, so its rows form
+// one
+// interval with closed-form ends; the intervals of all strips of a tile give tiles and blocks. Splats within two
+// columns
+// of tiles are processed one per lane, wider ones one strip per lane.
 #pragma once
 
 #include "simd.h"
@@ -11,7 +13,7 @@ namespace gs::GS_NAMESPACE {
 
 typedef uint8_t Bytes __attribute__((vector_size(kLanes)));
 
-// Slack in px that covers rounding of the ends: a row too many costs time, one too few would change the image.
+// Slack for rounding of the ends, px: an extra row costs time, a missing one would change the image.
 static inline float slack_px(float extent) { return 0.01f + 1e-4f * extent; }
 
 static inline Vec slack_px(Vec extent) { return 0.01f + 1e-4f * extent; }
@@ -34,8 +36,9 @@ static inline IVec clamp_int(Vec x, Vec low, Vec high) {
 // x rounded down, for x >= -1.
 static inline IVec floor_by_truncation(Vec x) { return __builtin_convertvector(x + 1.0f, IVec) - 1; }
 
-// The rows first..last of a tile as blocks of a strip, a bit each; `first` up to kTileHeight, `last` from -1 on, any lane
-// may hold none.
+// Bit mask of a strip's blocks in the rows first..last of a tile; `first` is at most kTileHeight, `last` at least -1,
+// and
+// a lane may be empty.
 static inline IVec blocks_of_rows(Vec first, Vec last) {
     const IVec f = __builtin_convertvector(first, IVec) >> 2;
     const IVec l = __builtin_convertvector(last, IVec) >> 2;
@@ -43,12 +46,12 @@ static inline IVec blocks_of_rows(Vec first, Vec last) {
 }
 static_assert(kBlock == 4 && kStripBlocks == 8);
 
-// What an extent is multiplied by to reach where an opaque splat of the same shape falls to the threshold.
+// Factor from an extent to that of an opaque splat of the same shape.
 static inline float opaque_extent(const Projected &p) {
     return __builtin_sqrtf(kLog2AlphaMin / (kLog2AlphaMin - p.log2_opacity));
 }
 
-// Slabs of a strip's columns, cut out of ellipses around the origin of half-widths ex.
+// Intersections of a strip's columns with ellipses around the origin, of half-widths ex.
 struct Slab {
     Vec left, right;
     Mask inside;
@@ -58,7 +61,7 @@ static inline Slab slab_at(Vec left, Vec ex, Vec sx) {
     return {l, h, ge(h + sx, l - sx)};
 }
 
-// The first and the last row of what was cut out, not rounded.
+// The first and last row of the intersection, not rounded.
 static inline void rows_of_slab(const Slab &slab, Vec ex, Vec x_top, Vec slope, Vec half_chord, Vec mean_y, Vec sy,
                                 Vec &first, Vec &last) {
     const Vec top = min(max(x_top, slab.left), slab.right), bottom = min(max(-x_top, slab.left), slab.right);
@@ -69,13 +72,13 @@ static inline void rows_of_slab(const Slab &slab, Vec ex, Vec x_top, Vec slope, 
     first = fma(slope, bottom, -reach_bottom) + (mean_y + (0.5f - sy));
 }
 
-// Appends instances; kPlain: all of them, and with the blocks that they have.
+// Appends instances; kPlain: all of them, with all their blocks.
 template <bool kPlain> class Appender {
   public:
     Appender(const BinArgs &a, InstanceBuffer *out)
         : a_(a), at_(out->data + out->size), all_rows_(a.disable & GS_NO_ROW_RANGE) {}
 
-    // Where there are blocks; there is room.
+    // Appends those with blocks; the buffer has room.
     void add(uint32_t tile, uint32_t blocks) {
         if constexpr (!kPlain) {
             blocks = all_rows_ && blocks ? ~0u : blocks;
@@ -88,7 +91,7 @@ template <bool kPlain> class Appender {
     void finish(InstanceBuffer *out) const { out->size = size_t(at_ - out->data); }
 
   private:
-    // The blocks of a tile that gs_options.tiles leaves to draw: upper and lower half of each strip.
+    // The blocks of a tile that gs_options.tiles enables: upper and lower half of each strip.
     uint32_t blocks_drawn(uint32_t tile) const {
         static_assert(kTileWidth == GS_TILE && kTileHeight == 2 * GS_TILE);
         const uint32_t columns = uint32_t(a_.tiles_x), row = 2 * (tile / columns), column = tile % columns;
@@ -115,10 +118,10 @@ template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p
         return true;
     const int strip_first = x_first / kTileWidth * kStrips, strip_last = x_last / kBlock;
     const int tile_first = box_first / kTileHeight, tile_last = box_last / kTileHeight;
-    // Where the ellipse is highest: its mean plus (x_top, extent_y).
+    // The top of the ellipse: its mean plus (x_top, extent_y).
     const float x_top = -p.ub / p.ua * ey;
-    // Vectors of strips start where they do for the splat's own extent, so that its tiles keep their order, and sums
-    // over them their rounding.
+    // Vectors of strips start at the same strip as for the splat's own extent, so that the order of its tiles, and the
+    // rounding of sums over them, do not change.
     int start = clamp_int(p.mean_x - p.extent_x - slack_px(p.extent_x) + 0.5f, 0, a.width) / kTileWidth * kStrips;
     while (start > strip_first)
         start -= kLanes;
@@ -136,7 +139,7 @@ template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p
             first = set1(float(box_first));
             last = set1(float(box_last));
         }
-        // What is empty stays so in every tile.
+        // An empty intersection stays empty in every tile.
         first = select(slab.inside, first, set1(float(a.height + kTileHeight)));
         last = select(slab.inside, last, set1(-1.0f));
         const int tile_x = s0 / kStrips;
@@ -159,12 +162,12 @@ template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p
     return true;
 }
 
-// What `bin_narrow` takes: splats within so many tiles. A tile's blocks are the bits of a word.
+// Limits of `bin_narrow`: splats within this number of tiles. A tile's blocks are the bits of a word.
 constexpr int kNarrowColumns = 2, kNarrowRows = 3;
 
 // The tiles of kLanes splats.
 struct Narrow {
-    alignas(64) int32_t tile[kLanes], rows[kLanes]; // the first tile and the number of rows; kWide: too many
+    alignas(64) int32_t tile[kLanes], rows[kLanes]; // first tile and number of rows; kWide: too many
     alignas(64) uint32_t blocks[kNarrowRows][kNarrowColumns][kLanes];
 
     static constexpr int kWide = -1;
@@ -193,7 +196,7 @@ static inline void bin_narrow(const BinArgs &a, const Projected *p, int lanes, N
     const IVec x_last = clamp_int(mean_x + ex + sx - 0.5f, none, width - 1.0f);
     const IVec box_first = clamp_int(mean_y - ey - sy + 0.5f, Vec{}, height);
     const IVec box_last = clamp_int(mean_y + ey + sy - 0.5f, none, height - 1.0f);
-    // -1 where so, in every lane apart.
+    // -1 where true, per lane.
     const IVec empty = (IVec)(x_first > x_last) | (IVec)(box_first > box_last);
     const IVec tile_x = x_first >> 4, tile_y = box_first >> 5;
     const IVec more_columns = (x_last >> 4) - tile_x, more_rows = (box_last >> 5) - tile_y;
@@ -223,7 +226,7 @@ static inline void bin_narrow(const BinArgs &a, const Projected *p, int lanes, N
         first = __builtin_convertvector(floor_by_truncation(min(max(first, low), height)), Vec);
         first = select(slab.inside, first, set1(float(a.height + kTileHeight)));
         last = select(slab.inside, last, none);
-        // Rows of blocks, from the first tile's on: a bit each, eight a tile.
+        // Bit mask of the rows of blocks from the first tile on, eight per tile.
         const Vec from = min(max(first - y, Vec{}), set1(float(kNarrowRows * kTileHeight)));
         const Vec to = min(max(last - y, none), set1(float(kNarrowRows * kTileHeight - 1)));
         const IVec f = __builtin_convertvector(from, IVec) >> 2, t = __builtin_convertvector(to, IVec) >> 2;
@@ -242,7 +245,7 @@ static_assert(kTileWidth == 16 && kTileHeight == 32 && kBlock == 4 && kNarrowCol
               kNarrowRows * kStripBlocks == 24);
 
 template <bool kPlain> static bool bin_chunk(const BinArgs &a, int64_t chunk, InstanceBuffer *out) {
-    // All at once, or one after the other, as `bin_wide` has them.
+    // All together, or one after the other in the order of `bin_wide`.
     constexpr int kColumnsAtOnce = kLanes / kStrips < kNarrowColumns ? kLanes / kStrips : kNarrowColumns;
     const bool all_wide = !kPlain && a.disable & (GS_NO_OPACITY_EXTENT | GS_NO_EXACT_CULL);
     const int64_t begin = chunk * kChunk, end = begin + a.visible[chunk];
@@ -250,7 +253,7 @@ template <bool kPlain> static bool bin_chunk(const BinArgs &a, int64_t chunk, In
     Narrow narrow;
     for (int64_t first = begin; first < end; first += kLanes) {
         if (a.cancel && *a.cancel)
-            return true; // the caller looks too, and throws the lists away
+            return true; // the caller polls too, and discards the lists
         const int lanes = end - first < kLanes ? int(end - first) : kLanes;
         if (!all_wide)
             bin_narrow(a, a.projected + first, lanes, narrow);

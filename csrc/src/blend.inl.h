@@ -1,5 +1,5 @@
 // Blending kernel: alpha blending of one tile, forward and backward (Kerbl et al. 2023, section 6).
-// A tile belongs to one thread. Its pixels are stored in blocks of 4 x 4, which fit the ellipse of a splat better than
+// One thread processes a tile. Its pixels are stored in blocks of 4 x 4, which fit the ellipse of a splat better than
 // rows. Splats are processed in batches, several exponentials at a time, because their dependency chains are long.
 // Forward loops over blocks: the pixels of a block stay in registers for all splats of the batch that reach it.
 // Backward loops over splats: the sums of a splat stay in registers, after the exponentials of all its blocks.
@@ -11,7 +11,7 @@
 namespace gs::GS_NAMESPACE {
 
 constexpr int kBlockVecs = kBlockPixels / kLanes;
-// Blocks whose exponentials are computed side by side.
+// Blocks whose exponentials are computed together.
 constexpr int kGroup = kLanes == 16 ? 4 : kLanes == 8 ? 2 : 1;
 constexpr uint32_t kAllPixels = (1u << kBlockPixels) - 1;
 
@@ -29,7 +29,7 @@ static constexpr PixelTable make_pixel_table() {
 }
 static constexpr PixelTable kPixels = make_pixel_table();
 
-// The positions of the bits set in a byte.
+// Positions of the bits set in a byte.
 struct BitTable {
     uint8_t bits[256][8];
 };
@@ -43,7 +43,7 @@ static constexpr BitTable make_bit_table() {
 }
 static constexpr BitTable kBits = make_bit_table();
 
-// Writes the positions of a byte's bits, counted from `first`, and returns how many; eight bytes are written.
+// Writes the positions of a byte's bits, counted from `first`, and returns their number; eight bytes are written.
 static inline int write_positions(uint32_t byte, int first, uint8_t *to) {
     uint64_t positions;
     std::memcpy(&positions, kBits.bits[byte], sizeof positions);
@@ -52,7 +52,7 @@ static inline int write_positions(uint32_t byte, int first, uint8_t *to) {
     return __builtin_popcount(byte);
 }
 
-// Splats that follow each other in a tile's list.
+// Consecutive splats of a tile's list.
 template <int kCapacity> struct Batch {
     int splats;
     Projected splat[kCapacity];
@@ -64,7 +64,7 @@ template <int kCapacity> struct Batch {
     void add(const Projected &p, int32_t index_in_list, float x, float y) {
         const int s = splats++;
         splat[s] = p;
-        // In double, since for a needle the two terms are large and their sum is small.
+        // In double, because for a needle the two terms are large and their sum is small.
         const double dx = double(x) - double(p.mean_x), dy = double(y) - double(p.mean_y);
         u0[s] = float(double(p.ua) * dx + double(p.ub) * dy);
         v0[s] = float(double(p.vc) * dy);
@@ -72,8 +72,9 @@ template <int kCapacity> struct Batch {
     }
 };
 
-// The coordinates u and v of pixels, and the logarithm to base 2 of the alpha that splat `s` has there, not clamped. With
-// `exp2_above` the one place that decides which splat reaches which pixel.
+// Coordinates u and v of pixels, and log2 of the unclamped alpha of splat `s`. Together with `exp2_above` the only
+// place
+// that decides which splat contributes to which pixel.
 struct Reach {
     Vec u, v, log2_alpha;
 };
@@ -83,7 +84,7 @@ template <class B> static inline Reach reach(const B &b, int s, Vec x, Vec y) {
     return {u, v, fnma(v, v, fnma(u, u, set1(p.log2_opacity)))};
 }
 
-// Fetches a tile's pixels of a picture that is `stride` pixels wide and has `width` floats a pixel.
+// Prefetches a tile of a picture that is `stride` pixels wide, with `width` floats per pixel.
 static inline void fetch_pixels(const float *picture, int width, int stride, int x0, int y0, int columns, int rows) {
     constexpr int kLine = 64 / sizeof(float);
     for (int r = 0; picture && r < rows; ++r) {
@@ -97,11 +98,11 @@ static inline void fetch_pixels(const float *picture, int width, int stride, int
 
 // Forward: splats, and for each block a list of those that reach it.
 constexpr int kForwardSplats = 128;
-// Splats whose exponentials come before they are blended: one group where it fits into the registers beside the pixels.
+// Splats whose exponentials are computed before blending: one group if it fits into the registers next to the pixels.
 constexpr int kRun = kLanes >= 8 ? kGroup : 32;
 static_assert(kRun % kGroup == 0);
 struct ForwardBatch : Batch<kForwardSplats + 1> {
-    // The splat behind the last: it reaches nothing, and fills up groups.
+    // The splat after the last: it reaches no pixel, and pads groups.
     static constexpr int kNobody = kForwardSplats;
     static_assert(kNobody < 256 && kForwardSplats % 8 == 0);
 
@@ -157,14 +158,14 @@ constexpr int kBatchItems = 64 + kTileBlocks;
 struct BackwardBatch : Batch<kBatchItems> {
     int items;
     int32_t item_end[kBatchItems];
-    Moments *moments[kBatchItems]; // where the sums of a splat go
-    // Of an item; some more are written, and overwritten.
+    Moments *moments[kBatchItems]; // destination of a splat's sums
+    // Per item; padding is written too, and overwritten.
     uint8_t splat_of[kBatchItems + kTileBlocks], block[kBatchItems + kTileBlocks];
     alignas(64) float alpha[kBatchItems + kGroup][kBlockPixels];
     alignas(64) float u[kBatchItems + kGroup][kBlockPixels], v[kBatchItems + kGroup][kBlockPixels];
 
     bool full() const { return items > kBatchItems - kTileBlocks; }
-    // `blocks` are not none.
+    // `blocks` is not empty.
     void add_reaching(uint32_t blocks, const Projected &p, int32_t index_in_list, float x, float y) {
         std::memset(splat_of + items, splats, kTileBlocks);
         for (int k = 0; k < kStrips; ++k)
@@ -178,7 +179,7 @@ struct BackwardBatch : Batch<kBatchItems> {
 // Alphas of all items before the clamp, zero below the threshold.
 inline void BackwardBatch::find_alphas() {
     constexpr int kCount = kGroup * kBlockVecs;
-    // The last group may be incomplete: it repeats what is there.
+    // The last group may be incomplete: it is padded with repetitions.
     for (int i = items; i % kGroup; ++i)
         splat_of[i] = block[i] = 0;
     for (int i = 0; i < items; i += kGroup) {
@@ -186,7 +187,7 @@ inline void BackwardBatch::find_alphas() {
         for (int j = 0; j < kGroup; ++j)
             for (int k = 0; k < kBlockVecs; ++k) {
                 const int at = block[i + j] * kBlockPixels, lane = k * kLanes;
-                // Vectors of a block are whole rows, and have their columns in common.
+                // Vectors of a block are whole rows with the same columns.
                 const Reach r = reach(*this, splat_of[i + j], load(kPixels.x + at), load(kPixels.y + at + lane));
                 store(u[i + j] + lane, r.u);
                 store(v[i + j] + lane, r.v);
@@ -199,7 +200,7 @@ inline void BackwardBatch::find_alphas() {
 }
 static_assert(kLanes % kBlock == 0);
 
-// Where a tile lies in the picture, px; those at its right and lower edges may reach beyond it.
+// Position of a tile in the picture, px; tiles at the right and lower edges may extend beyond it.
 struct Area {
     int x0, y0, columns, rows;
     float first_x, first_y; // centre of the first pixel
@@ -219,19 +220,19 @@ static inline int third_channel(uint32_t outputs) {
     return outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ;
 }
 
-// A tile's pixels while splats are blended over each other.
+// A tile's pixels during blending.
 template <int kChannelCount, bool kWithMedian> struct Canvas {
     static constexpr int kChannels = kChannelCount;
     static constexpr bool kMedian = kWithMedian;
-    // With depths, alpha is summed: depths are divided by it, and 1 - T has lost the digits of faint pixels.
+    // With depths, alpha is summed, because depths are divided by it and 1 - T loses the digits of faint pixels.
     static constexpr bool kSumAlpha = kChannels >= 4;
-    // Transmittance, channels, and where needed the sum of weights and the median depth.
+    // Transmittance, channels, and if needed the sum of weights and the median depth.
     static constexpr int kCover = 1 + kChannels, kMedianAt = kCover + kSumAlpha, kPlanes = kMedianAt + kMedian;
     alignas(64) float state[kPlanes][kTilePixels];
-    uint32_t done[kTileBlocks]; // pixels of each block that are complete, a bit each; their transmittance is zero
+    uint32_t done[kTileBlocks]; // bit mask of the complete pixels of each block, whose transmittance is zero
 };
 
-// Where the pixels of a tile that are complete leave what the backward pass needs.
+    // State of complete pixels for the backward pass.
 struct Ends {
     float *trans;
     int32_t *stop;
@@ -259,7 +260,7 @@ template <class C> GS_INLINE uint32_t clear(C &canvas, Ends ends, const Area &ar
     return live;
 }
 
-// Takes the next splats of the list that reach a block of `live`; returns the entry after them.
+// Loads the next splats of the list that reach a block of `live`; returns the entry after them.
 GS_INLINE uint32_t fill(ForwardBatch &batch, const BlendArgs &a, const Area &area, uint32_t begin, uint32_t e,
                         uint32_t end, uint32_t live) {
     // Records are fetched this many list entries ahead of their use.
@@ -285,12 +286,12 @@ GS_INLINE void find_alphas(const ForwardBatch &batch, const uint8_t *list, Vec x
     exp2_above<kGroup * kBlockVecs>(kLog2AlphaMin, q, alpha);
 }
 
-// Ends the pixels that splat `index` of the tile's list would complete: notes their transmittance and where they
-// stopped, and lets the splat add nothing to them. `at` is the block's first pixel, t its transmittance before the
-// splat, w the splat's weights and next the transmittance after it.
+// Stops the pixels that splat `index` of the tile's list would complete: stores their transmittance and stop index, and
+// sets the splat's weights there to zero. `at` is the block's first pixel, t its transmittance before the splat, w the
+// splat's weights and next the transmittance after it.
 GS_INLINE void stop_pixels(Ends ends, int at, int32_t index, const Vec *t, Vec *w, Vec *next) {
     for (int k = 0; k < kBlockVecs; ++k) {
-        // Complete pixels hold a transmittance of zero, so the new ones are those that do not.
+        // Pixels completed earlier have a transmittance of zero, so the new ones are the others.
         const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
         const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
         float *final_at = ends.trans + at + k * kLanes;
@@ -316,21 +317,22 @@ GS_INLINE void add_splat(Vec (&pixels)[C::kPlanes][kBlockVecs], const Projected 
             pixels[C::kCover][k] += w[k];
         if constexpr (C::kMedian) {
             const Mask crossed = both(gt(pixels[0][k], set1(0.5f)), ge(set1(0.5f), next[k]));
-            const Mask blended = gt(next[k], Vec{}); // not one that ends the pixel
+            const Mask blended = gt(next[k], Vec{}); // not the one that stops the pixel
             pixels[C::kMedianAt][k] += keep(both(crossed, blended), set1(p.channel[kChannelZ]));
         }
         pixels[0][k] = next[k];
     }
 }
 
-// Lets a splat at depth z leave nothing of the transmittance of pixels that end before it; `far` is the block's.
+// Sets the transmittance after a splat at depth z to zero in pixels whose far depth is nearer; `far` is the block's.
 GS_INLINE void end_before(float z, const float *far, Vec *next) {
     for (int k = 0; k < kBlockVecs; ++k)
         next[k] = select(gt(set1(z), load(far + k * kLanes)), Vec{}, next[k]);
 }
 
-// Blends all splats of the batch that reach a block, and takes it out of `live` when it is complete; returns how many
-// passed until then. `far` has the depths at which the tile's pixels end; null: they do not.
+// Blends all splats of the batch that reach a block, and removes it from `live` when it is complete; returns the number
+// of
+// splats until then. `far` has the far depths of the tile's pixels; null: none.
 template <class C>
 GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int block, uint32_t outputs, int third,
                           const float *far, uint32_t &live, int64_t &useful) {
@@ -340,7 +342,7 @@ GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int b
     for (int c = 0; c < C::kPlanes; ++c)
         for (int k = 0; k < kBlockVecs; ++k)
             pixels[c][k] = load(canvas.state[c] + at + k * kLanes);
-    const Vec x = load(kPixels.x + at); // of all vectors of a block, for they are whole rows
+    const Vec x = load(kPixels.x + at); // for all vectors of a block, because they are whole rows
     Vec y[kBlockVecs];
     for (int k = 0; k < kBlockVecs; ++k)
         y[k] = load(kPixels.y + at + k * kLanes);
@@ -419,14 +421,14 @@ GS_INLINE void write_pictures(const C &canvas, Ends ends, const BlendArgs &a, ui
         }
 }
 
-// The tile's part of `far_depths`, in the order of its pixels; those beyond the picture get 0.
+// The tile's part of `far_depths`, in the order of its pixels; 0 beyond the picture.
 GS_INLINE void read_far(float *to, const BlendArgs &a, const Area &area) {
     std::memset(to, 0, kTilePixels * sizeof(float));
     for (int s = 0; s * kBlock < area.columns; ++s)
         for (int r = 0; r < area.rows; ++r) {
             const int count = area.columns - s * kBlock < kBlock ? area.columns - s * kBlock : kBlock;
             const size_t pixel = size_t(area.y0 + r) * size_t(a.width) + size_t(area.x0 + s * kBlock);
-            // Not below 0, so that the splat that fills up groups, at depth 0, ends nothing.
+            // Not below 0, so that the padding splat, at depth 0, stops no pixel.
             for (int x = 0; x < count; ++x) {
                 const float far = a.far_depths[pixel + size_t(x)];
                 to[s * kBlock * kTileHeight + r * kBlock + x] = far < 0 ? 0 : far;
@@ -473,17 +475,17 @@ static PairCount blend(const BlendArgs &a, uint32_t outputs, uint32_t tile) {
                         : blend_tile<5, false>(a, outputs, tile);
 }
 
-// A tile's pixels while its splats are passed from back to front.
+// A tile's pixels in the backward pass, from back to front.
 struct Ground {
     alignas(64) float trans[kTilePixels], behind[kTilePixels];
-    int32_t block_stop[kTileBlocks]; // the first list entry that a block does not need any more
+    int32_t block_stop[kTileBlocks]; // the first list entry after the last one that a block needs
 };
-// dL/dC of a tile's pixels; apart from `Ground`, so that what is stored there leaves loaded gradients in registers.
+// dL/dC of a tile's pixels; separate from `Ground`, so that stores there do not invalidate gradients in registers.
 template <int kChannels> struct ColorGradients {
     alignas(64) float v[kChannels][kTilePixels];
 };
 
-// Takes up the tile's part of the gradients of the pictures; `behind` holds that of alpha.
+// Loads the tile's part of the gradients of the pictures; `behind` receives that of alpha.
 template <int kChannels>
 GS_INLINE void read_gradients(Ground &ground, ColorGradients<kChannels> &color, const BlendBackwardArgs &args,
                               uint32_t outputs, const Area &area, uint32_t tile) {
@@ -519,8 +521,9 @@ GS_INLINE void read_gradients(Ground &ground, ColorGradients<kChannels> &color, 
         }
 }
 
-// Lets `behind` begin with the background, and finds where blocks stop, those without image gradient at once; returns
-// the last of the stops.
+// Initialises `behind` with the background, and determines the stop of each block, 0 without image gradient; returns
+// the
+// last of the stops.
 template <int kChannels>
 GS_INLINE int32_t find_stops(Ground &ground, const ColorGradients<kChannels> &color, const int32_t *stop,
                              const BlendBackwardArgs &args) {
@@ -531,7 +534,7 @@ GS_INLINE int32_t find_stops(Ground &ground, const ColorGradients<kChannels> &co
         for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; ++i)
             last = stop[i] > last ? stop[i] : last;
         for (int i = b * kBlockPixels; i < (b + 1) * kBlockPixels; i += kLanes) {
-            Vec back = -load(ground.behind + i); // which holds the gradient of alpha
+            Vec back = -load(ground.behind + i); // the gradient of alpha
             any |= as_int(back);
             for (int k = 0; k < kChannels; ++k)
                 any |= as_int(load(color.v[k] + i));
@@ -539,22 +542,22 @@ GS_INLINE int32_t find_stops(Ground &ground, const ColorGradients<kChannels> &co
                 back = fma(load(color.v[k] + i), set1(args.forward->background[k]), back);
             store(ground.behind + i, back);
         }
-        // Without their signs: a negative zero is one too.
+        // Without their signs, because of negative zeros.
         ground.block_stop[b] = !args.skip_zero_tiles || bits(gt_int(any & INT32_MAX, IVec{})) ? last : 0;
         start = ground.block_stop[b] > start ? ground.block_stop[b] : start;
     }
     return start;
 }
 
-// The walk down a tile's list, from its back to its front.
+// State of the traversal of a tile's list, from back to front.
 struct Walk {
     uint32_t begin;    // of the list
-    int32_t i;         // entries that are left
-    uint32_t live;     // blocks that the walk has reached
-    int32_t next_stop; // where it reaches the next one
+    int32_t i;         // remaining entries
+    uint32_t live;     // blocks reached so far
+    int32_t next_stop; // entry at which the next block is reached
 };
 
-// Takes the next splats that reach a block; the sums of those that reach none are zero.
+// Loads the next splats that reach a block; the sums of those that reach none are zero.
 GS_INLINE void fill(BackwardBatch &batch, Walk &walk, const BlendBackwardArgs &args, const Area &area,
                     const int32_t *block_stop) {
     // Records are fetched this many list entries ahead of their use.
@@ -577,7 +580,7 @@ GS_INLINE void fill(BackwardBatch &batch, Walk &walk, const BlendBackwardArgs &a
         const Entry entry = a.entries[e];
         Moments *const moments = args.moments + entry.moment;
         if (const uint32_t blocks = entry.blocks & walk.live) {
-            // Written when the batch is done; they lie anywhere in memory.
+            // Written when the batch is done; their addresses are random.
             __builtin_prefetch(moments, 1);
             __builtin_prefetch(moments->v + kMomentCount - 1, 1);
             batch.moments[batch.splats] = moments;
@@ -589,7 +592,7 @@ GS_INLINE void fill(BackwardBatch &batch, Walk &walk, const BlendBackwardArgs &a
     batch.find_alphas();
 }
 
-// Passes splat p at kLanes pixels, `at` of the tile and `lane` of item n, and adds to its sums.
+// Backward step of splat p at kLanes pixels, `at` of the tile and `lane` of item n; adds to its sums.
 template <int kChannels>
 GS_INLINE void pass_pixels(Ground &ground, const ColorGradients<kChannels> &color, const int32_t *stop,
                            const BackwardBatch &batch, const Projected &p, IVec index, int n, int lane, int third,
@@ -597,7 +600,7 @@ GS_INLINE void pass_pixels(Ground &ground, const ColorGradients<kChannels> &colo
     const int at = batch.block[n] * kBlockPixels + lane;
     IVec stops;
     std::memcpy(&stops, stop + at, sizeof stops);
-    // A pixel takes part in what comes before its stop.
+    // A pixel only receives entries before its stop.
     const Vec raw = keep(gt_int(stops, index), load(batch.alpha[n] + lane));
     const Vec alpha = min(raw, set1(kAlphaMax));
     const Vec t = quotient(load(ground.trans + at), 1.0f - alpha);
@@ -625,7 +628,7 @@ GS_INLINE void pass_pixels(Ground &ground, const ColorGradients<kChannels> &colo
 
 // With C the colour a pixel shows from splat i on (background last) and c_i its own, C_i = alpha_i c_i + (1 - alpha_i)
 // C_{i+1}; therefore dL/dalpha_i = T_i (c_i - C_{i+1}) . dL/dC. Walking back to front, `behind` is C_{i+1} . dL/dC and
-// T_i = T_{i+1} / (1 - alpha_i). All quantities are relative to what remains behind, so distant splats keep precision.
+// T_i = T_{i+1} / (1 - alpha_i). All quantities are relative to the colour behind, so distant splats keep precision.
 template <int kChannels>
 static int64_t blend_tile_backward(const BlendBackwardArgs &args, uint32_t outputs, uint32_t tile) {
     const BlendArgs &a = *args.forward;

@@ -13,7 +13,7 @@ namespace {
 #if defined(__linux__)
 constexpr size_t kHugePage = size_t(2) << 20;
 
-// What is mapped for a piece of memory.
+// Size of the mapping for an allocation.
 size_t mapped_bytes(size_t bytes) {
     constexpr size_t page = size_t(64) << 10; // of any system
     return (bytes + page - 1) / page * page;
@@ -24,7 +24,7 @@ size_t mapped_bytes(size_t bytes) {
 
 void *gs::allocate_pages(size_t bytes) {
 #if defined(__linux__)
-    // Mapped by ourselves: the C library takes pieces up to 32 MB from its heap, where they leave holes as they grow.
+    // Mapped directly, because the C library takes blocks up to 32 MB from its heap, where growth leaves holes.
     if (bytes >= kHugePage) {
         const size_t size = mapped_bytes(bytes);
         void *const found = mmap(nullptr, size + kHugePage, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -35,7 +35,7 @@ void *gs::allocate_pages(size_t bytes) {
         if (before)
             munmap(begin, before);
         munmap(begin + before + size, kHugePage - before);
-        // The last page only where it is ours to the end. Where this fails, small pages do.
+        // The last page only if the mapping covers it completely. If this fails, small pages are used.
         madvise(begin + before, bytes / kHugePage * kHugePage, MADV_HUGEPAGE);
         return begin + before;
     }

@@ -1,4 +1,4 @@
-// Buffer: memory that a workspace reuses from call to call.
+// Buffer: memory that a workspace reuses between calls.
 #pragma once
 
 #include <cstddef>

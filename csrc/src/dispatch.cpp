@@ -1,4 +1,4 @@
-// Dispatch of instruction sets: those compiled in and supported here, and the one in use.
+// CPU dispatch: the available instruction sets, and the kernels in use.
 #include "dispatch.h"
 
 #include <atomic>
@@ -27,8 +27,8 @@ struct Cpu {
     bool avx2 = false, avx512 = false;
 };
 
-// What the processor has and the operating system saves. Asked here, because the compilers' own __builtin_cpu_supports
-// needs a part of their runtime library that clang-cl and zig do not link.
+// Features of the processor whose registers the operating system saves. __builtin_cpu_supports is not used, because it
+// needs a part of the compilers' runtime library that clang-cl and zig do not link.
 Cpu cpu() {
     unsigned a, b, c, d;
     if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE))

@@ -1,4 +1,4 @@
-// Dispatch of instruction sets: those compiled in and supported here, and the one in use.
+// CPU dispatch: the available instruction sets, and the kernels in use.
 #pragma once
 
 #include "types.h"
@@ -6,7 +6,7 @@
 namespace gs {
 
 const Kernels &kernels();
-// False if it is not available.
+// Selects an instruction set; false if it is not available.
 bool use_kernels(const char *name);
 const char *available_kernels();
 

@@ -1,4 +1,4 @@
-// exp2 kernel: the exponential of the blend loops alone, for measurements.
+// exp2 kernel: the exponential of the blend loops, for tests and measurements.
 #pragma once
 
 #include "simd.h"

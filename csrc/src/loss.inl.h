@@ -1,12 +1,14 @@
 // Loss kernel: fused L1 + SSIM of one tile and its gradient (Wang et al. 2004; zero padding as in 3DGS).
-// Gaussian windows are separable: maps are stored in ring buffers of rows and filtered vertically, five rows at once,
+// Gaussian windows are separable: maps are stored in ring buffers of rows and filtered vertically, five rows at a time,
 // which reads each row three times instead of eleven, then horizontally. The gradient filters the derivatives again,
-// five rows later, in its own ring buffers: only the gradient itself is as large as the image.
-// Rows are interleaved RGB, as in pictures, so a tap along them is three floats wide.
+// five
+// rows later, in its own ring buffers, so only the gradient itself has the size of the image.
+// Rows are interleaved RGB, so a tap along them is three floats wide.
 // SSIM is computed from d = x - y: with D = E[d] and V = Var(d),
 //   SSIM = (1 - D^2 / (mx^2 + my^2 + C1)) (1 - V / (sx^2 + sy^2 + C2)),
-// the usual formula rearranged. Its variances would cancel in bright flat regions; here the small quantities D and V are
-// computed from small numbers. Values are also shifted by -0.5, which leaves variances unchanged.
+// the usual formula rearranged. The usual variances would cancel in bright flat regions; here the small quantities D
+// and
+// V are computed from small numbers. Values are also shifted by -0.5, which does not change variances.
 #pragma once
 
 #include "loss.h"
@@ -21,7 +23,7 @@ constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 constexpr float kTap[kReach + 1] = {0.26601172486179436f,  0.21300553771125370f, 0.10936068950970002f,
                                     0.036000773310661005f, 0.007598758135239183f, 0.0010283801057925797f};
 
-// A few rows of one kind for as long as windows need them.
+// Ring buffer of rows, as many as the windows cover.
 struct LossRing {
     float *rows;
     size_t stride;
@@ -29,7 +31,7 @@ struct LossRing {
     float *row(int group, int j) const { return rows + size_t(group % kLossRing * kLossGroup + j) * stride; }
 };
 
-// The rows of a ring that the windows over the rows of `group - 1` cover, in order.
+// The rows of a ring covered by the windows over the rows of `group - 1`, in order.
 struct LossWindow {
     const float *row[kLossRing * kLossGroup];
 
@@ -69,7 +71,7 @@ static inline Vec filter_along(const float *row) {
     return s;
 }
 
-// Pixels [begin, end) of a row as they enter the loss, shifted.
+// Pixels [begin, end) of a target row, shifted.
 static inline void read_row(const gs_loss_args &a, int row, int begin, int end, float *x, float *y) {
     const size_t at = size_t(row) * size_t(a.width) + size_t(begin);
     const float *image = a.image + 3 * at;
@@ -92,7 +94,7 @@ static inline void read_row(const gs_loss_args &a, int row, int begin, int end, 
     }
 }
 
-// The image's floats of a row, shifted, as the photo was exposed; white at most where the photo is.
+// The image's floats of a row, multiplied by the gain and shifted; clamped to white where the photo is white.
 static inline void expose(float *x, const float *y, const float *gain, int n) {
     constexpr float white = 1.0f - kShift;
     for (int i = 0; i < n; ++i) {
@@ -134,7 +136,7 @@ struct Similarity {
     }
 };
 
-// A tile on its way through three stages, of which each is a group of rows behind the one before.
+// Pipeline of a tile in three stages, each a group of rows behind the previous one.
 class LossTile {
   public:
     LossTile(const LossArgs &a, int tile, float *scratch) : a_(a), in_(*a.args), w_(in_.width), h_(in_.height) {
@@ -167,11 +169,11 @@ class LossTile {
     }
 
     void run(double *sums) {
-        // Everything beyond the picture's sides is padding, and stays so.
+        // Everything beyond the picture is padding and stays zero.
         fill(x_.rows, 0, kLossRing * kLossGroup * int(stride_), -kShift);
         fill(y_.rows, 0, kLossRing * kLossGroup * int(stride_), -kShift);
         const bool gradient = a_.v_image != nullptr;
-        const int around = gradient ? 2 : 1; // groups that the tile needs above it and below
+        const int around = gradient ? 2 : 1; // groups needed above and below the tile
         const int groups = ceil_div(bottom_ - top_, kLossGroup) + 2 * around;
         for (int group = 0; group < groups; ++group) {
             const int row = top_ + (group - around) * kLossGroup;
@@ -192,10 +194,10 @@ class LossTile {
   private:
     bool counts(int row) const { return top_ <= row && row < bottom_; }
     bool in_picture(int row) const { return 0 <= row && row < h_; }
-    // `v`, `i` floats into the tile's row, without lanes that hang over its end.
+    // `v`, at float `i` of the tile's row, without lanes beyond its end.
     Vec inside(int i, Vec v) const { return i < last_ ? v : keep(last_lanes_, v); }
     float *down(int map, int j) const { return down_ + size_t(map * kLossGroup + j) * stride_; }
-    // Floats of a row that SSIM needs, and of one of its derivatives that the gradient needs.
+    // Floats of a row needed for SSIM, and of a derivative needed for the gradient.
     int entering() const { return 2 * kLossMargin + n_ + 2 * 3 * kReach; }
     int compared() const { return kLossMargin + n_ + 3 * kReach; }
 
@@ -315,7 +317,7 @@ class LossTile {
         }
     }
 
-    // From a row's gradient in what entered the loss to that in the image; the share of ln gain is noted.
+    // Converts a row's gradient from x to the image, and accumulates that of ln gain.
     void chain_gain(const float *xs, const float *ys, float *v) {
         const Vec white = set1(1.0f - kShift);
         for (int i = 0; i < n_; i += kLanes) {
@@ -331,13 +333,13 @@ class LossTile {
     const int w_, h_;
     int top_, bottom_, left_, right_;
     int n_;    // floats of a row of the tile
-    int last_; // where its last vector begins
+    int last_; // start of its last vector
     Mask last_lanes_;
     size_t stride_;
-    // What entered the loss, two margins before the tile, and the derivatives, one margin before it.
+    // Inputs of the loss, two margins before the tile, and derivatives, one margin before it.
     LossRing x_, y_, derivatives_[kLossDerivatives];
-    float *down_; // a group of rows of each map, filtered downwards
-    float *gain_ = nullptr;    // by float of a row; null: none
+    float *down_; // a group of rows of each map, filtered vertically
+    float *gain_ = nullptr;    // per float of a row; null: no gain
     float *by_gain_ = nullptr; // sums over rows of the gradient in its logarithm
     double l1_ = 0, ssim_ = 0, mse_ = 0;
 };

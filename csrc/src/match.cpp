@@ -32,7 +32,7 @@ class Side {
         return {padded_, values_.data(), lengths_.data(), {closeness_.data(), second_.data(), row_.data()}};
     }
 
-    // The row of the other photo that descriptor `i` belongs to, or -1.
+    // The row of the other photo that matches descriptor `i`, or -1.
     int32_t match(int32_t i, double max_squared, double squared_ratio) const {
         const size_t at = size_t(i);
         const double best = lengths_[at] - closeness_[at], second = lengths_[at] - second_[at];

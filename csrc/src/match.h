@@ -5,11 +5,11 @@
 
 namespace gs {
 
-// Rows of the first photo that are compared at once.
+// Rows of the first photo compared at a time.
 constexpr int kMatchRows = 6;
-// Rows of the second photo come in vectors of any instruction set, two at a time.
+// Rows of the second photo are padded to two vectors of any instruction set.
 constexpr int kMatchColumns = 32;
-// Closeness without a descriptor; that of any two descriptors is far above.
+// Closeness of a missing descriptor, far below that of any two descriptors.
 constexpr int32_t kNoCloseness = -(1 << 30);
 
 void match_descriptors(const gs_descriptors &first, const gs_descriptors &second, double max_distance, double max_ratio,

@@ -10,7 +10,7 @@ static_assert(kMatchColumns % (2 * kLanes) == 0, "buffers are padded to whole st
 
 constexpr int kPairs = GS_DESCRIPTOR_SIZE / 2; // two numbers of 16 bits are multiplied at once
 
-// The nearest so far, in each lane.
+// The nearest descriptors so far, per lane.
 struct Near {
     IVec closeness, second, row;
 
@@ -32,7 +32,7 @@ struct Near {
     }
 };
 
-// Columns side by side: pair k of those in a vector lies at packed[k * kLanes].
+// Packed columns: pair k of those in a vector is at packed[k * kLanes].
 static void pack_columns(const MatchSide &side, int32_t *packed) {
     for (int64_t column = 0; column < side.padded; ++column) {
         int32_t *const out = packed + column / kLanes * kLanes * kPairs + column % kLanes;
@@ -55,7 +55,7 @@ GS_INLINE void match_products(const int16_t *rows, const int32_t *columns, IVec 
     }
 }
 
-// The nearest of all lanes, whose rows are those of a vector's first column.
+// Reduces the nearest over all lanes; rows refer to a vector's first column.
 static void put_row(const Nearest &found, int64_t i, const Near &near) {
     int32_t best = kNoCloseness, second = kNoCloseness, row = 0;
     for (int l = 0; l < kLanes; ++l) {

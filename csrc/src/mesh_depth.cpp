@@ -1,8 +1,9 @@
 // Mesh depth: triangles against pixel rays in homogeneous coordinates (Olano and Greer 1997), without clipping.
 //
 // With the corners p0, p1, p2 as (u z, v z, z) and the ray r = (u, v, 1) of a pixel, z r = sum of l_i p_i gives
-// l_i / z = r . (p_j x p_k) / D with D = p0 . (p1 x p2). The ray hits in front where all three are >= 0, and as the l_i
-// add up to 1, their sum is 1 / z.
+// l_i / z = r . (p_j x p_k) / D with D = p0 . (p1 x p2). The ray hits the triangle in front of the camera if all three
+// are
+// >= 0, and as the l_i add up to 1, their sum is 1 / z.
 #include "mesh_depth.h"
 
 #include <algorithm>
@@ -13,7 +14,7 @@ namespace gs {
 
 namespace {
 
-// Share of a triangle's largest z below which it is not looked for: nearer to the camera than that is nothing.
+// Minimum z of a hit, relative to the triangle's largest z.
 constexpr double kNearest = 1e-9;
 
 // A function of the pixel that is linear in it.
@@ -22,7 +23,7 @@ struct Linear {
     double at(double x, double y) const { return u * x + v * y + rest; }
 };
 
-// Of an edge, 0 on it. The other triangle of the edge gets the exact opposite: no ray slips through between them.
+// Function of an edge, 0 on it. The other triangle of the edge gets the exact opposite, so there are no cracks.
 Linear edge(const double *a, const double *b) {
     return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
@@ -40,7 +41,7 @@ struct Bounds {
     }
 };
 
-// Where what lies in front of the camera is seen.
+// Range of pixels covered by the part in front of the camera.
 Bounds bounds_of(const double *const corners[3]) {
     const double most = std::max({corners[0][2], corners[1][2], corners[2][2]}), near = kNearest * most;
     Bounds out;
@@ -56,7 +57,7 @@ Bounds bounds_of(const double *const corners[3]) {
     return out;
 }
 
-// Pixels [first, last) whose centres may lie between two places; a pixel more at either end for rounding.
+// Pixels [first, last) whose centres may be between two coordinates, with a pixel of margin at both ends for rounding.
 struct Span {
     int32_t first, last;
     Span(double low, double high, int32_t size)
@@ -64,7 +65,7 @@ struct Span {
           last(int32_t(std::clamp(std::ceil(high + 1), 0.0, double(size)))) {}
 };
 
-// Columns of a row in which no edge is far on the wrong side.
+// Columns of a row that no edge clearly excludes.
 Span columns_of(const Linear edges[3], double y, const Bounds &bounds, int32_t width) {
     double low = bounds.low[0], high = bounds.high[0];
     for (int i = 0; i < 3; ++i) {
@@ -77,8 +78,8 @@ Span columns_of(const Linear edges[3], double y, const Bounds &bounds, int32_t w
     return Span(low, high, width);
 }
 
-// Inverse depths of the corners farthest from the camera and nearest to it: no place between them has another one,
-// whatever rounding makes of a triangle that is as good as a line.
+// Inverse depths of the corners farthest from the camera and nearest to it, to which hits are clamped, because rounding
+// may exceed them in degenerate triangles.
 struct Range {
     double low, high;
     explicit Range(const double *const corners[3])
@@ -96,7 +97,7 @@ void draw(const double *const corners[3], int32_t width, int32_t height, float *
     const double volume = edges[0].u * p[0] + edges[0].v * p[1] + edges[0].rest * p[2];
     const Bounds bounds = bounds_of(corners);
     if (volume == 0 || !(bounds.low[0] <= bounds.high[0]))
-        return; // seen edge-on, or behind the camera
+        return; // edge-on, or behind the camera
     const double side = volume > 0 ? 1 : -1, per = 1 / std::fabs(volume);
     for (Linear &e : edges)
         e = {side * e.u, side * e.v, side * e.rest};

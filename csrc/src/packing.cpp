@@ -1,4 +1,4 @@
-// Packing of rows: rows of several tables next to each other in one array, and back, for exchange between ranks.
+// Row packing: rows of several tables in one buffer, and back, for exchange between ranks.
 #include "packing.h"
 
 #include "parallel.h"
@@ -13,10 +13,11 @@ namespace gs {
 namespace {
 
 constexpr int64_t kRows = 2048;
-constexpr int64_t kAhead = 8; // rows that are fetched before they are needed: their places in the tables jump
+constexpr int64_t kAhead = 8; // rows to prefetch: their addresses in the tables are random
 
-// Calls work(j) for j below width. Widths that the tables of a training mostly have are spelled out: a loop of unknown
-// length, or a call of memcpy, takes longer than what it does for three numbers.
+// Calls work(j) for j below width, specialised for the common widths of a training's tables: a loop of unknown length,
+// or
+// a call of memcpy, has more overhead than work for three numbers.
 template <class Work>
 inline void each_number(int64_t width, Work work) {
     switch (width) {
@@ -35,8 +36,9 @@ inline void each_number(int64_t width, Work work) {
     }
 }
 
-// Calls work(i, row) for all i below `count` whose row, row_of(i), is one of `rows`, by many threads; the first i whose
-// row is none, or -1.
+// Calls work(i, row) in parallel for all i below `count` whose row, row_of(i), is in range of `rows`; returns the first
+// i
+// whose row is not, or -1.
 template <class RowOf, class Work>
 int64_t each_row(const gs_row_table *tables, int table_count, int64_t rows, int64_t count, int threads, RowOf row_of,
                  Work work) {

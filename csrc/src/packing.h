@@ -1,11 +1,11 @@
-// Packing of rows: rows of several tables next to each other in one array, and back.
+// Row packing: rows of several tables in one buffer, and back.
 #pragma once
 
 #include "gscore.h"
 
 namespace gs {
 
-// Both skip entries outside the `rows` of the tables, and return the index of the first of these, or -1.
+// Both skip entries out of the range of `rows`, and return the index of the first of these, or -1.
 
 int64_t pack_rows(const gs_row_table *tables, int table_count, int64_t rows, const int64_t *places, float *packed,
                   int64_t count, int threads);

@@ -19,8 +19,9 @@
 namespace gs {
 namespace {
 
-// Subnormals slow the blend loops down a hundredfold and carry no information there. The host process (Blender, say)
-// gets its own state back.
+// Subnormals slow the blend loops down a hundredfold and are negligible there. The state of the host process, for
+// example
+// Blender, is restored.
 class FlushSubnormals {
   public:
 #if defined(__x86_64__) || defined(_M_X64)
@@ -47,8 +48,8 @@ struct Job {
     const std::function<void(size_t, int)> *body = nullptr;
     size_t count = 0;
     std::atomic<size_t> next{0};
-    int wanted = 0;  // helpers that may join
-    int joined = 0;  // helpers that did
+    int wanted = 0;  // maximum number of helpers
+    int joined = 0;  // helpers that joined
     int running = 0; // helpers still inside
 
     void work(int worker) {
@@ -79,7 +80,7 @@ class Pool {
                 while (int(threads_.size()) < job.wanted)
                     threads_.emplace_back([this] { loop(); });
             } catch (const std::system_error &) {
-                // No more threads to be had: go on with those there are.
+                // No more threads available: continue with the present ones.
             }
             job_ = &job;
         }
@@ -119,8 +120,8 @@ class Pool {
 std::atomic<Pool *> current{nullptr};
 
 #if !defined(_WIN32)
-// A forked process has none of its parent's threads, and may have inherited locks that nobody will ever open: it starts
-// with a pool of its own. The old one is left as it lies, for the same reason.
+// A forked process has none of its parent's threads, and may inherit locks that stay locked for ever, so it creates its
+// own pool and leaks the old one.
 [[maybe_unused]] const int watches_forks = pthread_atfork(nullptr, nullptr, [] { current.store(nullptr); });
 #endif
 

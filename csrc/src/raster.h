@@ -34,9 +34,8 @@ struct gs_raster {
     gs_stats stats = {};
 
   private:
-    // The stages of a forward call in order, with the camera and the options of the call; they look at its flag for
-    // cancellation and leave their work unfinished.
-    int64_t project(const gs_splats &, int32_t *radii); // returns how many splats are visible
+    // The stages of a forward call in order; they poll the call's cancellation flag and return early if it is set.
+    int64_t project(const gs_splats &, int32_t *radii); // returns the number of visible splats
     gs_status bin(const gs::BinArgs &, uint32_t tiles, int threads);
     void sort(uint32_t tiles);
     gs::PairCount blend(const gs_image &, uint32_t tiles);
@@ -50,12 +49,12 @@ struct gs_raster {
     gs::BlendArgs blend_ = {};
     size_t entry_count_ = 0;
 
-    // One chunk's worth of rows for each chunk of splats; visible ones are packed at its start.
+    // kChunk rows for each chunk of splats, with the visible ones packed at its start.
     gs::Buffer<gs::Projected> projected_;
     gs::Buffer<uint32_t> depth_keys_;
     gs::Buffer<int32_t> visible_;
     gs::Buffer<gs::Span> spans_;
-    // Splats times tiles: a list for each worker, and for each chunk whose list it went to.
+    // Pairs of splat and tile: a list for each worker, and for each chunk the list that contains it.
     std::vector<std::unique_ptr<gs::GrowingInstances>> instances_;
     gs::Buffer<uint32_t> list_of_chunk_, moment_begin_;
     gs::Buffer<uint32_t> tile_cursor_, tile_begin_;

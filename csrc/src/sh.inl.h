@@ -8,7 +8,7 @@
 
 namespace gs::GS_NAMESPACE {
 
-// Largest gradient of a basis function that is passed on to the viewing direction.
+// Maximum gradient of a basis function passed to the view direction.
 constexpr float kSlopeMax = 1e30f;
 
 // Constants: sqrt of rational multiples of 1/pi, see e.g. Sloan 2013, "Efficient spherical harmonic evaluation".
@@ -116,14 +116,14 @@ template <int kMost> static inline void sh_basis_backward(int degree, Vec x, Vec
         sh_basis_4_backward(x, y, z, s + 16, v);
 }
 
-// Rows of the higher coefficients; lanes beyond those in `alive` repeat one of them.
+// Rows of the higher coefficients; lanes not in `alive` repeat one of them.
 static inline void coefficient_rows(const gs_splats &in, const uint32_t *id, uint32_t alive, const float *row[kLanes]) {
     const int some = __builtin_ctz(alive);
     for (int l = 0; l < kLanes; ++l)
         row[l] = in.shN + size_t(id[alive >> l & 1 ? l : some]) * size_t(in.sh_rest) * 3;
 }
 
-// colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`, which are not none; NaN where that is not finite.
+// colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`, which is not empty; NaN if that is not finite.
 template <int kMost>
 static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
                                 Vec color[3]) {
@@ -148,7 +148,7 @@ static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_
                           select(ge(color[c], set1(-3e38f)), Vec{}, set1(__builtin_nanf(""))));
 }
 
-// Degree 4 lies apart and out of line, so that others, which nearly all models have, do not pay for its room.
+// Degree 4 is separate and not inlined, so that the usual lower degrees do not pay for its registers.
 static __attribute__((noinline)) void sh_colors_4(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y,
                                                   Vec z, Vec color[3]) {
     sh_colors_of<4>(in, id, alive, x, y, z, color);

@@ -1,4 +1,4 @@
-// Stereo driver: packs the sources for one look-up per sample, sweeps bands of rows in parallel.
+// Stereo driver: packs the sources for one load per sample, sweeps bands of rows in parallel.
 #include "stereo.h"
 
 #include "dispatch.h"

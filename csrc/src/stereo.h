@@ -5,13 +5,13 @@
 
 namespace gs {
 
-// Rows per band, swept by one thread: the maps of their pixels fit into the L2 cache.
+// Rows per band, swept by one thread: the maps of its pixels fit into the L2 cache.
 constexpr int kStereoRows = 24;
-// Floats that a vector may reach beyond a row.
+// Floats by which a vector may extend beyond a row.
 constexpr int kStereoMargin = 16;
 // Scores of the planes before the first and after the last.
 constexpr float kNoScore = -1.0f, kOutside = -2.0f;
-// Planes around the highest peak within which another peak is not the second best.
+// Minimum distance of the second best peak from the highest one, in planes, exclusive.
 constexpr float kStereoNear = 2.0f;
 
 // Memory layout of the rows of a band.
@@ -21,7 +21,7 @@ struct StereoBand {
 
     StereoBand(int width, int r)
         : radius(r), window(2 * r + 1), stride(int64_t(ceil_div(width, kStereoMargin) + 2) * kStereoMargin) {}
-    // Rows of the reference that windows of a band reach, with a window's height of zeros above.
+    // Rows of the reference covered by the windows of a band, below a window's height of zeros.
     int reference_rows() const { return kStereoRows + 2 * radius + window; }
     // Maps of a band's pixels of `StereoSweep`.
     static constexpr int kMaps = 11;

@@ -1,4 +1,4 @@
-// Stereo check of depth maps: views that agree with each pixel, and views that see through it.
+// Stereo check of depth maps: counts the views that agree with each pixel, and those that contradict it.
 #include "stereo.h"
 
 #include "parallel.h"
@@ -36,7 +36,7 @@ struct Vote {
 
 Vote vote_of(const gs_stereo_check_args &a, const gs_stereo_witness &neighbour, float x, float y, float inverse_depth) {
     const Projection there = project_at(neighbour.warp, x, y, inverse_depth);
-    // Written so that NaN is outside.
+    // The comparisons treat NaN as outside.
     const bool inside = there.in_front && there.x >= 0 && there.y >= 0 && there.x < float(neighbour.width) &&
                         there.y < float(neighbour.height);
     if (!inside)

@@ -1,4 +1,4 @@
-// Thread count of a call: GSCORE_THREADS, or the cores that this process may use.
+// Thread count of a call: GSCORE_THREADS, or the number of usable cores.
 #include "thread_count.h"
 
 #include "gscore.h"
@@ -24,7 +24,7 @@ int cores() {
     return int(std::clamp(std::thread::hardware_concurrency(), 1u, unsigned(GS_THREADS_MAX)));
 }
 
-// The number in `text`, from 0 to GS_THREADS_MAX; -1: no number.
+// Parses `text` as a number from 0 to GS_THREADS_MAX; -1: invalid.
 int number(const char *text) {
     int n = 0;
     for (; *text; ++text) {
@@ -37,8 +37,9 @@ int number(const char *text) {
     return n;
 }
 
-// Read once, because a host may change its environment while another thread reads it; and without a lock, which a fork
-// at the wrong moment would leave locked.
+// Read once, because a host may change its environment while another thread reads it; without a lock, which a fork at
+// the
+// wrong moment would leave locked.
 std::atomic<int> found{0};
 
 } // namespace

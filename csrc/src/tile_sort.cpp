@@ -1,7 +1,8 @@
 // Tile sort: radix sort of a tile's list by depth.
-// A tile's list mostly fits into the L1 and L2 caches, whereas a sort over all splats, and reading them in that order,
-// waits for memory. Sixteen bits of depth, relative to the depth range of the tile, distinguish almost all of its
-// splats; neighbours with equal bits are sorted by insertion afterwards.
+// A tile's list usually fits into the L1 and L2 caches, whereas a global sort, and accesses in that order, are limited
+// by
+// memory latency. Sixteen bits of depth, relative to the depth range of the tile, distinguish almost all of its splats;
+// neighbours with equal bits are sorted by insertion afterwards.
 #include "tile_sort.h"
 
 #include <algorithm>
@@ -12,11 +13,11 @@ namespace gs {
 
 namespace {
 
-constexpr uint32_t kFew = 24;        // sorted by insertion alone
-constexpr uint32_t kMost = 1u << 16; // whose places sixteen bits hold
-constexpr int64_t kMovesEach = 8;    // that insertion may take before another way is faster
+constexpr uint32_t kFew = 24;        // sorted by insertion only
+constexpr uint32_t kMost = 1u << 16; // longest list with 16-bit indices
+constexpr int64_t kMovesEach = 8;    // maximum moves per entry of the insertion sort
 
-// Stable insertion sort; false: given up after so many moves, with the entries in some order.
+// Stable insertion sort; false: aborted after too many moves, with the entries in any order.
 bool insert_each(Entry *entries, uint32_t count, int64_t moves) {
     for (uint32_t i = 1; i < count; ++i) {
         if (entries[i - 1].key <= entries[i].key)
@@ -54,7 +55,7 @@ void TileSort::run(Entry *entries, uint32_t count) {
             high = std::max(high, copy[i].key);
         }
         const int shift = std::max(0, int(std::bit_width(high - low)) - 16);
-        // Of an item the upper half are bits of the key, the lower half the place in `copy`.
+        // The upper half of an item is bits of the key, the lower half an index into `copy`.
         uint32_t *const items = items_.get(), *const by_low = by_low_.get();
         uint32_t low_end[256] = {}, high_end[256] = {};
         for (uint32_t i = 0; i < count; ++i) {

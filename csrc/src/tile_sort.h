@@ -9,9 +9,9 @@ namespace gs {
 // Sorts the lists of a thread; one object per thread.
 class TileSort {
   public:
-    // Allocates the memory that `run` needs for lists up to this length; throws std::bad_alloc.
+    // Allocates memory for lists up to this length; throws std::bad_alloc.
     void reserve(uint32_t longest);
-    // By key; entries of the same key keep their order.
+    // Sorts by key; entries with equal keys keep their order.
     void run(Entry *entries, uint32_t count);
     size_t bytes() const { return copy_.bytes() + items_.bytes() + by_low_.bytes(); }
 
