@@ -2,7 +2,7 @@
 
 from ..training import lookups
 from ..training.launch import following_verb
-from .registry import JOBS
+from .job_registry import JOBS
 
 
 def _ended() -> None:

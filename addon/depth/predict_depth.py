@@ -12,7 +12,7 @@ from ..training import facts, lookups, options
 from ..training.launch import follow, launch
 from . import networks
 from .job import DepthJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 MAPS, RUN = "MAPS", "RUN"
 """Reports of a scene: of the current maps, of the last training."""

@@ -9,11 +9,11 @@ from ..core import colorize
 
 _MARK = "error"
 _DARKEST = 0.15
-"""Place in the color map of the best photo: black lines would not be seen."""
+"""Position of the best photo in the color map, above 0 because black lines are hard to see."""
 
 
 def show(root: bpy.types.Object, figures: Figures) -> int:
-    """Color the cameras of a capture by the figures of their photos; return their number."""
+    """Color the cameras of a capture by the PSNR of their photos; return their number."""
     ranked, known = figures.ranked, figures.views
     low, high = (ranked[0][1], ranked[-1][1]) if ranked else (0.0, 0.0)
     shown = 0

@@ -39,8 +39,8 @@ class ErrorsJob(VerbJob):
     @property
     def share(self) -> float:
         """Progress, 0 to 1."""
-        told = self.progress
-        return min(told.done / told.total, 1.0) if told is not None and told.total > 0 else 0.0
+        now = self.progress
+        return min(now.done / now.total, 1.0) if now is not None and now.total > 0 else 0.0
 
     @property
     def figures(self) -> Figures:
@@ -64,5 +64,5 @@ class ErrorsJob(VerbJob):
         ranked = self.figures.ranked
         count = f"{len(self.done.views)} photos"
         if not ranked:
-            return f"{count} are met exactly."
+            return f"{count} are reproduced exactly."
         return f"{count}: {ranked[0][1]:.1f} dB (worst) to {ranked[-1][1]:.1f} dB (best)."

@@ -4,7 +4,7 @@ from ..training import lookups
 from ..training.launch import following_verb
 from . import measure_errors
 from .errors_job import ErrorsJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 
 def _wanted(job: ErrorsJob) -> bool:

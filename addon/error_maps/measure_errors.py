@@ -19,10 +19,10 @@ from ..splats.write_chunked import ChunkedWrite, replace
 from ..training.launch import follow, launch
 from . import colors
 from .errors_job import ErrorsJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 FILE = "errors.ply"
-"""In the folder `MEASURED` of the run."""
+"""Name of the error map in the folder `MEASURED` of the run."""
 
 
 def measure(
@@ -43,7 +43,7 @@ def measure(
     if other is not None and (other.busy or other.wanted):
         raise ValueError(f"{run} is being measured already; wait, or stop it.")
     if not (run / "point_cloud.ply").is_file():
-        raise ValueError(f"{run} holds no finished training; train to the end first.")
+        raise ValueError(f"{run} has no finished training; complete the training first.")
     folder = run / MEASURED
     line = ["eval", str(run), "-o", str(folder), "--split", "all", "--overwrite"]
     line += ["--error-map", str(folder / FILE), "--events", "jsonl"]
@@ -111,7 +111,7 @@ def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
     ob = next((o for o in found if stored_paths.read(o, stored_paths.RUN) == str(job.source)), None)
     if ob is None:
         raise ValueError(
-            f"The splats are gone from the scene; {job.source / MEASURED} has the map."
+            f"The splats were removed from the scene; the map is in {job.source / MEASURED}."
         )
     maps = siblings(ob)[1]
     shown = maps[0] if maps else _made(ob)

@@ -22,7 +22,7 @@ class _OfRun(BaseOperator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Splats of a training are active."""
+        """Whether splats of a training are active."""
         if is_splats(ob := meant(context)) and RUN in ob:
             return True
         cls.poll_message_set("Select splats that come from a training")
@@ -30,8 +30,8 @@ class _OfRun(BaseOperator):
 
 
 class MeasureErrors(_OfRun, bpy.types.Operator):
-    """Compare the result with all its photos, in the background. Cameras are colored by the errors
-    of their photos, and a new object shows the splats colored by their errors"""
+    """Compare the result with all its photos, in the background. Colors the cameras by the errors
+    of their photos, and adds an object with the splats colored by their errors"""
 
     bl_idname = "gscore.measure_errors"
     bl_label = "Measure Errors"
@@ -91,7 +91,7 @@ class ColorByError(_OfRun, bpy.types.Operator):
         if figures is None:
             raise ValueError("Press Measure Errors first: the training was not measured since.")
         if not colors.show(root, figures):
-            raise ValueError(f"None of the photos that were measured has a camera in {root.name}.")
+            raise ValueError(f"None of the measured photos has a camera in {root.name}.")
         return ""
 
 
@@ -104,7 +104,7 @@ class ShowErrorMap(_OfRun, bpy.types.Operator):
 
     show: BoolProperty(
         name="Show",
-        description="Show the error map in place of the splats; off: show the splats",
+        description="Show the error map instead of the splats; off: show the splats",
         default=True,
         options={"SKIP_SAVE"},
     )

@@ -77,10 +77,10 @@ def _filled(free: Box, count: int, scale: float) -> list[Box]:
     width, height = min(_WIDTH * scale, room), _HEIGHT * scale
     if width < _LEAST * scale:
         return []
-    beside = count if count * (width + gap) - gap <= room else 1
-    start = free.right - margin - beside * (width + gap) + gap
+    columns = count if count * (width + gap) - gap <= room else 1
+    start = free.right - margin - columns * (width + gap) + gap
     boxes = [
         Box(start + column * (width + gap), free.y + gap + row * (height + gap), width, height)
-        for row, column in (divmod(number, beside) for number in range(count))
+        for row, column in (divmod(number, columns) for number in range(count))
     ]
     return [box for box in boxes if box.top + gap <= free.top]

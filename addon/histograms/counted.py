@@ -17,20 +17,20 @@ from ..process.reserved_memory import written
 from .counting import OPACITY, SIZE, Histogram, of_opacities, of_sizes
 
 MOST = 200_000
-"""Splats that are counted; of more, every so many-th. Up to so many are counted at once, at
-first."""
+"""Limit of counted splats; of larger meshes every n-th splat is counted. Smaller ones are counted
+synchronously the first time."""
 QUIET = 0.3
-"""Seconds without a change after which a mesh is counted anew. Blender calls it changed with each
-limit of its filters, too."""
+"""Seconds without a change after which a mesh is counted again. Changes of filter limits count as
+changes of the mesh, too."""
 _KEPT = 4
-"""Objects, one for each window that shows another, and some more."""
+"""Number of objects whose counts are kept, for several windows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Count:
     """Counts of a mesh."""
 
-    looked_at: tuple[np.ndarray, ...] = ()
+    counted: tuple[np.ndarray, ...] = ()
     """Counted opacities and sizes, to detect changes."""
     found: dict[str, Histogram] = field(default_factory=dict)
 
@@ -124,7 +124,7 @@ def _step(entry: _Entry) -> bool:
             entry.going = TaskRunner(_counting(entry.mesh, entry.count))
         return False
     going, entry.going = entry.going, None
-    if not going.step():  # which raises where there is no memory
+    if not going.step():  # may raise MemoryError
         entry.going = going
         return False
     before, entry.count = entry.count, going.result
@@ -157,14 +157,14 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
 def _count(columns: dict[str, np.ndarray], before: _Count, check: Check) -> _Count:
     every = slice(None, None, max(1, -(-len(columns[attributes.BASE]) // MOST)))
     x, y, z = columns[attributes.SCALE][every].T
-    seen = columns[attributes.BASE][every, 3].copy(), np.maximum(np.maximum(x, y), z)
-    if not all(np.isfinite(values).all() for values in seen):
+    counted = columns[attributes.BASE][every, 3].copy(), np.maximum(np.maximum(x, y), z)
+    if not all(np.isfinite(values).all() for values in counted):
         return _NOTHING
-    if before.looked_at and all(map(np.array_equal, seen, before.looked_at)):
+    if before.counted and all(map(np.array_equal, counted, before.counted)):
         return before
-    opacities, sizes = seen
+    opacities, sizes = counted
     found = {OPACITY: of_opacities(opacities), SIZE: of_sizes(sizes)}
-    return _Count(looked_at=seen, found=found)
+    return _Count(counted=counted, found=found)
 
 
 COUNTED = Counted()

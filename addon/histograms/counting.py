@@ -39,7 +39,7 @@ class Histogram:
         return float(np.exp(value)) if self.logarithmic else float(value)
 
     def heights(self) -> np.ndarray:
-        """[bins] in [0, 1]: heights of the bars, proportional to the square roots of the counts."""
+        """Heights of the bars, [bins] in [0, 1], proportional to the square roots of the counts."""
         return np.sqrt(self.counts / max(int(self.counts.max(initial=0)), 1))
 
     def ends(self, smallest: float, largest: float) -> tuple[float, float]:
@@ -59,7 +59,7 @@ class Histogram:
             largest: Bars above too; 0: none.
 
         Returns:
-            [height, width, 4] float32 RGBA, premultiplied, bottom row first, as icons are.
+            [height, width, 4] float32 RGBA, premultiplied, bottom row first, as for icons.
         """
         column = (np.arange(width) + 0.5) / width
         tall = self.heights()

@@ -50,10 +50,10 @@ def draw(
         shapes.append((_rectangle(x - scale, box.y, x + scale, box.top), color))
         shapes.append((_foot(x, box.y, _GRIP * scale), color))
     _fill(shapes)
-    said, above = limit_words(*limits), box.top + 1.5 * pad
+    text, above = limit_words(*limits), box.top + 1.5 * pad
     viewport_text.write(title, box.x, above, scale, _BRIGHT)
     viewport_text.write(
-        said, box.right - viewport_text.width_of(said, scale), above, scale, _BRIGHT
+        text, box.right - viewport_text.width_of(text, scale), above, scale, _BRIGHT
     )
 
 

@@ -81,13 +81,13 @@ class HistogramGizmo(bpy.types.Gizmo):
     """One histogram and its handles."""
 
     bl_idname = "GSCORE_GT_histogram"
-    __slots__ = ("before", "begins", "held", "histogram", "hovered", "kind", "place", "uid", "x")
+    __slots__ = ("before", "begins", "grabbed", "histogram", "hovered", "kind", "place", "uid", "x")
 
     def setup(self) -> None:
         """Initialise without a grabbed handle."""
         self.kind: str = OPACITY
         self.hovered: Handle | None = None
-        self.held: Handle | None = None
+        self.grabbed: Handle | None = None
         self.begins = False
         """True until the mouse moves."""
         self.uid = 0
@@ -103,7 +103,7 @@ class HistogramGizmo(bpy.types.Gizmo):
             return
         ob, histogram, box = there
         own = handles(self.kind)
-        near = self.held or (self.hovered if self.is_highlight else None)
+        near = self.grabbed or (self.hovered if self.is_highlight else None)
         draw(
             box,
             histogram,
@@ -163,34 +163,34 @@ class HistogramGizmo(bpy.types.Gizmo):
 
     def exit(self, context: bpy.types.Context, cancel: bool) -> None:
         """Finish the drag: an undo step, or the previous limit if cancelled."""
-        ob, held = with_uid(bpy.data.objects, self.uid), self.held
-        self.held = None
-        if ob is None or held is None:
+        ob, handle = with_uid(bpy.data.objects, self.uid), self.grabbed
+        self.grabbed = None
+        if ob is None or handle is None:
             return
         if cancel:
-            setattr(ob.gscore, held.setting, self.before)
-        elif getattr(ob.gscore, held.setting) != self.before:
-            undo.push(ob.gscore.bl_rna.properties[held.setting].name)
+            setattr(ob.gscore, handle.setting, self.before)
+        elif getattr(ob.gscore, handle.setting) != self.before:
+            undo.push(ob.gscore.bl_rna.properties[handle.setting].name)
 
     def _take(self, handle: Handle, ob: bpy.types.Object) -> None:
         assert self.histogram is not None
-        self.held, self.before = handle, getattr(ob.gscore, handle.setting)
+        self.grabbed, self.before = handle, getattr(ob.gscore, handle.setting)
         self.place = handle.place(self.histogram, ob)
 
     def _twin(self, ob: bpy.types.Object, width: float, *, up: bool) -> Handle | None:
         """The other handle, if it is within a pixel of the grabbed one and can move in this
         direction."""
-        assert self.held is not None and self.histogram is not None
+        assert self.grabbed is not None and self.histogram is not None
         for other in handles(self.kind):
             apart = abs(other.place(self.histogram, ob) - self.place) * width
-            if other != self.held and other.is_upper == up and apart < 1:
+            if other != self.grabbed and other.is_upper == up and apart < 1:
                 return other
         return None
 
     def _go(self, ob: bpy.types.Object, place: float) -> None:
-        assert self.held is not None and self.histogram is not None
+        assert self.grabbed is not None and self.histogram is not None
         self.place = place
-        self.held.move(self.histogram, ob, place)
+        self.grabbed.move(self.histogram, ob, place)
 
 
 class HistogramGizmos(bpy.types.GizmoGroup):
@@ -220,9 +220,9 @@ def on_register() -> None:
     """Store the switch in the window manager: no file saves it, and undo does not change it."""
     bpy.types.WindowManager.gscore_histograms = bpy.props.BoolProperty(
         name="Handles in View",
-        description="Show the histograms at the lower end of 3D views, with handles that the mouse "
-        "drags: splats beyond them are hidden. Shift is for small steps; at its end a handle "
-        "limits nothing",
+        description="Show the histograms at the bottom of 3D views, with draggable handles. Splats "
+        "beyond a handle are hidden; a handle at the end of the axis has no effect. Hold Shift for "
+        "small steps",
         update=lambda self, context: redraw_views(),
     )
 

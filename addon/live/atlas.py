@@ -9,23 +9,23 @@ from ..core import Splats, quat_to_rotmat
 COLUMNS = 1024
 """Splats in a row of the texture."""
 TEXELS = 3
-"""Texels of four floats for a splat: mean and opacity; covariance xx, xy, xz, yy; covariance yz,
-zz, number of the object, nothing."""
+"""Texels of four floats per splat: mean and opacity; covariance xx, xy, xz, yy; covariance yz, zz,
+index of the object, unused."""
 MOST = 1 << 24
-"""Splats whose numbers float32 tells apart."""
+"""Most splats whose indices float32 represents exactly."""
 _BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class Atlas:
-    """All splats of a view. A prefix of it is what to draw where there is no time for all."""
+    """All splats of a view. A prefix is drawn if there is no time for all."""
 
     parts: tuple[Splats, ...]
-    """Of each object, in its own space."""
+    """Splats of each object, in its own space."""
     part: np.ndarray
-    """[N] int32, number of the object of each row."""
+    """[N] int32, index of the object of each row."""
     index: np.ndarray
-    """[N] int32, number of the splat within its object."""
+    """[N] int32, index of the splat within its object."""
     texels: np.ndarray
     """[R, COLUMNS, TEXELS, 4] float32, row by row; padded with zeros."""
 
@@ -39,15 +39,15 @@ class Atlas:
 
 
 def build(parts: list[Splats]) -> Atlas:
-    """Lay out the splats of some objects.
+    """Build the atlas of some objects.
 
     Raises:
-        ValueError: there are more than the card can number.
+        ValueError: there are more than `MOST` splats.
     """
     total = sum(len(p) for p in parts)
     if total > MOST:
         raise ValueError(
-            f"{total:,} splats are too many for this view, which draws up to {MOST:,}: hide some "
+            f"{total:,} splats are too many for this view, whose limit is {MOST:,}: hide some "
             "objects."
         )
     part = np.repeat(np.arange(len(parts), dtype=np.int32), [len(p) for p in parts])
@@ -68,12 +68,12 @@ def build(parts: list[Splats]) -> Atlas:
 def repainted(atlas: Atlas, parts: list[Splats]) -> tuple[Atlas, np.ndarray] | None:
     """The atlas of the same objects after colours and opacities have changed.
 
-    Rows stay where they are, though opacities are part of what puts some first. None where more has
-    changed: the other arrays are not those of `atlas.parts` themselves.
+    Rows keep their order, although it depends on opacities. None if more has changed, that is, if
+    other arrays are not the same objects as in `atlas.parts`.
 
     Returns:
-        The atlas, whose texels are shared where all opacities are the same, and [N] bool: the rows
-        that differ.
+        The atlas, with shared texels if all opacities are the same, and the rows that differ, [N]
+        bool.
     """
     if len(parts) != len(atlas.parts) or not all(map(_same_shapes, atlas.parts, parts)):
         return None
@@ -99,7 +99,7 @@ def _same_shapes(before: Splats, after: Splats) -> bool:
 
 
 def weight(splats: Splats) -> np.ndarray:
-    """[N] float32: how much of a picture a splat makes, by its opacity and its largest shadow."""
+    """Approximate contribution of splats, [N] float32: opacity times largest projected area."""
     scales = np.sort(splats.scales, axis=1)
     return opacity(splats.opacities) * np.exp(np.clip(scales[:, 1] + scales[:, 2], -80, 80))
 
@@ -110,7 +110,7 @@ def opacity(logits: np.ndarray) -> np.ndarray:
 
 
 def _texels(splats: Splats, index: np.ndarray, number: int) -> np.ndarray:
-    """[B, TEXELS, 4] of some splats of an object."""
+    """Texels [B, TEXELS, 4] of some splats of an object."""
     scales = np.exp(np.clip(splats.scales[index], -40, 40))
     axes = quat_to_rotmat(splats.quats[index]).astype(np.float32) * scales[:, None, :]
     covariance = axes @ axes.transpose(0, 2, 1)

@@ -16,7 +16,7 @@ from . import program
 from .clip import PLANES, Cuts, depth_of_z
 from .photos import FrontPhoto
 from .program import QUADS
-from .uploads import Order, texture
+from .texture_upload import Order, texture
 
 _log = logging.getLogger(__name__)
 _OVER, _WITHIN, _HIDDEN = 0.0, 1.0, 2.0
@@ -25,21 +25,21 @@ _OVER, _WITHIN, _HIDDEN = 0.0, 1.0, 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """How a picture is drawn."""
+    """Settings of a picture."""
 
     camera: RenderCamera
-    """Of the view, in Blender's world; its size is the picture's."""
+    """The view's camera, in Blender's world, with the picture's size."""
     viewmats: tuple[np.ndarray, ...]
     """[4, 4] float64 of each object of the atlas, from its space to the camera."""
     window: np.ndarray
-    """[4, 4] float64, Blender's projection, whose depths meshes have."""
+    """[4, 4] float64, Blender's projection, which defines depths."""
     antialias: bool
     limit: int
-    """Rows of the atlas that are drawn."""
+    """Number of rows of the atlas to draw."""
     cuts: Cuts = field(default_factory=Cuts)
 
     def same(self, other: "Shot") -> bool:
-        """Whether the other gives the same picture of the same objects."""
+        """Whether both give the same picture of the same objects."""
         return (
             self.camera.same(other.camera)
             and (self.antialias, self.limit) == (other.antialias, other.limit)
@@ -50,43 +50,43 @@ class Shot:
 
 
 class Canvas:
-    """What splats are blended on: premultiplied sRGB values, the bottom row first."""
+    """Target on which splats are blended: premultiplied sRGB values, the bottom row first."""
 
     def __init__(self, width: int, height: int, *, nearness: bool, exact: bool = False) -> None:
-        """Reserve it.
+        """Allocate the target.
 
         Args:
             width: Pixels.
             height: Pixels.
-            nearness: Whether it has that as well.
-            exact: Whether values are kept to more digits than a moving view needs. Hundreds of
-                faint splats lose what each of them adds otherwise.
+            nearness: Whether it includes nearness.
+            exact: Whether to store float32 instead of float16, in which hundreds of faint splats
+                are lost; a moving view does not need it.
         """
         self.width, self.height, self.exact = width, height, exact
         kind = "RGBA32F" if exact and blends_float32() else "RGBA16F"
         self.picture = gpu.types.GPUTexture((width, height), format=kind)
         self.nearness = gpu.types.GPUTexture((width, height), format="R32F") if nearness else None
-        """1 less the depths of splats, blended like their colours; None: not drawn."""
+        """1 - depth of splats, blended like their colours; None: not drawn."""
         slots = [t for t in (self.picture, self.nearness) if t is not None]
         self._buffer = gpu.types.GPUFrameBuffer(color_slots=slots)
 
     def bind(self) -> AbstractContextManager[None]:
-        """Draw to it, in a `with`."""
+        """Context manager that draws to it."""
         return bound(self._buffer)
 
 
 class Card:
-    """The programs, and the shapes they draw."""
+    """Shader programs and their geometry."""
 
     def __init__(self) -> None:
-        """Compile.
+        """Compile the programs.
 
         Raises:
-            Exception: the driver refuses a program.
+            Exception: the driver cannot compile a program.
         """
         self._splats, self._view, self._rows = program.splats(), program.view(), program.rows()
         self.nears = shaders_write_depth()
-        """Whether it draws nearness, and shows it."""
+        """Whether it supports nearness."""
         if self.nears:
             self._near_splats = program.splats(nearness=True)
             self._near_view = program.view(nearness=True)
@@ -102,7 +102,7 @@ class Card:
         self._piece = batch_for_shader(self._rows, "TRIS", {"corner": big})
         self._nothing = texture(np.full((1, 1, 1), 2, np.float32))
         self._shut = False
-        """Whether views do not let their own pictures be drawn to."""
+        """Whether drawing to views' own pictures has failed."""
 
     def draw(
         self,
@@ -115,16 +115,16 @@ class Card:
         """Blend splats on a target of the camera's size.
 
         Args:
-            target: Receives them.
-            atlas: Of `Texels`.
-            order: Its entries name rows of the atlas.
-            shot: From where.
-            meshes: Depths of what hides splats, of the camera's size or of one proportional to it.
+            target: The target.
+            atlas: Texture of `Texels`.
+            order: Order of rows of the atlas.
+            shot: Camera and settings.
+            meshes: Depths of objects that hide splats, at the camera's aspect ratio; None: none.
         """
         camera = shot.camera
         shader = self._splats if target.nearness is None else self._near_splats
         rows = np.concatenate([*(m[:3] for m in shot.viewmats), _planes(shot)])
-        places = texture(rows[None].astype(np.float32))  # kept by this name until all is drawn
+        places = texture(rows[None].astype(np.float32))  # must live until all is drawn
         with target.bind():
             gpu.state.active_framebuffer_get().clear(color=(0, 0, 0, 0))
             gpu.state.blend_set("ALPHA_PREMULT")
@@ -149,9 +149,9 @@ class Card:
             gpu.state.blend_set("NONE")
 
     def copy(self, piece: gpu.types.GPUTexture, target: gpu.types.GPUFrameBuffer, row: int) -> None:
-        """Put the rows of a texture into those of a target of the same width, from `row` on."""
+        """Copy the rows of a texture to a target of the same width, from `row` on."""
         with bound(target):
-            # The target's own method takes no numbers before 5.0.
+            # The target's own method has no parameters before 5.0.
             gpu.state.viewport_set(0, row, piece.width, piece.height)
             gpu.state.blend_set("NONE")
             gpu.state.depth_test_set("NONE")
@@ -169,18 +169,17 @@ class Card:
         scene: gpu.types.GPUFrameBuffer | None = None,
         window: Window | None = None,
     ) -> None:
-        """Lay a picture over a part of what is drawn to, as Blender's 3D view keeps it.
+        """Draw a picture over a part of the current target, in the encoding of Blender's 3D views.
 
-        One with nearness is laid behind what stands before the splats of a pixel, on the whole.
+        A picture with nearness is tested against the target's depth, one depth per pixel.
 
         Args:
             canvas: The picture.
             view: Left, bottom, width and height of the part, pixels.
-            photo: What is seen before the splats.
-            scene: The target of the view's own picture, which keeps more digits than what lies over
-                it, linear light; what the splats hide of the latter is taken away. None: it cannot
-                be drawn to.
-            window: The part of the view that gets any of it; None: all.
+            photo: Photo in front of the splats.
+            scene: The target of the view's own picture, linear light, which is more precise than
+                the overlay target; overlays behind the splats are removed. None: not available.
+            window: The part of the view to draw to; None: all.
         """
         left, bottom, width, height = view
         place = left, bottom, canvas.width / width, canvas.height / height
@@ -198,14 +197,14 @@ class Card:
         place: tuple[float, ...],
         shown: tuple[int, int, int, int],
     ) -> bool:
-        """Lay it into a view's own picture; whether that can be done."""
+        """Draw into a view's own picture; return whether that is possible."""
         if self._shut:
             return False
         try:
             with bound(scene), drawn_to(shown):
                 self._lay(canvas, place, "ALPHA_PREMULT", _WITHIN)
-        except Exception:  # drivers raise anything; what lies over the picture does as well
-            _log.exception("The pictures of views cannot be drawn to: dark colors get less exact.")
+        except Exception:  # drivers raise anything; the overlay target works as well
+            _log.exception("Cannot draw to the pictures of views: dark colors are less exact.")
             self._shut = True
         return not self._shut
 
@@ -237,13 +236,13 @@ class Card:
 
 
 def _planes(shot: Shot) -> np.ndarray:
-    """[PLANES, 4] float64: what cuts, in the camera's space; zeros, which cut nothing, beyond."""
+    """Clipping planes in camera space, [PLANES, 4] float64; padding with zeros cuts nothing."""
     out = np.zeros((PLANES, 4))
     out[: len(shot.cuts.planes)] = shot.cuts.in_front_of(shot.camera)
     return out
 
 
 def _projection(shot: Shot) -> tuple[float, float, float, float]:
-    """What takes z to a depth as Blender keeps it, and whether opacities are compensated."""
+    """Coefficients from z to Blender's depth, and whether opacities are compensated."""
     factor, offset = depth_of_z(shot.camera, shot.window)
     return factor, offset, float(not shot.camera.orthographic), float(shot.antialias)

@@ -1,4 +1,4 @@
-"""Clipping of a view: near and far ends, and depth buffer values as camera depths; no gpu."""
+"""Clipping of a view: far end and planes, and depth buffer values as camera depths; no gpu."""
 
 from dataclasses import dataclass, field
 
@@ -7,34 +7,33 @@ import numpy as np
 from ..cameras.render_camera import RenderCamera
 
 PLANES = 6
-"""That may cut a view."""
+"""Most clipping planes of a view."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cuts:
-    """Where a view ends: splats whose centers lie beyond are left out."""
+    """Clipping of a view: splats with centers outside are not drawn."""
 
     far: bool = False
-    """Whether at the far end of the projection."""
+    """Whether the far end of the projection clips."""
     planes: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-    """[P, 4] float64, P at most `PLANES`: normals, which point to what stays, and offsets, in
-    Blender's world."""
+    """[P, 4] float64, P at most `PLANES`: inward normals and offsets, in Blender's world."""
 
     def same(self, other: "Cuts") -> bool:
-        """Whether the other cuts the same."""
+        """Whether both clip the same."""
         return self.far == other.far and np.array_equal(self.planes, other.planes)
 
     def in_front_of(self, camera: RenderCamera) -> np.ndarray:
-        """[P, 4] float64: the planes in a camera's space."""
+        """The planes in a camera's space, [P, 4] float64."""
         return self.planes @ np.linalg.inv(camera.viewmat)
 
     def kept(self, places: np.ndarray, camera: RenderCamera, window: np.ndarray) -> np.ndarray:
-        """[N] bool: which splats stay.
+        """Splats that are not clipped, [N] bool.
 
         Args:
-            places: [N, 3] of their centers, in the camera's space.
-            camera: Of the view.
-            window: As `depth_of_z`.
+            places: Their centers in the camera's space, [N, 3].
+            camera: The view's camera.
+            window: As for `depth_of_z`.
         """
         there = np.ones(len(places), bool)
         if self.far:
@@ -45,12 +44,12 @@ class Cuts:
 
 
 def depth_of_z(camera: RenderCamera, window: np.ndarray) -> tuple[float, float]:
-    """Factor and offset: 2 x depth - 1 = (offset - factor z) / z, without the division where rays
-    are parallel.
+    """Factor and offset of 2 x depth - 1 = (offset - factor z) / z, without the division for
+    orthographic cameras.
 
     Args:
-        camera: Of the view. Orthographic ones were moved along their axis (`view_camera`); their
-            own z is moved back.
+        camera: The view's camera. Orthographic ones were moved along their axis (`view_camera`),
+            which is undone here.
         window: [4, 4] float64, Blender's projection.
     """
     factor, offset = window[2, 2], window[2, 3]
@@ -61,7 +60,7 @@ def depth_of_z(camera: RenderCamera, window: np.ndarray) -> tuple[float, float]:
 
 
 def z_of(depths: np.ndarray, camera: RenderCamera, window: np.ndarray) -> np.ndarray:
-    """The z in a camera's space of depths in [0, 1], of any shape; as `depth_of_z`."""
+    """The z in camera space of depths in [0, 1], of any shape; arguments as `depth_of_z`."""
     factor, offset = depth_of_z(camera, window)
     place = 2 * depths.astype(np.float64) - 1
     if camera.orthographic:

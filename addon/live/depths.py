@@ -4,12 +4,12 @@ import gpu
 import numpy as np
 
 from .overlay_lines import in_front
-from .uploads import texture
+from .texture_upload import texture
 
 
 class Depths:
-    """Of one view. As long as they stay the same, so do their array and texture: who has drawn with
-    those need not draw again."""
+    """Depths of one view. Array and texture stay the same objects until the depths change, so that
+    pictures drawn with them stay valid."""
 
     def __init__(self) -> None:
         self._size = (0, 0)
@@ -20,7 +20,7 @@ class Depths:
     def read(
         self, left: int, bottom: int, width: int, height: int, *, front: bool = False
     ) -> gpu.types.GPUTexture:
-        """As `values`, on the card."""
+        """As `values`, as a texture."""
         shown = self.values(left, bottom, width, height, front=front)
         if self._texture is None:
             self._texture = texture(shown[..., None])
@@ -29,15 +29,15 @@ class Depths:
     def values(
         self, left: int, bottom: int, width: int, height: int, *, front: bool = False
     ) -> np.ndarray:
-        """[H, W] float32 in [0, 1] of a part of what is drawn to, the bottom row first; waits until
-        the card has drawn it.
+        """Depths of a part of the current target, [H, W] float32 in [0, 1], the bottom row first;
+        waits until the card has drawn it.
 
         Args:
             left: Pixels.
             bottom: Pixels.
             width: Pixels.
             height: Pixels.
-            front: Whether lines without a depth get that of the view's near end.
+            front: Whether lines without a depth get depth 0, the near end.
         """
         part = left, bottom, width, height
         found = [_read_depths(*part), *([_read_alphas(*part)] if front else [])]
@@ -50,7 +50,7 @@ class Depths:
         return self._values
 
     def _same(self, size: tuple[int, int], found: list[np.ndarray]) -> bool:
-        """Whether that was read before."""
+        """Whether the same was read before."""
         return (
             self._size == size
             and len(found) == len(self._read)
@@ -59,14 +59,14 @@ class Depths:
 
 
 def _read_depths(left: int, bottom: int, width: int, height: int) -> np.ndarray:
-    """[width * height] uint32, the bits of float32: they are compared fast, and exactly."""
+    """Depths as bits of float32, [width * height] uint32, for a fast and exact comparison."""
     found = gpu.state.active_framebuffer_get().read_depth(left, bottom, width, height)
     found.dimensions = width * height
-    return np.asarray(found, np.float32).view(np.uint32)  # of the same memory
+    return np.asarray(found, np.float32).view(np.uint32)  # shares memory
 
 
 def _read_alphas(left: int, bottom: int, width: int, height: int) -> np.ndarray:
-    """[width * height] uint8: opacities of overlays, which a view keeps apart."""
+    """Opacities of overlays, which a view stores separately, [width * height] uint8."""
     target = gpu.state.active_framebuffer_get()
     found = target.read_color(left, bottom, width, height, 4, 0, "UBYTE")
     found.dimensions = width * height * 4

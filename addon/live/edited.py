@@ -14,59 +14,59 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..interface.views import redraw_views
-from ..render import copies
+from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED
 from ..splats.live import SESSION
 
 REST = 0.2
 """Seconds without a change after which reading begins."""
 INTERVAL = 0.01
-"""Seconds between two pieces."""
+"""Seconds between two chunks."""
 PIECE = 20_000
-"""Vertices of a piece, which takes 4 to 8 ms."""
+"""Vertices per chunk, which takes 4 to 8 ms."""
 
 
 @dataclass
 class _Reading:
-    """Of one mesh."""
+    """Progress of reading one mesh."""
 
     editor: bmesh.types.BMesh
     changed: float
     """Time of the last change, monotonic seconds."""
     marks: list[np.ndarray] = field(default_factory=list)
-    """Pieces, as `FrozenMesh.marks`."""
+    """Chunks, as `FrozenMesh.marks`."""
     done: int = 0
-    """Vertices that have been read."""
+    """Number of vertices read."""
     complete: bool = False
 
 
 class Reader:
-    """Reads of all meshes that are too large to be copied in Edit Mode; on the main thread only."""
+    """Reads meshes that are too large to be copied in Edit Mode; main thread only."""
 
-    def __init__(self, known: copies.Copies) -> None:
-        """Nothing is read yet; `known` is told what was."""
+    def __init__(self, known: viewport_copies.Copies) -> None:
+        """Prepare; marks are written to `known`."""
         self._known = known
         self._readings: dict[int, _Reading] = {}
 
     def clear(self) -> None:
-        """Let go of all editors."""
+        """Release all BMeshes."""
         self._readings.clear()
 
     @property
     def waits(self) -> bool:
-        """Whether there is something to read."""
+        """Whether meshes remain to be read."""
         return any(not one.complete for one in self._readings.values())
 
     def notice(self, depsgraph: bpy.types.Depsgraph, now: float) -> None:
-        """Read anew, once they rest, what a depsgraph update says was edited.
+        """Schedule edited meshes of a depsgraph update to be read again once they rest.
 
         Args:
-            depsgraph: With the update.
+            depsgraph: Depsgraph with the update.
             now: Monotonic seconds.
         """
         for update in depsgraph.updates:
             block = update.id.original
-            begins = isinstance(block, bpy.types.Object)  # which edits do not change
+            begins = isinstance(block, bpy.types.Object)  # edits do not update objects
             mesh = block.data if begins else block
             if not isinstance(mesh, bpy.types.Mesh) or not mesh.is_editmode:
                 continue
@@ -75,7 +75,7 @@ class Reader:
                 self._readings[uid] = _Reading(_editor(mesh), now)
 
     def step(self, now: float) -> bool:
-        """Read a piece of a mesh that rests; whether views have something new to show.
+        """Read a chunk of a mesh that rests; return whether views must be redrawn.
 
         Args:
             now: Monotonic seconds.
@@ -86,7 +86,7 @@ class Reader:
         for uid, reading in self._readings.items():
             if reading.complete or now - reading.changed < REST:
                 continue
-            if not reading.editor.is_valid:  # undo makes another one
+            if not reading.editor.is_valid:  # undo replaces it
                 self._readings[uid] = _Reading(_editor(edited[uid]), now)
                 return False
             if _read_piece(reading):
@@ -98,14 +98,14 @@ class Reader:
 
 
 def _editor(mesh: bpy.types.Mesh) -> bmesh.types.BMesh:
-    """A mesh's editor, with room for what stands for its vertices."""
+    """The BMesh of a mesh, with its vertex table built."""
     editor = bmesh.from_edit_mesh(mesh)
     next(iter(editor.verts), None)
     return editor
 
 
 def _read_piece(reading: _Reading) -> bool:
-    """Read on; whether that was the last piece."""
+    """Read the next chunk; return whether it was the last."""
     verts = reading.editor.verts
     found = verts[reading.done : reading.done + PIECE]
     selected = np.fromiter((vertex.select for vertex in found), bool, len(found))
@@ -115,14 +115,14 @@ def _read_piece(reading: _Reading) -> bool:
     return reading.done >= len(verts)
 
 
-_READER = Reader(copies.SHARED)
+_READER = Reader(viewport_copies.SHARED)
 
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     _READER.notice(depsgraph, time.monotonic())
-    if _READER.waits and not bpy.app.timers.is_registered(_beat):
-        bpy.app.timers.register(_beat, first_interval=REST)
+    if _READER.waits and not bpy.app.timers.is_registered(_poll):
+        bpy.app.timers.register(_poll, first_interval=REST)
 
 
 @persistent
@@ -130,25 +130,25 @@ def _file_loaded(*_: object) -> None:
     _READER.clear()
 
 
-def _beat() -> float | None:
+def _poll() -> float | None:
     if _READER.step(time.monotonic()):
         redraw_views()
     return INTERVAL if _READER.waits else None
 
 
 def on_register() -> None:
-    """Follow edits, where splats are drawn live."""
+    """Follow edits, if splats are drawn live."""
     if SESSION.there:
         bpy.app.handlers.depsgraph_update_post.append(_changed)
         bpy.app.handlers.load_post.append(_file_loaded)
 
 
 def on_unregister() -> None:
-    """Follow them no more."""
+    """Stop following edits."""
     if _changed not in bpy.app.handlers.depsgraph_update_post:
         return
     bpy.app.handlers.depsgraph_update_post.remove(_changed)
     bpy.app.handlers.load_post.remove(_file_loaded)
-    if bpy.app.timers.is_registered(_beat):
-        bpy.app.timers.unregister(_beat)
+    if bpy.app.timers.is_registered(_poll):
+        bpy.app.timers.unregister(_poll)
     _READER.clear()

@@ -1,6 +1,6 @@
 """Render engine pictures of views whose splats the graphics card cannot draw; no gpu.
 
-A thread renders them, occluded by what Blender has drawn.
+A thread renders them, occluded by objects that Blender has drawn.
 """
 
 from collections.abc import Callable
@@ -20,25 +20,25 @@ from .clip import Cuts, z_of
 
 @dataclass(frozen=True, kw_only=True)
 class EngineRequest:
-    """A picture that is wanted, as `render.viewport.Wish`."""
+    """A requested picture, a `render.viewport.ViewRequest`."""
 
     placed: list[Placed]
-    """None of them held out: views show what is, as long as it is drawn live."""
+    """The objects, none as holdout: live drawing shows holdouts."""
     camera: RenderCamera
-    """Of the view."""
+    """The view's camera."""
     window: np.ndarray
     """[4, 4] float64, Blender's projection."""
     antialias: str
-    """What the scene wishes."""
+    """Anti-aliasing setting of the scene."""
     depths: np.ndarray | None
-    """[H, W] float32 of what hides splats (`Depths.values`), another array where they differ."""
+    """Depths of objects hiding splats (`Depths.values`), [H, W] float32; compared by identity."""
     cuts: Cuts
-    """Where the view ends."""
+    """Clipping of the view."""
     tinted: Tinted
-    """Of which objects what is selected is seen."""
+    """Objects whose selection is shown."""
 
     def same(self, other: "EngineRequest | None") -> bool:
-        """Whether the other picture is this one."""
+        """Whether another request is for the same picture."""
         return (
             other is not None
             and list(map(_shown, self.placed)) == list(map(_shown, other.placed))
@@ -56,22 +56,22 @@ class EngineRequest:
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """[H, W, 4] float32, as `color.over_view`.
+        """The picture, [H, W, 4] float32, as `color.over_view`.
 
         Args:
-            model: Of the objects.
+            model: Model of the objects.
             camera: The view's, or one with fewer pixels.
-            stop: As `picture.draw`.
-            cancel: As `picture.draw`.
+            stop: As for `picture.draw`.
+            cancel: As for `picture.draw`.
         """
         options = picture.Options(antialias=self.antialias)
         far = None if self.depths is None else self._far(self.depths, camera)
-        seen = self._seen(model)
-        drawn = picture.draw(seen, camera, options, far_depths=far, stop=stop, cancel=cancel)
+        visible = self._visible(model)
+        drawn = picture.draw(visible, camera, options, far_depths=far, stop=stop, cancel=cancel)
         return over_view(drawn.rgb, drawn.alpha)
 
-    def _seen(self, model: Model) -> Model:
-        """Without what is cut off or hidden, and with what is selected tinted."""
+    def _visible(self, model: Model) -> Model:
+        """The model without clipped and hidden splats, with selected splats tinted."""
         splats = marked(model, self.placed, self.tinted).splats
         if self.cuts.far or len(self.cuts.planes):
             matrix = (self.camera.viewmat @ model.matrix).astype(np.float32)
@@ -83,7 +83,7 @@ class EngineRequest:
         )
 
     def _far(self, depths: np.ndarray, camera: RenderCamera) -> np.ndarray:
-        """[H, W] float32, as `picture.draw` takes it, of a camera that may have fewer pixels."""
+        """Argument `far_depths` of `picture.draw` at the size of `camera`, [H, W] float32."""
         height, width = depths.shape
         rows = (np.arange(camera.height) + 0.5) * height / camera.height
         columns = (np.arange(camera.width) + 0.5) * width / camera.width

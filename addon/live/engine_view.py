@@ -17,23 +17,23 @@ from .engine_pictures import EngineRequest
 
 
 class EngineView:
-    """One region of a 3D view: a thread draws its picture, smaller first; until it is there, the
-    last one stays."""
+    """One region of a 3D view: a thread draws its picture, smaller first. The last picture stays
+    until the next one is ready."""
 
     def __init__(self, cache: SplatCache) -> None:
-        """Nothing is drawn yet."""
+        """Prepare; draws nothing yet."""
         self._viewport = Viewport(cache)
         self.complete = False
-        """Whether the last redraw showed everything as it is now."""
+        """Whether the last redraw showed the current state completely."""
         self.depths = Depths()
 
     @property
     def waits(self) -> bool:
-        """Whether the picture will change although nobody touches anything."""
+        """Whether the picture will change without further input."""
         return self._viewport.painter.busy or self._viewport.painter.fresh
 
     def stale(self, now: float) -> bool:
-        """Whether a redraw would show something else."""
+        """Whether a redraw would show a new picture."""
         return self._viewport.painter.fresh
 
     def close(self) -> None:
@@ -52,22 +52,22 @@ class EngineView:
         tinted: Tinted,
         clip: Window | None,
     ) -> None:
-        """Draw what is there, and ask for what is missing.
+        """Draw the last picture, and request the current one.
 
         Args:
             placed: The objects.
-            camera: Of the view.
+            camera: The view's camera.
             window: [4, 4] float64, Blender's projection.
-            antialias: What the scene wishes.
-            meshes: Reads depths of what may hide splats (`Depths.values`). None: nothing does.
-            cuts: Where the view ends.
-            tinted: Of which objects what is selected is seen.
-            clip: The part of the view that shows any of it; None: all.
+            antialias: Anti-aliasing setting of the scene.
+            meshes: Reads depths of objects that may hide splats (`Depths.values`). None: none.
+            cuts: Clipping of the view.
+            tinted: Objects whose selection is shown.
+            clip: The part of the view to draw to; None: all.
 
         Raises:
-            ValueError: there is no picture; says why.
+            ValueError: there is no picture, with the reason.
         """
-        wish = EngineRequest(
+        request = EngineRequest(
             placed=[replace(one, holdout=False) for one in placed],
             camera=camera,
             window=window,
@@ -77,9 +77,9 @@ class EngineView:
             tinted=tinted,
         )
         painter = self._viewport.painter
-        painter.ask(wish)
+        painter.ask(request)
         painter.fresh = False
-        self.complete = painter.shows(wish)
+        self.complete = painter.shows(request)
         pixels = painter.pixels
         if painter.problem:
             raise ValueError(painter.problem)

@@ -12,15 +12,15 @@ from .views import View
 
 
 class StandIn:
-    """As `render.viewport.StandIn`."""
+    """Live drawing as a `render.viewport.StandIn`."""
 
     def __init__(self, views: Mapping[int, View | EngineView]) -> None:
-        """Those that are known, by the pointer of their region."""
+        """Keep the known views, by the pointer of their region."""
         self._views = views
 
     def stands_in(self, context: bpy.types.Context) -> bool:
-        """Whether splats are drawn live there; in colours that the picture will not have only
-        before a photo, whose own are shown too."""
+        """Whether splats are drawn live there. Their colours must match the picture's, except with
+        a photo behind them, which shows its own colours too."""
         drawn = SESSION.works and not SESSION.by_engine
         wanted = drawn and context.scene.gscore_render.live
         return wanted and (not changes_colors(context.scene) or self.stays(context))
@@ -31,9 +31,9 @@ class StandIn:
         return isinstance(view, View) and view.level.moving
 
     def stays(self, context: bpy.types.Context) -> bool:
-        """Whether a photo is to be seen behind the splats, over which Blender lays it else."""
+        """Whether there is a photo behind the splats, which Blender would draw over a picture."""
         return photos.is_behind(context)
 
     def lays_over(self, context: bpy.types.Context) -> bool:
-        """Where pictures are seen behind the splats, and none before them, which it would cover."""
+        """Whether there are pictures behind the splats and none in front, which it would cover."""
         return SESSION.works and photos.are_behind(context)

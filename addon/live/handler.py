@@ -14,7 +14,7 @@ from ..compat import draws_into_views, matrix_to_numpy
 from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
 from ..process.pace import Pace
-from ..render import copies, viewport
+from ..render import viewport, viewport_copies
 from ..render.engine import final_cache
 from ..render.regions import drawn_window
 from ..render.scene import Placed, Source, sources
@@ -31,27 +31,27 @@ from .view_context import cuts_of, has_lines_in_front, is_hidden_by_others, is_o
 from .views import View
 
 POLL = 0.02
-"""Seconds between two looks whether a view has something new to show."""
+"""Seconds between two checks whether a view must be redrawn."""
 _log = logging.getLogger(__name__)
 
 
 @dataclass
 class _State:
-    """Of the session."""
+    """State of the session."""
 
     card: Card | None = None
     views: dict[int, View | EngineView] = field(default_factory=dict)
-    """By the pointer of their region; all of one kind."""
+    """Views by the pointer of their region; all of one kind."""
     attempts: Attempts = field(default_factory=Attempts)
     handles: list[object] = field(default_factory=list)
     scene: gpu.types.GPUFrameBuffer | None = None
-    """The target of the picture of the view that is being drawn; Blender's, and soon another."""
+    """Blender's target of the view being drawn, valid during its drawing only."""
     problems: dict[int, str] = field(default_factory=dict)
-    """Sentences of views, by the pointer of their region."""
+    """Messages of views, by the pointer of their region."""
     copying: set[int] = field(default_factory=set)
-    """Pointers of regions in whose last redraw splats were copied, but not all."""
+    """Pointers of regions whose last redraw copied some of the splats, but not all."""
     pace: Pace = field(default_factory=Pace)
-    """Of `_poll`: how slow redraws are, and so how much each may copy and upload."""
+    """Pace of `_poll`: the slower redraws are, the more each may copy and upload."""
 
 
 _state = _State()
@@ -61,24 +61,24 @@ _STAND_IN = StandIn(_state.views)
 
 
 def view_of(region: bpy.types.Region) -> View | EngineView | None:
-    """What is known of a region's live drawing."""
+    """The live view of a region, if there is one."""
     return _state.views.get(region.as_pointer())
 
 
 def problem_of(region: bpy.types.Region) -> str:
-    """Why a region shows no live splats; empty where it does."""
+    """Why a region shows no live splats; empty if it does."""
     own = _state.problems.get(region.as_pointer(), "")
     return " ".join(filter(None, (SESSION.problem, own)))
 
 
 def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[Source]:
-    """The splat objects that are drawn live in the view of a context."""
+    """The splat objects drawn live in the view of a context."""
     space = context.space_data
     own = is_own(context)
     if space.shading.type == "WIREFRAME" or (own and not _STAND_IN.stands_in(context)):
         return []
     found = sources(depsgraph)
-    copies.SHARED.keep_only(found)
+    viewport_copies.SHARED.keep_only(found)
     return [
         source
         for source in found
@@ -110,7 +110,7 @@ def draw(context: bpy.types.Context) -> None:
 
 
 def _lay_over(exact: viewport.Viewport) -> None:
-    """Draw the engine's picture where Blender has drawn over it what is behind."""
+    """Draw the engine's picture over the background pictures that Blender has drawn over it."""
     pixels = exact.painter.pixels
     if pixels is not None:
         exact.draw_over(pixels)
@@ -119,11 +119,11 @@ def _lay_over(exact: viewport.Viewport) -> None:
 def _draw(context: bpy.types.Context, pointer: int) -> None:
     depsgraph = context.evaluated_depsgraph_get()
     found = shown(context, depsgraph)
-    # In the engine's own shading a view shows what a render does.
-    placed, _ = copies.SHARED.copied(
+    # In the engine's own shading, filters apply as in renders.
+    placed, _ = viewport_copies.SHARED.copied(
         found, always_filtered=not is_own(context), spare=_state.pace.spare
     )
-    if copies.SHARED.under_way(found):
+    if viewport_copies.SHARED.under_way(found):
         _state.copying.add(pointer)
         _ensure()
     if not placed:
@@ -136,7 +136,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
         _state.views[pointer] = view
     try:
         _show(context, depsgraph, view, placed)
-    finally:  # where there is no picture for now there may be one soon
+    finally:  # a missing picture may be ready soon
         if view.waits:
             _ensure()
 
@@ -177,9 +177,9 @@ def _show(
 
 
 def _failed(error: Exception, pointer: int) -> None:
-    """Let go of all that lies on the graphics card, and try again in a while; where there is no use
-    in that, go on with the engine's pictures, and where not even those are drawn, with points."""
-    said = error_words(error)
+    """Release everything on the graphics card and try again later. If that is hopeless, continue
+    with the engine's pictures; if not even those can be drawn, with points."""
+    reason = error_words(error)
     refused = _state.card is None and not _state.attempts.count
     _close_views()
     _state.card = None
@@ -187,8 +187,8 @@ def _failed(error: Exception, pointer: int) -> None:
     if SESSION.by_engine:
         _log.exception("Views cannot show pictures of splats.")
         SESSION.by_engine = False
-        SESSION.problem = f"Views do not draw splats ({said}); they are shown as points."
-        _soon(_show_points, 0.0)  # nothing may change while drawing
+        SESSION.problem = f"Views cannot draw splats ({reason}); they are shown as points."
+        _soon(_show_points, 0.0)  # data must not change during drawing
         return
     pause = None if refused else _state.attempts.failed(time.monotonic())
     if refused or _state.attempts.count == 1:
@@ -196,19 +196,19 @@ def _failed(error: Exception, pointer: int) -> None:
     if pause is None:
         SESSION.by_engine = True
         SESSION.problem = (
-            f"The graphics card does not draw splats ({said}); views show the pictures of the "
-            "render engine, which come when a view rests."
+            f"The graphics card cannot draw splats ({reason}); views show pictures of the render "
+            "engine instead, which appear when a view rests."
         )
         _log.warning(SESSION.problem)
     else:
         _state.problems[pointer] = (
-            f"The graphics card failed while it drew splats ({said}); it is asked again."
+            f"The graphics card failed to draw splats ({reason}); the add-on tries again."
         )
     _soon(redraw_views, pause or 0.0)
 
 
 def _calm() -> None:
-    """Leave the graphics card as Blender expects it, which draws on, if it can."""
+    """Reset the state of the graphics card for Blender, if possible."""
     try:
         gpu.state.blend_set("NONE")
         gpu.state.depth_test_set("NONE")
@@ -240,8 +240,7 @@ def _poll() -> float | None:
 
 
 def _redraw_stale() -> bool:
-    """Have views drawn again that have something new, or have come to rest; whether any may have
-    soon."""
+    """Redraw views that have a new picture or have come to rest; return whether any is pending."""
     regions = {}
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
@@ -252,7 +251,7 @@ def _redraw_stale() -> bool:
     copying = _state.copying & regions.keys()
     for pointer in copying:
         regions[pointer].tag_redraw()
-    _state.copying.clear()  # a window that is not drawn, being minimised, asks for no more
+    _state.copying.clear()  # a minimised window is not drawn and needs no more
     waiting = bool(copying)
     for pointer, view in _state.views.items():
         if view.stale(time.monotonic()):
@@ -263,13 +262,13 @@ def _redraw_stale() -> bool:
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    copies.SHARED.forget_changed(depsgraph)
+    viewport_copies.SHARED.forget_changed(depsgraph)
 
 
 @persistent
 def _file_loaded(*_: object) -> None:
     _close_views()
-    copies.SHARED.clear()
+    viewport_copies.SHARED.clear()
 
 
 def _close_views() -> None:
@@ -286,7 +285,7 @@ def _before_handler() -> None:
     try:
         if draws_into_views():
             _state.scene = gpu.state.active_framebuffer_get()
-    except Exception:  # what draws after it says so
+    except Exception:  # the drawing that follows reports it
         _log.debug("The target of a view is not known.", exc_info=True)
 
 
@@ -296,7 +295,7 @@ def _draw_handler() -> None:
 
 
 def on_register() -> None:
-    """Draw in all 3D views, where there is a window."""
+    """Draw in all 3D views, unless Blender runs in the background."""
     SESSION.there = not bpy.app.background
     if not SESSION.there:
         return
@@ -309,7 +308,7 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Draw no more, and let go of what lies on the graphics card."""
+    """Stop drawing, and release everything on the graphics card."""
     if not SESSION.there:
         return
     for timer in (_poll, redraw_views, _show_points):

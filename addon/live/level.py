@@ -3,56 +3,56 @@
 from dataclasses import dataclass
 
 STILL = 0.25
-"""Seconds without a change after which a view stands still."""
+"""Seconds without a change after which a view counts as still."""
 BUDGET = 0.008
-"""Seconds that splats may take of a redraw while a view moves: half of what 60 a second leave."""
+"""Seconds for splats in a redraw of a moving view: half of a frame at 60 frames per second."""
 FEWEST = 5_000
-"""Splats drawn while a view moves, where there are as many."""
+"""Fewest splats drawn while a view moves, if there are as many."""
 COARSEST = 4
-"""Largest factor by which a moving view's picture is smaller."""
+"""Largest factor by which a moving view's picture is reduced."""
 _NEAR = 0.6, 1.1
 """Shares of the budget between which nothing is changed."""
 _STEP = 0.25, 2.0
-"""Factors by which one measurement changes how much is drawn, at most."""
+"""Limits of the factor by which one measurement changes the number of splats."""
 _EVERY = 8
-"""Redraws of a moving view of which one is measured: that waits for the card."""
+"""One of this many redraws of a moving view is measured, because measuring waits for the card."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detail:
-    """Of one redraw."""
+    """Detail of one redraw."""
 
     count: int
-    """Splats: the first of the atlas."""
+    """Number of splats, from the start of the atlas."""
     factor: int
-    """How many times fewer pixels a side than the view has."""
+    """Factor by which each side of the picture is smaller than the view."""
 
 
 @dataclass
 class Level:
-    """Of one view.
+    """Level of detail of one view.
 
-    Pixels become fewer as splats do: a picture of a quarter of the pixels gets along with a quarter
-    of the splats, and each costs time.
+    Pixels are reduced together with splats: both cost time, and a picture with a quarter of the
+    pixels needs only a quarter of the splats.
     """
 
     moving: bool = False
     share: float = 1.0
-    """Of the splats, while the view moves."""
+    """Share of the splats drawn while the view moves."""
     _total: int = 0
     _known: bool = False
-    """Whether anything was measured of so many splats."""
+    """Whether a redraw with this number of splats was measured."""
     _turn: int = 0
     _shown: bytes = b""
     _moved: float = float("-inf")
 
     def look(self, now: float, shown: bytes, total: int) -> Detail:
-        """What to draw.
+        """Choose the detail of a redraw.
 
         Args:
             now: Monotonic seconds.
-            shown: Differs where the view does.
-            total: All splats of the view.
+            shown: Key that changes with the view.
+            total: Number of all splats of the view.
         """
         if total != self._total:
             self._total, self._known = total, False
@@ -68,11 +68,11 @@ class Level:
 
     @property
     def measures(self) -> bool:
-        """Whether `took` wants to know of this redraw."""
+        """Whether this redraw should be measured for `took`."""
         return not self._known or (self.moving and self._turn % _EVERY == 0)
 
     def took(self, seconds: float) -> None:
-        """Adapt to what the card needed for what `look` said last."""
+        """Adapt to the time that the card needed for the last result of `look`."""
         aim = BUDGET / max(seconds, 1e-6)
         self._known = True
         if not self.moving:
@@ -83,7 +83,7 @@ class Level:
 
     @property
     def rests_at(self) -> float:
-        """Monotonic seconds at which a view that moves stands still, unless it changes again."""
+        """Monotonic seconds at which a moving view counts as still, unless it changes again."""
         return self._moved + STILL
 
     def _count(self) -> int:

@@ -10,7 +10,7 @@ from ..splats.objects import is_splats
 from . import handler
 
 _MARGIN = 12.0
-"""Pixels, for a screen of usual resolution."""
+"""Pixels at a resolution scale of 1."""
 _COLOR = 1.0, 0.75, 0.2, 1.0
 
 
@@ -23,7 +23,7 @@ _state = _State()
 
 
 def _lines(text: str, width: float, scale: float) -> list[str]:
-    """A text in lines of at most so many pixels."""
+    """A text wrapped to a width in pixels."""
     found: list[str] = []
     for word in text.split():
         longer = f"{found[-1]} {word}" if found else word
@@ -43,21 +43,21 @@ def _draw() -> None:
     if not any(map(is_splats, context.scene.objects)):
         return
     scale = context.preferences.system.ui_scale
-    free = [r.width for r in context.area.regions if r.type == "UI"]  # which lies over the view
-    shown = _lines(text, context.region.width - sum(free) - 4 * _MARGIN * scale, scale)
+    sidebar = [r.width for r in context.area.regions if r.type == "UI"]  # overlaps the view
+    shown = _lines(text, context.region.width - sum(sidebar) - 4 * _MARGIN * scale, scale)
     for number, line in enumerate(reversed(shown)):
         height = (_MARGIN + 1.5 * viewport_text.SIZE * number) * scale
         viewport_text.write(line, 2 * _MARGIN * scale, height, scale, _COLOR)
 
 
 def on_register() -> None:
-    """Draw in all 3D views, where there is a window."""
+    """Draw in all 3D views, unless Blender runs in the background."""
     if SESSION.there:
         _state.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
 
 
 def on_unregister() -> None:
-    """Draw no more."""
+    """Stop drawing."""
     if _state.handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_state.handle, "WINDOW")
         _state.handle = None

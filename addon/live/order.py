@@ -10,13 +10,13 @@ from ..render.marks import shown, tinted
 from .atlas import Atlas
 
 _BLOCK = 1 << 14
-"""Splats whose colours are computed at once: they stay in the cache, and Blender's thread gets
-its turns."""
+"""Splats whose colours are computed together: they fit in the cache, and Blender's thread gets the
+interpreter in between."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Eye:
-    """From where splats are seen."""
+    """Camera of a view, relative to each object."""
 
     viewmats: tuple[np.ndarray, ...]
     """[4, 4] float64 of each object: similarity from its space to the camera, OpenCV axes."""
@@ -30,13 +30,14 @@ def arrange(
 
     Args:
         atlas: The splats.
-        eye: Has one matrix for each of its objects.
-        count: How many rows.
-        marks: [N] uint8 of each object's splats (`render.frozen`), or None; empty: of none.
+        eye: The camera, with one matrix per object of the atlas.
+        count: Number of rows.
+        marks: Marks of each object's splats, [N] uint8 (`render.mesh_copies`), or None; empty: no
+            marks.
 
     Returns:
-        [M, 4] float32, M = `count` less those that do not show, the farthest first: number of the
-        row, and its colour in this view, sRGB values of at least 0.
+        [M, 4] float32, M = `count` minus hidden splats, the farthest first: index of the row, and
+        its colour in this view, sRGB values of at least 0.
     """
     count = min(count, len(atlas))
     depths = np.empty(count, np.float32)
@@ -66,14 +67,14 @@ def recolored(
     rows: np.ndarray,
     marks: Sequence[np.ndarray | None] = (),
 ) -> np.ndarray:
-    """What `arrange` gave, with the colours that some rows have now; places and order are the same.
+    """The result of `arrange` with new colours of some rows; positions and order are the same.
 
     Args:
-        entries: [M, 4], of the same eye.
+        entries: [M, 4], for the same eye.
         atlas: The splats.
-        eye: As `arrange`.
-        rows: [N] bool, of the atlas: whose colours are computed anew.
-        marks: As `arrange`; what does not show is the same as in `entries`.
+        eye: As for `arrange`.
+        rows: Rows of the atlas whose colours are computed again, [N] bool.
+        marks: As for `arrange`; the same splats are hidden as in `entries`.
     """
     out = entries.copy()
     row = entries[:, 0].astype(np.int32)
@@ -91,7 +92,7 @@ def recolored(
 def _colors(
     atlas: Atlas, rows: np.ndarray, number: int, eye: Eye, marked: np.ndarray | None
 ) -> np.ndarray:
-    """[B, 3] sRGB values of some rows of an atlas, all of one object, tinted where selected."""
+    """sRGB values [B, 3] of some rows of an atlas, all of one object, tinted if selected."""
     index = atlas.index[rows]
     colors = shown_colors(
         atlas.parts[number], index, eye.viewmats[number], orthographic=eye.orthographic
@@ -102,13 +103,13 @@ def _colors(
 def shown_colors(
     splats: Splats, index: np.ndarray, viewmat: np.ndarray, *, orthographic: bool
 ) -> np.ndarray:
-    """[B, 3] float32 sRGB values of some splats of an object as a view sees them.
+    """View-dependent sRGB values of some splats of an object, [B, 3] float32.
 
     Args:
         splats: The object's, in its own space.
-        index: [B], which of them.
+        index: [B], indices of the splats.
         viewmat: [4, 4] float64, similarity from that space to the camera.
-        orthographic: Parallel rays.
+        orthographic: Whether rays are parallel.
     """
     linear = viewmat[:3, :3]
     if orthographic:

@@ -1,42 +1,42 @@
-"""Overlay lines: lines that Blender draws over everything, found in its picture; no bpy, no gpu."""
+"""Overlay lines: lines drawn over everything, detected in Blender's picture; no bpy, no gpu."""
 
 import numpy as np
 
-_SEEN = 128
-"""Of 255: opacity from which a pixel is hidden by its overlay."""
+_OPAQUE = 128
+"""Overlay opacity, of 255, from which a pixel counts as covered."""
 _AROUND = 2
-"""Pixels to each side that a line's own depth differs from."""
+"""Radius of the neighborhood from which a line's own depth differs, px."""
 _NEARER = 1.05
-"""How many times nearer than what is around it a line with a depth of its own is, at least."""
+"""Least factor by which a line with a depth of its own is nearer than its neighborhood."""
 
 
 def in_front(depths: np.ndarray, alphas: np.ndarray) -> np.ndarray:
-    """Where overlays are that have left no depth.
+    """Pixels of overlays without a depth.
 
-    Blender keeps the depths of lines *In Front* apart, where no add-on can read them, but draws
-    their colours with those of all overlays.
+    Blender stores the depths of lines *In Front* where no add-on can read them, but draws their
+    colours together with those of all overlays.
 
     Args:
         depths: [H, W] float32 in [0, 1], of meshes and of all other overlays.
         alphas: [H, W] uint8, opacities of overlays.
 
     Returns:
-        [H, W] bool. Outlines of what is selected, which have no depth either, are among them.
+        [H, W] bool, including outlines of selected objects, which have no depth either.
     """
-    seen = alphas >= _SEEN
-    if not seen.any():
-        return seen
+    covered = alphas >= _OPAQUE
+    if not covered.any():
+        return covered
     behind = depths
     for axis in (0, 1):
         behind = _highest(behind, axis, _AROUND)
     placed = (alphas > 0) & ((1 - depths) > _NEARER * (1 - behind))
     for axis in (0, 1):
         placed = _highest(placed, axis, 1)  # soft edges, which have no depth
-    return seen & ~placed
+    return covered & ~placed
 
 
 def _highest(values: np.ndarray, axis: int, around: int) -> np.ndarray:
-    """The largest of those around each along an axis."""
+    """Maximum filter along an axis."""
     lines = np.moveaxis(values, axis, 0)
     out = lines.copy()
     for k in range(1, around + 1):

@@ -1,7 +1,7 @@
 """Shader programs: splats to their picture, that picture to the view, and updates of atlas rows.
 
-The formulas are those of docs/conventions.md. The atlas holds what depends on a splat alone, the
-order holds its colour in this view; the CPU computes both.
+The formulas are those of docs/conventions.md. The atlas has the view-independent data of splats,
+the order has their colours in this view; the CPU computes both.
 """
 
 import gpu
@@ -11,9 +11,9 @@ from .atlas import COLUMNS, TEXELS
 from .clip import PLANES
 
 QUADS = 64
-"""Splats of one instance."""
+"""Splats per instance."""
 ORDER_COLUMNS = 1024
-"""Splats in a row of the texture that says their order."""
+"""Splats in a row of the order texture."""
 
 _SPLAT_VERTEX = """
 void main()
@@ -27,7 +27,7 @@ void main()
     return;
   }
   vec4 entry = texelFetch(sorted, ivec2(number % ORDER_COLUMNS, number / ORDER_COLUMNS), 0);
-  int row = int(entry.x);  // whole: from 2^23 on, 0.5 more would be rounded to a neighbour
+  int row = int(entry.x);  // an integer; adding 0.5 would round wrongly from 2^23 on
   if (row >= int(count.y)) {
     return;
   }
@@ -102,7 +102,7 @@ void main()
   ellipse = vec4(axis / radii.x, other / radii.y);
   spot = vec3(at_pixel, depth);
   shade = vec4(entry.yzw, opacity);
-  vec2 to = corner.xy * (reach * radii + 0.01);  // corners are moved a little by the card
+  vec2 to = corner.xy * (reach * radii + 0.01);  // the card rounds corners
   at_pixel += axis * to.x + other * to.y;
   gl_Position = vec4(2.0 * at_pixel.x / size.x - 1.0, 1.0 - 2.0 * at_pixel.y / size.y, 0.0, 1.0);
 }
@@ -110,7 +110,7 @@ void main()
 _SPLAT_FRAGMENT = """
 void main()
 {
-  // At the pixel's middle itself: what comes from the corners is rounded as they are.
+  // From the pixel's middle: values interpolated from the corners have their rounding errors.
   vec2 from = vec2(gl_FragCoord.x, frame.y - gl_FragCoord.y) - spot.xy;
   vec2 spread = vec2(dot(from, ellipse.xy), dot(from, ellipse.zw));
   float alpha = min(0.99, shade.a * exp(-0.5 * dot(spread, spread)));
@@ -125,7 +125,7 @@ void main()
   }
   result = vec4(shade.rgb * alpha, alpha);
 #ifdef NEARNESS
-  // From the far end: near 0, where a view's depths crowd, numbers tell more apart.
+  // From the far end, where a view's depths crowd: float precision is highest near 0.
   nearness = vec4((1.0 - spot.z) * alpha, 0.0, 0.0, alpha);
 #endif
 }
@@ -148,7 +148,7 @@ void main()
 {
   vec2 at = (gl_FragCoord.xy - place.xy) * place.zw, part = vec2(0.0);
   ivec2 p0 = ivec2(at), p1 = p0;
-  if (place.z != 1.0) {  // a smaller picture, between its pixels
+  if (place.z != 1.0) {  // a smaller picture, interpolated
     at -= 0.5;
     ivec2 low = ivec2(floor(at)), most = textureSize(picture, 0) - 1;
     part = at - vec2(low);
@@ -162,20 +162,20 @@ void main()
 #ifdef NEARNESS
   gl_FragDepth = clamp(1.0 - between(nearness, p0, p1, part).r / found.a, 0.0, 1.0);
 #endif
-  // The view holds what lies over its picture as light, and encodes it with this exponent.
+  // The view stores overlays as light, and encodes them with exponent 2.2.
   vec3 value = clamp(found.rgb / found.a, 0.0, 1.0);
-  if (layer > 1.5) {  // what lies over the view's picture, made as much fainter
+  if (layer > 1.5) {  // factor that removes covered overlays
     result = vec4(1.0 - found.a);
     return;
   }
-  if (layer > 0.5) {  // the picture itself, linear light
+  if (layer > 0.5) {  // for the view's own picture, linear light
     vec3 low = value / 12.92, high = pow((value + 0.055) / 1.055, vec3(2.4));
     result = vec4(mix(high, low, vec3(lessThanEqual(value, vec3(0.04045)))) * found.a, found.a);
     return;
   }
   vec3 light = pow(value, vec3(2.2));
-  // A photo before the camera was drawn before splats were: it is mixed with them as it is with all
-  // else, so that where they are not it stays as it is.
+  // A photo in front was drawn before the splats: it is blended over them too, so that it stays the
+  // same where there are none.
   vec2 of_photo = (gl_FragCoord.xy - place.xy - photo_frame.xy) / photo_frame.zw;
   if (photo_opacity > 0.0 && of_photo == clamp(of_photo, 0.0, 1.0)) {
     vec4 over = texture(photo, of_photo) * photo_opacity;
@@ -193,13 +193,13 @@ void main()
 
 
 def splats(*, nearness: bool = False) -> gpu.types.GPUShader:
-    """Draws splats as quads, farthest first.
+    """Shader that draws splats as quads, farthest first.
 
     Args:
-        nearness: Into a second picture, 1 less their depths, blended like colours.
+        nearness: Write 1 - depth to a second picture, blended like colours.
 
     Raises:
-        Exception: the driver refuses it.
+        Exception: the driver cannot compile it.
     """
     info = gpu.types.GPUShaderCreateInfo()
     info.define("QUADS", str(QUADS))
@@ -211,14 +211,14 @@ def splats(*, nearness: bool = False) -> gpu.types.GPUShader:
     info.push_constant("VEC4", "lens")  # fx, fy, cx, cy, pixels
     info.push_constant("VEC4", "frame")  # width, height, near, whether rays are parallel
     info.push_constant("VEC4", "projection")  # depth's factor, offset, by z?, antialias?
-    # Entries of the order, rows that are drawn, meshes?, cuts: 1 the far end, 2 planes, 3 both.
+    # Entries of the order, rows to draw, meshes?, clipping: 1 the far end, 2 planes, 3 both.
     info.push_constant("VEC4", "count")
     for slot, name in enumerate(("atlas", "sorted", "places", "meshes")):
         info.sampler(slot, "FLOAT_2D", name)
     info.vertex_in(0, "VEC3", "corner")
     between = gpu.types.GPUStageInterfaceInfo("gscore_splats")
-    between.flat("VEC4", "ellipse")  # its axes, each divided by its length
-    between.flat("VEC3", "spot")  # middle, pixels from the upper left; depth
+    between.flat("VEC4", "ellipse")  # its unit axes, each divided by its standard deviation
+    between.flat("VEC3", "spot")  # center, pixels from the upper left; depth
     between.flat("VEC4", "shade")
     info.vertex_out(between)
     if nearness:
@@ -228,19 +228,19 @@ def splats(*, nearness: bool = False) -> gpu.types.GPUShader:
 
 
 def view(*, nearness: bool = False) -> gpu.types.GPUShader:
-    """Lays the picture over the view.
+    """Shader that draws the picture over the view.
 
     Args:
-        nearness: Each pixel at its depth, from the second picture of `splats`.
+        nearness: Write the depth of each pixel, from the second picture of `splats`.
 
     Raises:
-        Exception: the driver refuses it.
+        Exception: the driver cannot compile it.
     """
     info = gpu.types.GPUShaderCreateInfo()
-    info.push_constant("VEC4", "place")  # left, bottom, picture's pixels for one of the view
+    info.push_constant("VEC4", "place")  # left, bottom, pixels of the picture per pixel of the view
     info.push_constant("VEC4", "photo_frame")  # left, bottom, width, height, pixels of the view
     info.push_constant("FLOAT", "photo_opacity")
-    info.push_constant("FLOAT", "layer")  # 0 over the picture, 1 in it, 2 what 1 hides of 0
+    info.push_constant("FLOAT", "layer")  # 0 overlay, 1 own picture, 2 remove covered overlays
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "photo")
     if nearness:
@@ -252,13 +252,13 @@ def view(*, nearness: bool = False) -> gpu.types.GPUShader:
 
 
 def rows() -> gpu.types.GPUShader:
-    """Copies a texture to a place in another.
+    """Shader that copies a texture to rows of another.
 
     Raises:
-        Exception: the driver refuses it.
+        Exception: the driver cannot compile it.
     """
     info = gpu.types.GPUShaderCreateInfo()
-    info.push_constant("FLOAT", "row")  # the first that is written to
+    info.push_constant("FLOAT", "row")  # first row to write
     info.sampler(0, "FLOAT_2D", "piece")
     info.vertex_in(0, "VEC2", "corner")
     return _made(info, _SCREEN_VERTEX, _ROWS_FRAGMENT)

@@ -3,28 +3,28 @@
 from dataclasses import dataclass
 
 PAUSES = (0.25, 1.0, 4.0)
-"""Seconds after the first and further failures until it is asked again."""
+"""Seconds until the next attempt, after the first and further failures."""
 FORGIVEN = 60.0
-"""Seconds without a failure after which they are counted anew."""
+"""Seconds without a failure after which the count starts again."""
 
 
 @dataclass
 class Attempts:
-    """Of a session."""
+    """Attempts of a session to draw live."""
 
     count: int = 0
-    """Failures in a row."""
+    """Consecutive failures."""
     rests_until: float = float("-inf")
     """Monotonic seconds before which nothing is drawn."""
 
     def failed(self, now: float) -> float | None:
-        """Note a failure.
+        """Count a failure.
 
         Args:
             now: Monotonic seconds.
 
         Returns:
-            Seconds to rest; None: there is no use in asking again.
+            Seconds to wait; None: do not try again.
         """
         if now - self.rests_until > FORGIVEN:
             self.count = 0
@@ -36,5 +36,5 @@ class Attempts:
         return pause
 
     def rests(self, now: float) -> bool:
-        """Whether nothing is to be drawn."""
+        """Whether live drawing is paused."""
         return now < self.rests_until

@@ -10,16 +10,16 @@ from ..splats.objects import is_splats
 from .clip import Cuts
 
 _HIDES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
-"""Types of objects that may stand before splats."""
+"""Object types that may hide splats."""
 
 
 def is_own(context: bpy.types.Context) -> bool:
-    """Whether the view is in Rendered shading of our engine."""
+    """Whether the view is in Rendered shading of the add-on's engine."""
     return context.space_data.shading.type == "RENDERED" and context.scene.render.engine == NAME
 
 
 def keeps_colors(context: bpy.types.Context) -> bool:
-    """Whether a view shows sRGB values as they are, once decoded into its picture."""
+    """Whether a view shows decoded sRGB values in its picture unchanged."""
     scene = context.scene
     plain = context.space_data.shading.type == "SOLID" or not changes_colors(scene)
     device = scene.display_settings.display_device
@@ -27,16 +27,16 @@ def keeps_colors(context: bpy.types.Context) -> bool:
 
 
 def is_hidden_by_others(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether anything may stand before splats; looking at depths costs a wait for the card."""
+    """Whether any object may hide splats; reading depths means waiting for the card."""
     if is_own(context):
-        return False  # which draws no meshes, though Blender adds their depths for its lines
+        return False  # it draws no meshes, though Blender adds their depths for its lines
     if context.space_data.overlay.show_overlays:
         return True  # lines: wires, bones, boxes of splats, the grid
     return any(ob.type in _HIDES and _has_surface(ob) for ob in depsgraph.objects)
 
 
 def has_lines_in_front(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether lines are drawn over everything; those of surfaces have depths like others."""
+    """Whether lines may be drawn over everything (In Front)."""
     if is_own(context) or not context.space_data.overlay.show_overlays:
         return False
     return any(ob.show_in_front for ob in depsgraph.objects)
@@ -49,7 +49,7 @@ def _has_surface(ob: bpy.types.Object) -> bool:
 
 
 def cuts_of(context: bpy.types.Context) -> Cuts:
-    """Where the view ends, as for meshes; the engine knows no far end."""
+    """The clipping of a view, as for meshes; the engine's shading has no far end."""
     space, region = context.space_data, context.region_data
     if not region.use_clip_planes or space.shading.type != "SOLID":
         return Cuts(far=not is_own(context))

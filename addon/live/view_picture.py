@@ -6,17 +6,17 @@ from collections.abc import Callable
 import gpu
 
 from .card import Canvas, Card, Shot
-from .uploads import Order
+from .texture_upload import Order
 
 
 class ViewPicture:
-    """Keeps what has been drawn as long as it stays the same: Blender draws views again and again,
-    at each step of the mouse over a panel."""
+    """Keeps the drawn picture until it changes, because Blender redraws views often, for example
+    at each mouse move over a panel."""
 
     def __init__(self) -> None:
         self._canvas: Canvas | None = None
         self._holds: tuple[Order, Shot, gpu.types.GPUTexture | None] | None = None
-        """What the canvas shows."""
+        """Content of the canvas."""
 
     def draw(
         self,
@@ -30,17 +30,17 @@ class ViewPicture:
         exact: bool = False,
         took: Callable[[float], None] | None = None,
     ) -> Canvas:
-        """The picture.
+        """The picture, drawn only if anything has changed.
 
         Args:
-            card: What draws it.
-            atlas: As `Card.draw`.
-            order: Its entries name rows of the atlas.
-            shot: From where.
-            meshes: As `Card.draw`; another where depths differ (`Depths`).
-            nearness: Whether the picture gets it.
-            exact: As `Canvas`.
-            took: Called with the seconds that the card needed, if it has to draw; waits for it.
+            card: The graphics card.
+            atlas: As for `Card.draw`.
+            order: Order of rows of the atlas.
+            shot: Camera and settings.
+            meshes: As for `Card.draw`; compared by identity (`Depths`).
+            nearness: As for `Canvas`.
+            exact: As for `Canvas`.
+            took: Called with the seconds that the card needed to draw, which means waiting for it.
         """
         size = shot.camera.width, shot.camera.height
         canvas = self._fitting(*size, nearness, exact)
@@ -63,7 +63,7 @@ class ViewPicture:
         return canvas
 
     def _fitting(self, width: int, height: int, nearness: bool, exact: bool) -> Canvas | None:
-        """The canvas, if it is one of that kind."""
+        """The canvas, if it has this size and kind."""
         canvas = self._canvas
         if canvas is None or (canvas.width, canvas.height) != (width, height):
             return None
@@ -72,6 +72,6 @@ class ViewPicture:
 
 
 def _wait(canvas: Canvas) -> None:
-    """Until all is drawn that was asked for: a pixel is read."""
+    """Wait until the card has finished drawing, by reading a pixel."""
     with canvas.bind():
         gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, "FLOAT")

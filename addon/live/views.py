@@ -1,4 +1,4 @@
-"""Live views: the 3D views that show splats, with what each has drawn and what is pending."""
+"""Live views: the 3D views that show splats, with the drawn and the pending order of each."""
 
 import time
 from collections.abc import Callable
@@ -21,39 +21,39 @@ from .card import Canvas, Card, Shot
 from .clip import Cuts
 from .depths import Depths
 from .level import Level
-from .uploads import Order, Texels
+from .texture_upload import Order, Texels
 from .view_picture import ViewPicture
 
 UPLOAD = 0.004
-"""Seconds of a redraw after which nothing further is uploaded."""
+"""Seconds of a redraw after which uploading pauses."""
 
 _LIKE = 1.25
-"""How many times more splats than are wanted an order has that is as good as the wanted one."""
+"""Largest ratio of an order's splats to the requested number for which its time is used."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawRequest:
-    """An order that is wanted."""
+    """A requested order."""
 
     placed: tuple[Placed, ...]
     eye: order.Eye
     count: int
     """Rows of the atlas to sort; beyond its end: all."""
     tinted: Tinted = Tinted.NONE
-    """Of which objects what is selected is seen."""
+    """Objects whose selection is shown."""
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """What the atlas depends on."""
+        """Key of the atlas."""
         return tuple((p.part, p.frozen.fingerprint) for p in self.placed)
 
     @property
     def marks(self) -> tuple[Any, ...]:
-        """What differs where other splats are selected or hidden: they need another order alone."""
+        """Key of selection and visibility, which change the order but not the atlas."""
         return (self.tinted, *((id(p.frozen.marks), p.edited) for p in self.placed))
 
     def same(self, other: "DrawRequest | None") -> bool:
-        """Whether the other asks for nothing else."""
+        """Whether both requests have the same result."""
         return (
             other is not None
             and (self.parts, self.marks) == (other.parts, other.marks)
@@ -61,7 +61,7 @@ class DrawRequest:
         )
 
     def same_order(self, other: "DrawRequest") -> bool:
-        """Whether the other has as many splats in the same order, if they are the same."""
+        """Whether both have the same number and order of splats, if the splats are the same."""
         return (
             self.count == other.count
             and self.eye.orthographic == other.eye.orthographic
@@ -72,52 +72,52 @@ class DrawRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class _Arranged:
-    """What was made of a wish."""
+    """Result of a request."""
 
-    wish: DrawRequest
+    request: DrawRequest
     atlas: atlas.Atlas
     marks: list[np.ndarray | None]
-    """Of each object, [N] as `render.selections.marks_of`."""
+    """Marks of each object, [N] as `render.selections.marks_of`."""
     entries: np.ndarray
-    """[M, 4], the order."""
+    """The order, [M, 4]."""
 
 
 class Arranger:
-    """Sorts for one view, in a thread.
+    """Sorts the splats of one view, in a thread.
 
-    While splats stay the same it keeps the atlas; where colours, opacities and what is selected are
-    all that has changed, it goes over those of them alone.
+    It keeps the atlas while the splats stay the same. If only colours, opacities and selection have
+    changed, it updates only those rows.
     """
 
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
         self._last: _Arranged | None = None
 
-    def __call__(self, wish: DrawRequest) -> tuple[atlas.Atlas, np.ndarray]:
+    def __call__(self, request: DrawRequest) -> tuple[atlas.Atlas, np.ndarray]:
         """The atlas, and the entries of the order.
 
         Raises:
             ValueError: an object cannot be drawn; it is named.
         """
-        built, repainted = self._laid_out(wish)
-        marks = [marks_of(placed, wish.tinted) for placed in wish.placed]
-        rows = None
-        if self._last is not None and repainted is not None and wish.same_order(self._last.wish):
-            rows = _recolored_rows(built, repainted, self._last.marks, marks)
+        built, repainted = self._laid_out(request)
+        marks = [marks_of(placed, request.tinted) for placed in request.placed]
+        rows, last = None, self._last
+        if last is not None and repainted is not None and request.same_order(last.request):
+            rows = _recolored_rows(built, repainted, last.marks, marks)
         if rows is None:
-            entries = order.arrange(built, wish.eye, wish.count, marks)
+            entries = order.arrange(built, request.eye, request.count, marks)
         else:
-            entries = order.recolored(self._last.entries, built, wish.eye, rows, marks)
-        self._last = _Arranged(wish=wish, atlas=built, marks=marks, entries=entries)
+            entries = order.recolored(last.entries, built, request.eye, rows, marks)
+        self._last = _Arranged(request=request, atlas=built, marks=marks, entries=entries)
         return built, entries
 
-    def _laid_out(self, wish: DrawRequest) -> tuple[atlas.Atlas, np.ndarray | None]:
-        """The atlas, and which of its rows [N] have other colours or opacities than in the last;
-        None where it has other splats."""
+    def _laid_out(self, request: DrawRequest) -> tuple[atlas.Atlas, np.ndarray | None]:
+        """The atlas, and its rows [N] whose colours or opacities differ from the last one; None if
+        it has other splats."""
         last = self._last
-        if last is not None and last.wish.parts == wish.parts:
+        if last is not None and last.request.parts == request.parts:
             return last.atlas, np.zeros(len(last.atlas), bool)
-        parts = self._cache.parts(list(wish.placed))
+        parts = self._cache.parts(list(request.placed))
         found = None if last is None else atlas.repainted(last.atlas, parts)
         return (atlas.build(parts), None) if found is None else found
 
@@ -128,8 +128,8 @@ def _recolored_rows(
     before: list[np.ndarray | None],
     after: list[np.ndarray | None],
 ) -> np.ndarray | None:
-    """[N] bool: which rows of an atlas have other colours, of those that were repainted [N], and of
-    those that were selected or deselected; None where others show."""
+    """Rows of an atlas whose colours differ, [N] bool: repainted [N], selected or deselected ones;
+    None if visibility has changed."""
     rows = repainted.copy()
     for number, (was, now) in enumerate(zip(before, after, strict=True)):
         if was is not now:
@@ -143,14 +143,14 @@ def _recolored_rows(
 
 @dataclass(frozen=True, kw_only=True)
 class _Upload:
-    """An answer on its way to the card, or there."""
+    """A result that is being uploaded, or has been."""
 
-    wish: DrawRequest
+    request: DrawRequest
     texels: Texels
     order: Order
 
     def step(self, card: Card) -> bool:
-        """Upload some more; whether all is there."""
+        """Upload the next chunk; return whether the upload is complete."""
         if not self.texels.complete:
             self.texels.step(card.copy)
             return False
@@ -158,7 +158,7 @@ class _Upload:
 
 
 class View:
-    """One region of a 3D view; used where Blender draws."""
+    """One region of a 3D view; used in draw handlers."""
 
     def __init__(self, cache: SplatCache) -> None:
         self.sorter: Latest[DrawRequest, tuple[atlas.Atlas, np.ndarray]]
@@ -167,10 +167,10 @@ class View:
         self.drawn = 0
         """Splats of the last picture."""
         self.seconds = 0.0
-        """What the last redraw took of Blender's own thread."""
+        """Time of the last redraw on Blender's main thread."""
         self.complete = False
-        """Whether the last picture shows everything as it is now."""
-        self._asked: DrawRequest | None = None
+        """Whether the last picture shows the current state completely."""
+        self._requested: DrawRequest | None = None
         self._answered: DrawRequest | None = None
         self._coming: _Upload | None = None
         self._shown: _Upload | None = None
@@ -179,12 +179,12 @@ class View:
 
     @property
     def waits(self) -> bool:
-        """Whether the picture will change although nobody touches anything."""
+        """Whether the picture will change without further input."""
         coming = self._coming is not None or self.level.moving
         return self.sorter.busy or self.sorter.fresh or coming
 
     def stale(self, now: float) -> bool:
-        """Whether a redraw would show something else, or go on with an upload."""
+        """Whether a redraw would show a new picture or continue an upload."""
         rested = self.level.moving and self.level.rests_at <= now
         return self.sorter.fresh or self._coming is not None or rested
 
@@ -206,59 +206,60 @@ class View:
         tinted: Tinted = Tinted.NONE,
         spare: float = 0.0,
     ) -> Canvas | None:
-        """Draw what is there, and ask for what is missing.
+        """Draw the last uploaded order, and request the current one.
 
         Args:
-            card: What draws.
+            card: The graphics card.
             placed: The objects.
-            camera: Of the view.
+            camera: The view's camera.
             window: As in `Shot`.
-            antialias: What the scene wishes.
-            meshes: Reads depths of what may hide splats (`Depths`), which waits for the card: not
-                while the view moves, if the card does without. None: nothing does.
-            front: Whether some of it has no depth: then `meshes` is called in a moving view too.
-            cuts: Where the view ends.
-            tinted: Of which objects what is selected is seen.
-            spare: Seconds that uploads may take besides `UPLOAD`.
+            antialias: Anti-aliasing setting of the scene.
+            meshes: Reads depths of objects that may hide splats (`Depths`), which waits for the
+                card; not called for moving views if the card supports nearness. None: none.
+            front: Whether some objects have no depth; `meshes` is then called for moving views too.
+            cuts: Clipping of the view.
+            tinted: Objects whose selection is shown.
+            spare: Seconds for uploads in addition to `UPLOAD`.
 
         Returns:
-            The picture; None where there is none.
+            The picture; None: there is none yet.
 
         Raises:
-            ValueError: the objects want to be drawn in different ways, or one cannot be drawn.
+            ValueError: the objects were trained with and without anti-aliasing, or one cannot be
+                drawn.
         """
         began = time.perf_counter()
         total = sum(len(p.frozen.vertices) for p in placed)
         viewmats = tuple(camera.viewmat @ p.matrix for p in placed)
-        # A filter or a crop that is dragged wants a quick answer as much as a view that is turned.
+        # Dragging a filter or a crop needs quick redraws just as moving the view does.
         filters = b"".join(p.part[1] for p in placed)
-        seen = b"".join(m.tobytes() for m in (camera.K, *viewmats)) + filters
-        detail = self.level.look(time.monotonic(), seen, total)
+        key = b"".join(m.tobytes() for m in (camera.K, *viewmats)) + filters
+        detail = self.level.look(time.monotonic(), key, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
-        wish = DrawRequest(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
+        request = DrawRequest(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
         self._take_in(card, UPLOAD + spare)
         self.complete = False
-        for one in placed:  # the card would draw them at once, where it has their splats already
+        for one in placed:  # the card draws known splats before the sorter checks them
             check_similar(one)
-        if not wish.same(self._asked):
-            self._asked = wish
-            self.sorter.ask(wish)
+        if not request.same(self._requested):
+            self._requested = request
+            self.sorter.ask(request)
         if self.sorter.problem:
             raise ValueError(self.sorter.problem)
         if self._shown is None:
             return None
         shown = self._shown
-        self.complete = shown.wish.same(wish) and not self.level.moving
+        self.complete = shown.request.same(request) and not self.level.moving
         shot = Shot(
             camera=smaller(camera, detail.factor),
-            viewmats=_viewmats(shown.wish, wish, camera),
+            viewmats=_viewmats(shown.request, request, camera),
             window=window,
             antialias=_antialias(placed, antialias),
             limit=detail.count,
             cuts=cuts,
         )
-        # An order of many more splats than are wanted takes the time of those too.
-        like = shown.wish.count <= _LIKE * detail.count
+        # An order of many more splats than requested takes longer.
+        like = shown.request.count <= _LIKE * detail.count
         took = self.level.took if self.level.measures and like else None
         nearness = meshes is not None and self.level.moving and card.nears and not front
         depths = None if meshes is None or nearness else meshes()
@@ -268,12 +269,12 @@ class View:
             exact=not self.level.moving,
             took=took,
         )
-        self.drawn = min(detail.count, shown.wish.count)
+        self.drawn = min(detail.count, shown.request.count)
         self.seconds = time.perf_counter() - began
         return canvas
 
     def _take_in(self, card: Card, seconds: float) -> None:
-        """Upload answers that have come, bit by bit."""
+        """Upload finished results in chunks."""
         until = time.perf_counter() + seconds
         self.sorter.fresh = False
         answer = self.sorter.answer
@@ -284,30 +285,30 @@ class View:
             if self._coming.step(card):
                 self._shown, self._coming = self._coming, None
 
-    def _upload(self, wish: DrawRequest, built: atlas.Atlas, entries: np.ndarray) -> _Upload:
-        """Of an answer, without what the card has already."""
+    def _upload(self, request: DrawRequest, built: atlas.Atlas, entries: np.ndarray) -> _Upload:
+        """The upload of a result, without data that are already on the card."""
         shown = self._shown
         if shown is not None and shown.texels.values is built.texels:
             texels = shown.texels
         else:
             texels = Texels(built.texels)
         order_ = Order(entries, None if shown is None else shown.order)
-        return _Upload(wish=wish, texels=texels, order=order_)
+        return _Upload(request=request, texels=texels, order=order_)
 
 
 def _viewmats(
-    shown: DrawRequest, wish: DrawRequest, camera: RenderCamera
+    shown: DrawRequest, request: DrawRequest, camera: RenderCamera
 ) -> tuple[np.ndarray, ...]:
-    """Of the objects that an order has, where they are by now."""
-    if [p.part for p in shown.placed] == [p.part for p in wish.placed]:
-        return wish.eye.viewmats
-    places = {p.uid: p.matrix for p in wish.placed}
+    """View matrices of the shown objects at their current places."""
+    if [p.part for p in shown.placed] == [p.part for p in request.placed]:
+        return request.eye.viewmats
+    places = {p.uid: p.matrix for p in request.placed}
     return tuple(camera.viewmat @ places.get(p.uid, p.matrix) for p in shown.placed)
 
 
-def _antialias(placed: list[Placed], wish: str) -> bool:
+def _antialias(placed: list[Placed], setting: str) -> bool:
     return picture.compensates(
-        wish,
+        setting,
         trained=tuple(p.name for p in placed if p.antialias),
         plain=tuple(p.name for p in placed if not p.antialias),
     )

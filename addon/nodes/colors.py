@@ -10,9 +10,9 @@ from .graph import Graph, Socket, ensure, inputs, new_group, result, socket, use
 
 NAME, ENERGY, MEASURE = "Splat Colors", "Splat Color Energy", "Splat Color Measure"
 MODES = ("COLOR", "OPACITY", "SIZE", "ANISOTROPY", "SH_ENERGY", "DEPTH")
-"""By number, as the group's input Color By has them."""
+"""Values of the group's input Color By, by index."""
 ELONGATION_DECADES = 2.0
-"""The colour map ends where the longest axis is 10^2 times the shortest."""
+"""End of the colour map: the longest axis is 10^2 times the shortest."""
 _SPREAD = 2.0
 """Standard deviations to each side of the mean that the colour map spans."""
 _VIRIDIS = ("440154", "46327e", "365c8d", "277f8e", "1fa187", "4ac16d", "a0da39", "fde725")
@@ -20,7 +20,7 @@ _VIRIDIS = ("440154", "46327e", "365c8d", "277f8e", "1fa187", "4ac16d", "a0da39"
 
 
 def group() -> bpy.types.NodeTree:
-    """The group, built where the file has none."""
+    """The group, built if the file has none."""
     return ensure(bpy.data.node_groups, NAME, _build)
 
 
@@ -38,7 +38,8 @@ def _build(name: str) -> bpy.types.NodeTree:
 
 
 def measure_group() -> bpy.types.NodeTree:
-    """The group that gives the chosen quantity of a splat as 0 to 1; apart as `energy_group`."""
+    """The group that outputs the chosen quantity of a splat as 0 to 1; a group of its own like
+    `energy_group`."""
     return ensure(bpy.data.node_groups, MEASURE, _build_measure)
 
 
@@ -63,13 +64,13 @@ def _build_measure(name: str) -> bpy.types.NodeTree:
 
 
 def _color(graph: Graph, from_camera: Socket) -> Socket:
-    """The colour from the scene's camera where that is wanted and there is one; else the mean."""
+    """The colour from the scene's camera, if `from_camera` and there is one; else the mean."""
     camera = graph.call("GeometryNodeInputActiveCamera")
     place = graph.node("GeometryNodeObjectInfo", transform_space="RELATIVE")
     graph.feed(place.inputs[0], camera)
-    seen = use_group(graph, harmonics.group(), {"From": place.outputs["Location"]})
-    wanted = graph.both(from_camera, exists(graph, camera))
-    return graph.switch("RGBA", wanted, _base_color(graph), seen)
+    viewed = use_group(graph, harmonics.group(), {"From": place.outputs["Location"]})
+    by_view = graph.both(from_camera, exists(graph, camera))
+    return graph.switch("RGBA", by_view, _base_color(graph), viewed)
 
 
 def _base_color(graph: Graph) -> Socket:
@@ -86,7 +87,7 @@ def _base_color(graph: Graph) -> Socket:
 
 
 def _elongation(graph: Graph) -> Socket:
-    """0 for a ball, 1 where the longest axis is 100 times the shortest."""
+    """0 for a ball, 1 if the longest axis is 100 times the shortest."""
     x, y, z = graph.separate(graph.attribute(SCALE, "FLOAT_VECTOR"))
     smallest = graph.math("MINIMUM", graph.math("MINIMUM", x, y), z)
     ratio = graph.math("DIVIDE", largest(graph), graph.math("MAXIMUM", smallest, 1e-30))
@@ -94,9 +95,9 @@ def _elongation(graph: Graph) -> Socket:
 
 
 def energy_group() -> bpy.types.NodeTree:
-    """The group that gives the root of the sum of squares of the coefficients of degree 1 to 3.
+    """The group that outputs the L2 norm of the coefficients of degree 1 to 3.
 
-    Apart, because the time to build a tree grows with the square of its size.
+    A group of its own, because the time to build a tree grows with the square of its size.
     """
     return ensure(bpy.data.node_groups, ENERGY, _build_energy)
 
@@ -125,7 +126,7 @@ def _camera_depth(graph: Graph) -> Socket:
 def _spread(
     graph: Graph, given: dict[str, Socket], field: Socket, *, from_zero: bool = False
 ) -> Socket:
-    """A field as 0 to 1 over mean +- 2 standard deviations of what is visible."""
+    """A field as 0 to 1 over mean +- 2 standard deviations of the visible splats."""
     statistic = graph.node("GeometryNodeAttributeStatistic", data_type="FLOAT", domain="POINT")
     sockets = [s for s in statistic.inputs if s.enabled]
     for item, value in zip(sockets, [given["Geometry"], given["Visible"], field], strict=True):

@@ -11,23 +11,23 @@ from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, so
 
 NAME = "Splat Display"
 MODES = ("POINTS", "ELLIPSOIDS", "SOFT", "NATIVE", "SPLATS")
-"""By number, as the group's input Display has them; NATIVE are Blender's own splats, where it has
-them (5.3). SPLATS leaves the picture of viewports to the drawing of `live`, with a box for a
-handle, and renders as NATIVE, before 5.3 as SOFT."""
+"""Values of the group's input Display, by index. NATIVE are Blender's own splats (5.3 and later).
+SPLATS shows only a box as a handle in viewports, where `live` draws the splats, and renders as
+NATIVE, before 5.3 as SOFT."""
 _RENDERS_SOFT = MODES.index("SOFT"), MODES.index("SPLATS")
 _BOX = 2.0
 """Half sides of the handle, in standard deviations of the splats' positions."""
 
 
 def group() -> bpy.types.NodeTree:
-    """The group, built where the file has none."""
+    """The group, built if the file has none."""
     return ensure(bpy.data.node_groups, NAME, _build)
 
 
 def builders() -> list[Callable[[], bpy.types.ID]]:
-    """What builds the group's parts and then the group, to be called one at a time.
+    """Functions that build the group's parts and then the group, to be called one per step.
 
-    At once they take a tenth of a second, which a user would feel.
+    Together they take a tenth of a second, which a user would notice.
     """
     parts = [materials.points, materials.ellipsoids, materials.soft, filters.group]
     measures = [colors.energy_group, colors.measure_group]
@@ -35,7 +35,7 @@ def builders() -> list[Callable[[], bpy.types.ID]]:
 
 
 def modifier_of(ob: bpy.types.Object) -> bpy.types.NodesModifier | None:
-    """The object's display modifier, whichever version of this add-on made it."""
+    """The object's display modifier, from any version of this add-on."""
     for modifier in ob.modifiers:
         if modifier.type == "NODES" and is_ours(modifier.node_group, NAME):
             return modifier
@@ -85,7 +85,7 @@ def _points(graph: Graph, given: dict[str, Socket], visible: Socket, from_camera
     )
     node = graph.node("GeometryNodeStoreNamedAttribute", data_type="FLOAT_COLOR", domain="POINT")
     colored = _store(graph, node, mesh, visible, materials.COLOR, color)
-    # Coefficients are most of the memory, and nothing below needs them.
+    # Coefficients take most of the memory and are not needed below.
     slim = graph.node("GeometryNodeRemoveAttribute")
     compat.remove_by_wildcard(slim)
     graph.feed(slim.inputs["Geometry"], colored)
@@ -98,7 +98,7 @@ def _points(graph: Graph, given: dict[str, Socket], visible: Socket, from_camera
 
 
 def _native(graph: Graph, mesh: Socket, visible: Socket) -> Socket:
-    """The visible splats as a point cloud of Blender's own; attributes are named as it wants."""
+    """The visible splats as Blender's native splats, which use the same attribute names."""
     points = graph.node("GeometryNodeMeshToPoints")
     graph.feed(points.inputs["Mesh"], mesh)
     graph.feed(points.inputs["Selection"], visible)
@@ -109,7 +109,7 @@ def _native(graph: Graph, mesh: Socket, visible: Socket) -> Socket:
 
 
 def _handle(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
-    """A box of edges around most of the visible splats, to be clicked, outlined and framed."""
+    """A box of edges around most of the visible splats, for clicking, outlines and framing."""
     position = graph.call("GeometryNodeInputPosition")
     kind = {"data_type": "FLOAT_VECTOR", "domain": "POINT"}
     node = graph.node("GeometryNodeAttributeStatistic", **kind)
@@ -142,7 +142,7 @@ def _store(graph: Graph, node: bpy.types.Node, *values: Socket | str | bool) -> 
 def _instances(
     graph: Graph, points: Socket, size: Socket | float, material: bpy.types.Material
 ) -> Socket:
-    """A ball on every point, stretched and turned like the splat."""
+    """A ball on every point, scaled and rotated like the splat."""
     ball = graph.node("GeometryNodeMeshIcoSphere")
     graph.feed(ball.inputs["Subdivisions"], 2)
     painted = graph.call("GeometryNodeSetMaterial", ball.outputs["Mesh"], None, material)

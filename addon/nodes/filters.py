@@ -9,7 +9,7 @@ NAME = "Splat Filters"
 
 
 def group() -> bpy.types.NodeTree:
-    """The group, built where the file has none: limits in, one boolean field out."""
+    """The group, built if the file has none: limits in, one boolean field out."""
     return ensure(bpy.data.node_groups, NAME, _build)
 
 
@@ -56,16 +56,16 @@ def _build(name: str) -> bpy.types.NodeTree:
 
 
 def exists(graph: Graph, ob: Socket) -> Socket:
-    """Whether the crop object is still there: what is deleted has no scale at all."""
+    """Whether the crop object still exists: a deleted one has scale 0."""
     info = graph.node("GeometryNodeObjectInfo", transform_space="RELATIVE")
     graph.feed(info.inputs[0], ob)
     return graph.compare("GREATER_THAN", graph.vector("LENGTH", info.outputs["Scale"]), 0.0)
 
 
 def _inside(graph: Graph, given: dict[str, Socket]) -> Socket:
-    """Whether a splat's centre lies in the bounds of the crop object, or their ellipsoid."""
+    """Whether a splat's centre is inside the bounds of the crop object, or their ellipsoid."""
     to_self = graph.call("GeometryNodeObjectInfo", given["Crop Object"], transform_space="RELATIVE")
-    # In its original space an object's geometry comes without the object's transform.
+    # In the original space, the geometry is without the object's transform.
     own = graph.node("GeometryNodeObjectInfo", transform_space="ORIGINAL")
     graph.feed(own.inputs[0], given["Crop Object"])
     bounds = graph.node("GeometryNodeBoundBox")

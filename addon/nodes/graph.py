@@ -12,15 +12,15 @@ Value = Any
 """A socket to link, or a constant for the socket's default."""
 
 VERSION = 5
-"""Of the node groups and materials; a file with older ones gets new ones."""
+"""Version of the node groups and materials; older ones in a file are replaced."""
 _TAG, _NATIVE = "gs_nodes", " native"
-"""What Blenders with splats of their own build, others lack the nodes for."""
+"""Custom property of a datablock, and its suffix if nodes of Blender's native splats are used."""
 
 
 def ensure(datablocks: Any, name: str, make: Callable[[str], bpy.types.ID]) -> bpy.types.ID:
-    """The group or material of this name that we built before, or a new one.
+    """The group or material of this name made by this add-on, or a new one.
 
-    A datablock of the same name that is not ours, or of another version, is left alone.
+    Datablocks of the same name from users or from other versions are not changed.
     """
     tag = f"{name} {VERSION}{_NATIVE if compat.splat_cloud_type() else ''}"
     for block in datablocks:
@@ -32,7 +32,8 @@ def ensure(datablocks: Any, name: str, make: Callable[[str], bpy.types.ID]) -> b
 
 
 def is_of_another_blender(block: bpy.types.ID) -> bool:
-    """Whether a datablock of ours was built by a Blender with other splats of its own."""
+    """Whether a datablock was built by a Blender with native splats and this one has none, or the
+    reverse."""
     return str(block.get(_TAG, "")).endswith(_NATIVE) != bool(compat.splat_cloud_type())
 
 
@@ -42,13 +43,13 @@ def is_ours(block: bpy.types.ID | None, name: str) -> bool:
 
 
 class Graph:
-    """Builder on a node tree; identical calls in every Blender version."""
+    """Builder of a node tree, with the same calls in every Blender version."""
 
     def __init__(self, tree: bpy.types.NodeTree) -> None:
         self.tree = tree
 
     def node(self, kind: str, **settings: Any) -> bpy.types.Node:
-        """Add a node and set its properties, before its sockets are asked for."""
+        """Add a node and set its properties, on which its sockets depend."""
         node = self.tree.nodes.new(kind)
         for name, value in settings.items():
             setattr(node, name, value)
@@ -78,7 +79,7 @@ class Graph:
         return self.call("ShaderNodeVectorMath", *values, operation=operation)
 
     def attribute(self, name: str, data_type: str) -> Socket:
-        """A named attribute of the geometry at hand; zero where there is none."""
+        """A named attribute of the current geometry; zero if it does not exist."""
         return self.call("GeometryNodeInputNamedAttribute", name, data_type=data_type)
 
     def compare(self, operation: str, a: Value, b: Value) -> Socket:
@@ -91,11 +92,11 @@ class Graph:
         return self.call("FunctionNodeBooleanMath", a, b, operation="AND")
 
     def switch(self, kind: str, condition: Value, false: Value, true: Value) -> Socket:
-        """One of two values; only the chosen one is computed where the condition is constant."""
+        """One of two values; with a constant condition only the chosen one is computed."""
         return self.call("GeometryNodeSwitch", condition, false, true, input_type=kind)
 
     def choose(self, kind: str, index: Socket, options: list[Value]) -> Socket:
-        """One of several values by number; only the chosen one is computed."""
+        """One of several values by index; only the chosen one is computed."""
         node = self.node("GeometryNodeIndexSwitch", data_type=kind)
         while len(node.index_switch_items) < len(options):
             node.index_switch_items.new()
@@ -111,10 +112,10 @@ class Graph:
         return list(node.outputs)
 
     def arrange(self) -> None:
-        """Place nodes in columns from the inputs to the output, for whoever opens the tree."""
+        """Place nodes in columns from the inputs to the output, to keep the tree readable."""
         depth: dict[str, int] = {}
         ends = [(link.from_node.name, link.to_node.name) for link in self.tree.links]
-        for _ in self.tree.nodes:  # the longest path has no more nodes than that
+        for _ in self.tree.nodes:  # upper bound of the longest path
             before = dict(depth)
             for start, end in ends:
                 depth[end] = max(depth.get(end, 0), depth.get(start, 0) + 1)

@@ -34,20 +34,20 @@ _BASIS: tuple[dict[_Powers, float], ...] = (
     {(2, 0, 1): 1, (0, 2, 1): -1},
     {(3, 0, 0): 1, (1, 2, 0): -3},
 )
-"""The basis functions after the constant one as polynomials of x, y, z, up to a factor
-each. Those of degree 4, which hardly any model has, would cost every display nine attributes."""
+"""The basis functions after the constant one as polynomials of x, y, z, up to a factor each. Degree
+4 is left out: it is rare, and would cost every display nine attributes."""
 _SOMEWHERE = np.array([0.36, 0.48, 0.8])
-"""A unit vector at which none of them is zero."""
+"""A unit vector at which no basis function is zero."""
 
 
 def group() -> bpy.types.NodeTree:
-    """The group, built where the file has none: a location in the object's space in, a scene-linear
+    """The group, built if the file has none: a location in the object's space in, a scene-linear
     colour as a field out."""
     return ensure(bpy.data.node_groups, NAME, _build)
 
 
 def builders() -> list[Callable[[], bpy.types.ID]]:
-    """What builds the group's parts and then the group, to be called one at a time."""
+    """Functions that build the group's parts and then the group, to be called one per step."""
     return [*(lambda degree=degree: _band(degree) for degree in (1, 2, 3)), group]
 
 
@@ -81,9 +81,9 @@ def _build(name: str) -> bpy.types.NodeTree:
 
 
 def _band(degree: int) -> bpy.types.NodeTree:
-    """The part of one degree, which is zero where the splats have no such coefficients.
+    """The part of one degree, which is zero if the splats have no such coefficients.
 
-    Apart, because the time to build a tree grows with the square of its size.
+    A group of its own, because the time to build a tree grows with the square of its size.
     """
     return ensure(bpy.data.node_groups, f"{BAND} {degree}", lambda name: _build_band(name, degree))
 
@@ -105,7 +105,7 @@ def _build_band(name: str, degree: int) -> bpy.types.NodeTree:
 
 
 def _scaled(k: int) -> dict[_Powers, float]:
-    """Basis function k + 1 with its factor, which the core's value of it tells."""
+    """Basis function k + 1 with its factor, derived from the core's value of the function."""
     basis = _BASIS[k]
     here = sum(f * float(np.prod(_SOMEWHERE ** np.array(one))) for one, f in basis.items())
     factor = float(sh_basis(3, _SOMEWHERE)[k + 1]) / here

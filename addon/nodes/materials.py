@@ -6,24 +6,24 @@ from .. import compat
 from .graph import Graph, Socket, ensure
 
 COLOR = "gs_color"
-"""Attribute with the scene-linear colour. (One named `color` renders black on point clouds.)"""
+"""Attribute of the scene-linear colour. (The name `color` renders black on point clouds.)"""
 OPACITY = "gs_opacity"
 REACH = 3.0
 """Standard deviations at which a soft splat ends; its weight there is 1.1 %."""
 
 
 def points() -> bpy.types.Material:
-    """For point clouds."""
+    """Material of point clouds."""
     return ensure(bpy.data.materials, "Splat Points", lambda n: _plain(n, "GEOMETRY"))
 
 
 def ellipsoids() -> bpy.types.Material:
-    """For instances, opaque."""
+    """Opaque material of instances."""
     return ensure(bpy.data.materials, "Splat Ellipsoids", lambda n: _plain(n, "INSTANCER"))
 
 
 def soft() -> bpy.types.Material:
-    """For instances that reach to `REACH` standard deviations: fades out like the Gaussian."""
+    """Material of instances of `REACH` standard deviations, with the falloff of the Gaussian."""
     return ensure(bpy.data.materials, "Splat Soft", _soft)
 
 
@@ -57,10 +57,10 @@ def _plain(name: str, kind: str) -> bpy.types.Material:
 
 
 def _soft(name: str) -> bpy.types.Material:
-    """Alpha = opacity exp(-d²/2), d being how near the line of sight comes to the centre.
+    """Alpha = opacity exp(-d²/2), with d the distance of the line of sight from the centre.
 
     The ellipsoid is a ball in its instance's space: with a point p of its surface and the line's
-    direction v there, d² = p.p - (p.v)² in units of `REACH`.
+    direction v in that space, d² = p.p - (p.v)² in units of `REACH`.
     """
     graph, material = _new(name)
     material.surface_render_method = "DITHERED"  # sorted blending cannot work across instances
@@ -74,7 +74,7 @@ def _soft(name: str) -> bpy.types.Material:
     squared = graph.vector("DOT_PRODUCT", surface, surface)
     distance = graph.math("SUBTRACT", squared, graph.math("MULTIPLY", along, along))
     weight = graph.math("EXPONENT", graph.math("MULTIPLY", distance, -0.5 * REACH * REACH))
-    # The value socket is the third, whatever a version calls it.
+    # The value socket is the third; its name depends on the version.
     opacity = _attribute(graph, OPACITY, "INSTANCER").outputs[2]
     front = graph.math("SUBTRACT", 1.0, geometry.outputs["Backfacing"])
     alpha = graph.math("MULTIPLY", graph.math("MULTIPLY", weight, opacity), front, clamp=True)

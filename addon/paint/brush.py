@@ -30,11 +30,11 @@ class Brush:
 
     def __post_init__(self) -> None:
         if not 0 < self.radius < np.inf:
-            raise ValueError(f"The brush's radius must be above 0, got {self.radius}.")
+            raise ValueError(f"The brush radius must be above 0, got {self.radius}.")
         for name in ("strength", "hardness", "opacity"):
             value = getattr(self, name)
             if not 0 <= value <= 1:
-                raise ValueError(f"The brush's {name} must be between 0 and 1, got {value}.")
+                raise ValueError(f"The brush {name} must be between 0 and 1, got {value}.")
 
     def share(self, distances: np.ndarray) -> np.ndarray:
         """Brush weights [K] in [0, 1] at distances [K] from its centre.
@@ -47,13 +47,11 @@ class Brush:
         return 1 - u * u * (3 - 2 * u)
 
     def painted(self, base: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """[K, 4] float32: `radiance:base` after a stroke.
-
-        View-dependent coefficients are no part of it: what they add to a colour stays.
+        """`radiance:base` after a stroke, [K, 4] float32; view-dependent coefficients are kept.
 
         Args:
             base: [K, 4] float32 before the stroke.
-            share: [K], as `share`; the most that the stroke had of it.
+            share: Largest weights of the stroke, [K], as from `share`.
         """
         out = base.copy()
         way = (self.strength * share).astype(np.float32)

@@ -10,9 +10,9 @@ _SEGMENTS = 64
 
 
 def draw_circle(place: tuple[float, float], radius: float, hardness: float) -> None:
-    """Draw the brush, with a second circle where it begins to fade; all in pixels of a region."""
+    """Draw the brush, with a second circle where its falloff begins; all in pixels of a region."""
     gpu.state.blend_set("ALPHA")
-    # Dark beside bright, so that it is seen over everything.
+    # Dark next to bright, so that it is visible over everything.
     draw_circle_2d(place, _SHADOW, radius + 1, segments=_SEGMENTS)
     draw_circle_2d(place, _LINE, radius, segments=_SEGMENTS)
     if 0 < hardness < 1:
@@ -21,7 +21,7 @@ def draw_circle(place: tuple[float, float], radius: float, hardness: float) -> N
 
 
 class Cursor:
-    """Drawn from its creation to `close`."""
+    """Brush circle, drawn from its creation to `close`."""
 
     def __init__(self) -> None:
         self.region = 0

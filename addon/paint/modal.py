@@ -25,9 +25,9 @@ class Running:
     def begin(self, context: bpy.types.Context) -> None:
         """Start painting, with the brush cursor and key hints in the status bar."""
         self.session, self._status = Session(), StatusBar(context.workspace)
-        self.tell(context)
+        self.update_status(context)
 
-    def tell(self, context: bpy.types.Context) -> None:
+    def update_status(self, context: bpy.types.Context) -> None:
         """Update the status bar."""
         self._status.say(self.session.sentence(context.window_manager.gscore_paint))
 
@@ -43,16 +43,16 @@ RUNNING = Running()
 
 
 class PaintSplats(OnSplats, bpy.types.Operator):
-    """Paint colors, opacities or the selection of splats with a brush in the 3D view. Pressed once
-    more, it ends painting"""
+    """Paint colors, opacities or the selection of splats with a brush in the 3D view. Press again
+    to end painting"""
 
     bl_idname = "gscore.paint_splats"
     bl_label = "Paint Splats"
-    bl_options: ClassVar = set()  # each stroke is an undo step of its own
+    bl_options: ClassVar = set()  # each stroke is a separate undo step
 
     once: BoolProperty(
         name="Once",
-        description="Paint the stroke that begins where the mouse is pressed, and end with it",
+        description="Paint only the stroke that begins with this mouse press",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
@@ -91,7 +91,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             return self.refuse(error)
         if edited:
             self._edited = ob.name
-            undo.push(UNDO)  # else undoing the first stroke would lead back into Edit Mode
+            undo.push(UNDO)  # else undoing the first stroke would return to Edit Mode
         RUNNING.begin(context)
         answer = self.modal(context, event) if self.once else {"RUNNING_MODAL"}
         if RUNNING.session is not None:
@@ -114,7 +114,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             RUNNING.end()
             self._edit_again(context)
         else:
-            RUNNING.tell(context)
+            RUNNING.update_status(context)
         return {answer.value}
 
     def cancel(self, context: bpy.types.Context) -> None:

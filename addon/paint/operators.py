@@ -20,50 +20,50 @@ from .settings import FRONT_ONLY, BrushProperties
 
 _CAMERA, _PLACES = "CAMERA", "PLACES"
 _WAYS = [
-    (_CAMERA, "In a Picture", "Through a camera: points are pixels of its picture"),
-    (_PLACES, "Around Places", "In space: points are places in Blender's world"),
+    (_CAMERA, "Camera", "Through a camera: points are pixels of its picture"),
+    (_PLACES, "World", "In space: points are positions in Blender's world"),
 ]
 
 
 class StrokePoint(bpy.types.PropertyGroup):
-    """A point of a stroke's way."""
+    """A point of a stroke's path."""
 
     place: FloatVectorProperty(
-        name="Place",
-        description="Pixels from the lower left of the camera's picture, the third number left "
-        "out; or a place in Blender's world",
+        name="Position",
+        description="Pixels from the lower left of the camera's picture, where z is ignored, or a "
+        "position in Blender's world",
         size=3,
     )
 
 
 class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
-    """Paint one stroke on splats, through a camera or around places; for scripts"""
+    """Paint one stroke on splats, through a camera or in world space; for scripts"""
 
     bl_idname = "gscore.paint_stroke"
     bl_label = "Paint Stroke"
 
     stroke: CollectionProperty(
         name="Stroke",
-        description="Points of the way",
+        description="Points of the stroke's path",
         type=StrokePoint,
         options={"HIDDEN", "SKIP_SAVE"},
     )
-    way: EnumProperty(name="Painted", description="What the stroke's points are", items=_WAYS)
+    way: EnumProperty(name="Space", description="Space of the stroke's points", items=_WAYS)
     camera: StringProperty(
         name="Camera",
-        description="Object through which the stroke is painted, at the scene's resolution; empty: "
-        "the scene's camera",
+        description="Camera object to paint through, at the scene's resolution; empty: the scene's "
+        "camera",
         options={"SKIP_SAVE"},
     )
     radius: FloatProperty(
         name="Radius",
-        description="Of the brush: pixels of the picture, or units of the world around places",
+        description="Radius of the brush, in pixels of the picture or in world units",
         min=1e-6,
         default=50.0,
     )
     front_only: BoolProperty(
         name="Front Only",
-        description=f"{FRONT_ONLY}; around places, which are seen from nowhere, it does nothing",
+        description=f"{FRONT_ONLY}. No effect in world space",
         default=True,
     )
     inverted: BoolProperty(
@@ -73,7 +73,7 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
     def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Paint."""
         if not self.stroke:
-            raise ValueError("The stroke has no points: give it one or more.")
+            raise ValueError("The stroke has no points: add one or more.")
         ob = held.there()
         view = self._view(context) if self.way == _CAMERA else None
         count = yield from paint_target.paint(
@@ -87,10 +87,10 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         return f"{count:,} splats painted."
 
     def _view(self, context: bpy.types.Context) -> RenderCamera:
-        """Of the camera that is meant, as it is at the scene's frame.
+        """The chosen camera at the scene's frame.
 
         Raises:
-            ValueError: there is none, or it cannot be painted through.
+            ValueError: there is none, or its type is not supported.
         """
         scene = context.scene
         camera = scene.objects.get(self.camera) if self.camera else scene.camera
@@ -102,7 +102,7 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
 
     @staticmethod
     def _point(point: StrokePoint, view: RenderCamera | None) -> np.ndarray:
-        """[2] pixels from the top left, or [3] in the world."""
+        """A point in pixels from the top left, [2], or in the world, [3]."""
         if view is None:
             return np.array(point.place, np.float64)
         x, y, _ = point.place

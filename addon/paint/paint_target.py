@@ -1,7 +1,7 @@
 """Paint target: one stroke on a splat object, with its editable attributes, changes and display.
 
 Blender's mesh is written once, at the end of a stroke, because each write makes Blender evaluate
-the object and all that draws it. Until then only the live display gets the changes.
+the object and its displays. Until then only the live display gets the changes.
 """
 
 from collections.abc import Iterable
@@ -14,13 +14,13 @@ from .. import attributes
 from ..cameras.render_camera import RenderCamera
 from ..interface.blocks import with_uid
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
-from ..render import copies
+from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED, read_marks
 from ..splats import live, objects
 from ..timeline.settings import plays
 from .brush import SELECT, Brush
 from .stroke import Stroke
-from .visible_splats import VisibleSplats, looking
+from .visible_splats import VisibleSplats, copy_visible
 
 
 def begin_stroke(
@@ -31,15 +31,15 @@ def begin_stroke(
     front_only: bool = False,
     only_selected: bool = False,
 ) -> "Pieces[PaintedObject]":
-    """Look which splats a stroke can paint; those that are hidden or filtered out it cannot.
+    """Collect the splats that a stroke can paint, without hidden and filtered ones.
 
     Args:
         ob: A splat object in Object Mode, whose matrix is up to date.
-        brush: What is done.
-        view: Where the stroke is painted, its points in pixels from the top left. None: its points
-            are places in Blender's world.
-        front_only: Leave out what lies behind the surface that the view shows.
-        only_selected: Leave out what is not selected.
+        brush: The brush.
+        view: The painted view; points are in pixels from its top left. None: points are positions
+            in Blender's world.
+        front_only: Leave out splats behind the visible surface.
+        only_selected: Leave out unselected splats.
 
     Raises:
         ValueError: Edit Mode, attributes are missing or not finite, a mesh that cannot be written,
@@ -48,7 +48,7 @@ def begin_stroke(
     """
     objects.check_writable(ob)
     if view is None and front_only:
-        raise ValueError("Front Only needs a view: turn it off to paint around places.")
+        raise ValueError("Front Only needs a view: turn it off to paint in world space.")
     marks, count = read_marks(ob.data), len(ob.data.vertices)
     marks = np.zeros(count, np.uint8) if marks is None else marks
     may = (marks & HIDDEN) == 0
@@ -58,26 +58,26 @@ def begin_stroke(
             raise ValueError(f"{ob.name}: select some splats, or turn Only Selected off.")
     uid, name, follows = ob.data.session_uid, ob.name, live.SESSION.works and not plays(ob)
     shows_live = ob.gscore.display == "SPLATS" and follows
-    seen = yield from looking(ob, view, drawn=front_only)
-    found = yield from run_in_thread(partial(_within, seen, may, front_only), "Looking for splats")
+    splats = yield from copy_visible(ob, view, drawn=front_only)
+    found = yield from run_in_thread(partial(_within, splats, may, front_only), "Finding splats")
     return PaintedObject(uid, name, brush, marks, *found, shows_live=shows_live)
 
 
 def _within(
-    seen: VisibleSplats, may: np.ndarray, front_only: bool, check: Check
+    splats: VisibleSplats, may: np.ndarray, front_only: bool, check: Check
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[N, 4] of `radiance:base`; rows [M] of the splats to paint, of those that may be [N], and
-    their points [M, D]."""
-    base, may = seen.columns[attributes.BASE], may & seen.shown()
-    if seen.view is None:
+    """`radiance:base` [N, 4]; rows [M] of the splats to paint, a subset of `may` [N]; and their
+    points [M, D]."""
+    base, may = splats.columns[attributes.BASE], may & splats.shown()
+    if splats.view is None:
         rows = np.flatnonzero(may)
-        means = seen.columns[attributes.POSITION][rows]
-        return base, rows, means @ seen.matrix[:3, :3].T + seen.matrix[:3, 3]
-    at, there = seen.pixels()
+        means = splats.columns[attributes.POSITION][rows]
+        return base, rows, means @ splats.matrix[:3, :3].T + splats.matrix[:3, 3]
+    at, there = splats.pixels()
     may &= there
     check()
     if front_only and may.any():
-        may &= seen.in_front(at)
+        may &= splats.in_front(at)
     rows = np.flatnonzero(may)
     return base, rows, at[rows]
 
@@ -97,16 +97,16 @@ class PaintedObject:
         *,
         shows_live: bool,
     ) -> None:
-        """Nothing is painted yet.
+        """Prepare; paints nothing yet.
 
         Args:
-            uid: Session number of the mesh, of N splats.
-            name: Of the object.
-            brush: What is done.
-            marks: [N], as `read_marks`.
-            base: [N, 4] of `radiance:base`.
-            rows: [M], splats that can be painted.
-            points: [M, D], where the brush finds them.
+            uid: Session uid of the mesh, of N splats.
+            name: Name of the object.
+            brush: The brush.
+            marks: [N], as from `read_marks`.
+            base: `radiance:base`, [N, 4].
+            rows: Indices of the splats that can be painted, [M].
+            points: Their positions for the brush, [M, D].
             shows_live: Update the live display during the stroke.
         """
         self._uid, self._name, self._brush = uid, name, brush
@@ -116,7 +116,7 @@ class PaintedObject:
         self._selected = (marks & SELECTED) != 0
         self._touched = False
         self._live = shows_live
-        self._follows = self._live or len(base) <= copies.EDITED_AT_ONCE
+        self._follows = self._live or len(base) <= viewport_copies.EDITED_AT_ONCE
 
     def to(self, point: np.ndarray) -> None:
         """Extend the stroke to a point, [2] pixels of the view or [3] in the world."""
@@ -132,18 +132,18 @@ class PaintedObject:
             self._after[rows] = self._brush.painted(self._before[rows], share)
 
     def show(self) -> None:
-        """Have viewports show the stroke as far as it is; other displays than the live one, of many
-        splats, at its end."""
+        """Show the stroke so far in viewports; with many splats, displays other than the live one
+        show it at its end."""
         if self._live:
             self._show_live()
         elif self._follows and self._touched:
             self._write(self._after, self._selected)
 
     def finish(self) -> int:
-        """Keep the stroke; how many splats it reached.
+        """Write the stroke to the mesh; return the number of splats it reached.
 
         Raises:
-            ValueError: other splats have taken their place meanwhile; nothing is changed.
+            ValueError: the splats were replaced meanwhile; nothing is changed.
         """
         if not self._touched:
             return 0
@@ -164,18 +164,17 @@ class PaintedObject:
     def _show_live(self) -> None:
         if self._brush.does == SELECT:
             chosen = SELECTED * self._selected.astype(np.uint8)
-            copies.SHARED.remark(self._uid, (self._marks & HIDDEN) | chosen)
+            viewport_copies.SHARED.remark(self._uid, (self._marks & HIDDEN) | chosen)
         else:
-            copies.SHARED.repaint(self._uid, self._after.copy())
+            viewport_copies.SHARED.repaint(self._uid, self._after.copy())
 
     def _write(self, base: np.ndarray, selected: np.ndarray) -> None:
         mesh = with_uid(bpy.data.meshes, self._uid)
         if mesh is None or len(mesh.vertices) != len(base):
             raise ValueError(
-                f"The splats of {self._name} were replaced while the stroke was painted: paint it "
-                "again."
+                f"The splats of {self._name} were replaced during the stroke: paint it again."
             )
-        reached = self._rows[self._stroke.share > 0]  # others may have been changed meanwhile
+        reached = self._rows[self._stroke.share > 0]  # other rows may have changed meanwhile
         if self._brush.does == SELECT:
             now = attributes.selected(mesh)
             now[reached] = selected[reached]
@@ -197,15 +196,15 @@ def paint(
     front_only: bool = False,
     only_selected: bool = False,
 ) -> Pieces[int]:
-    """Paint a whole stroke; how many splats it reached. Arguments and errors as `begin_stroke`.
+    """Paint a whole stroke; return the number of splats it reached. Errors as `begin_stroke`.
 
     Args:
         ob: A splat object.
-        points: The way, each [2] pixels of the view or [3] in the world.
-        brush: What is done.
-        view: Where the stroke is painted.
-        front_only: Leave out what lies behind.
-        only_selected: Leave out what is not selected.
+        points: The path, each point [2] pixels of the view or [3] in the world.
+        brush: The brush.
+        view: The painted view, or None.
+        front_only: Leave out splats behind the visible surface.
+        only_selected: Leave out unselected splats.
     """
     how = {"front_only": front_only, "only_selected": only_selected}
     painted = yield from begin_stroke(ob, brush, view, **how)
@@ -215,11 +214,11 @@ def paint(
 
 
 def show_as_kept(ob: bpy.types.Object) -> None:
-    """Have the live display show an object's colours and selection as its mesh has them, at once.
+    """Update the live display immediately with the colours and selection of an object's mesh.
 
-    After undo it would do so by itself, some tenths of a second later.
+    After undo it would update by itself, but some tenths of a second later.
     """
     if ob.mode == "EDIT" or not live.SESSION.works:
         return
-    copies.SHARED.repaint(ob.data.session_uid, attributes.column(ob.data, attributes.BASE))
-    copies.SHARED.remark(ob.data.session_uid, read_marks(ob.data))
+    viewport_copies.SHARED.repaint(ob.data.session_uid, attributes.column(ob.data, attributes.BASE))
+    viewport_copies.SHARED.remark(ob.data.session_uid, read_marks(ob.data))

@@ -44,7 +44,7 @@ _NAVIGATION = (
 """Prefixes of view navigation events."""
 _UNTOUCHED = ("TIMER", "WINDOW", "NONE")
 """Prefixes of events that always pass through: timers, windows."""
-_HELD = {f"{side}_{key}" for side in ("LEFT", "RIGHT") for key in ("CTRL", "SHIFT", "ALT")}
+_MODIFIERS = {f"{side}_{key}" for side in ("LEFT", "RIGHT") for key in ("CTRL", "SHIFT", "ALT")}
 """Modifier keys."""
 _PANELS = {"N", "T"}
 """Keys that toggle the regions at a view's sides."""
@@ -89,12 +89,12 @@ class Spot:
 
     @property
     def point(self) -> np.ndarray:
-        """[2] pixels from the top left of the view."""
+        """Pixels from the top left of the view, [2]."""
         return np.array([self.x, self.region.height - self.y])
 
 
-class _Looking(TaskRunner):
-    """Search at the start of a stroke or a color pick, while the mouse moves on."""
+class _Search(TaskRunner):
+    """Search for splats at the start of a stroke or a color pick, while the mouse moves on."""
 
     def __init__(
         self,
@@ -103,29 +103,29 @@ class _Looking(TaskRunner):
         *,
         way: list[np.ndarray] | None = None,
     ) -> None:
-        """Begin.
+        """Start the search.
 
         Args:
-            context: Of the event.
-            pieces: What is looked for.
-            way: The mouse's way so far, of a stroke.
+            context: Context of the event.
+            pieces: The search, in steps.
+            way: The mouse path of a stroke so far; None: a color pick.
         """
         super().__init__(pieces)
         self.way, self.is_released = way, False
         self._manager, self._timer = context.window_manager, None
-        if not bpy.app.background:  # else no event may come
+        if not bpy.app.background:  # so that events arrive even if the mouse rests
             self._timer = self._manager.event_timer_add(INTERVAL, window=context.window)
 
     def end(self) -> None:
-        """Leave nothing."""
+        """Cancel the search and remove the timer."""
         self.cancel()
         if self._timer is not None:
             self._manager.event_timer_remove(self._timer)
 
 
 class Session:
-    """Strokes are painted one after the other, each an undo step, on the splat object that is
-    active when it begins. Nothing of the scene is kept between events: undo may replace it."""
+    """Sequence of strokes, each an undo step, on the splat object that is active at its start. No
+    scene data are kept between events, because undo may replace them."""
 
     def __init__(self) -> None:
         self.ended = False
@@ -133,9 +133,9 @@ class Session:
         self.cursor = Cursor()
         self._stroke: paint_target.PaintedObject | None = None
         self._stroke_region = 0
-        self._looking: _Looking | None = None
+        self._search: _Search | None = None
         self._sizing: tuple[float, float] | None = None
-        """Radius before F was pressed, and the mouse's x."""
+        """Radius before F was pressed, and x of the mouse."""
         self._undone = False
 
     @property
@@ -146,14 +146,14 @@ class Session:
     @property
     def _is_awaited(self) -> bool:
         """True if a stroke has started and its splats are still being collected."""
-        return self._looking is not None and self._looking.way is not None
+        return self._search is not None and self._search.way is not None
 
     def close(self) -> None:
         """End the session; a running stroke is cancelled."""
         self.cursor.close()
-        self._look_no_more()
+        self._end_search()
         if self._stroke is not None:
-            with suppress(ValueError):  # what it was painted on is gone
+            with suppress(ValueError):  # the painted object is gone
                 self._drop()
         redraw_views()
 
@@ -161,11 +161,11 @@ class Session:
         """Handle an event.
 
         Raises:
-            GsError, ValueError: it cannot be done, a sentence; painting goes on.
+            GsError, ValueError: it cannot be done, with the reason; painting continues.
         """
         if self.ended:
             return Answer.ENDED
-        self._look()
+        self._step_search()
         if self._undone:
             self._undone = False
             self._show_undone(context)
@@ -207,17 +207,17 @@ class Session:
         elif key in {"LEFT_BRACKET", "RIGHT_BRACKET"} and pressed:
             brush.radius *= STEP if key == "RIGHT_BRACKET" else 1 / STEP
         elif key == "Z" and (event.ctrl or event.oskey):
-            self._undone = True  # once Blender has done it
+            self._undone = True  # handled at the next event, after Blender's undo
             return Answer.PASSED
-        elif key in _PANELS | _HELD or _navigates(key, ctrl=event.ctrl):
+        elif key in _PANELS | _MODIFIERS or _navigates(key, ctrl=event.ctrl):
             return Answer.PASSED
-        # What is left would change the scene: delete, move, another mode.
+        # All other keys would change the scene: delete, move, another mode.
         return Answer.TAKEN
 
     def _begin_stroke(
         self, context: bpy.types.Context, spot: Spot, brush: BrushSettings, *, inverted: bool
     ) -> None:
-        self._look(wait=True)
+        self._step_search(wait=True)
         pieces = paint_target.begin_stroke(
             paintable(context),
             brush.brush(inverted=inverted),
@@ -226,43 +226,43 @@ class Session:
             only_selected=brush.only_selected,
         )
         self._stroke_region = spot.region.as_pointer()
-        self._looking = _Looking(context, pieces, way=[spot.point])
-        self._look(wait=bpy.app.background)
+        self._search = _Search(context, pieces, way=[spot.point])
+        self._step_search(wait=bpy.app.background)
 
-    def _look(self, *, wait: bool = False) -> None:
-        """Go on with what is looked for; without a window, or asked to, to its end.
+    def _step_search(self, *, wait: bool = False) -> None:
+        """Run a step of the search, or with `wait` all steps.
 
         Raises:
-            GsError, ValueError: it is not found.
+            GsError, ValueError: the search has failed.
         """
-        looking = self._looking
-        if looking is None:
+        search = self._search
+        if search is None:
             return
         try:
-            while not (done := looking.step()) and wait:
+            while not (done := search.step()) and wait:
                 pass
         except BaseException:
-            self._look_no_more()
+            self._end_search()
             raise
         if not done:
             return
-        self._look_no_more()
-        if looking.way is None:
-            bpy.context.window_manager.gscore_paint.color = looking.result
+        self._end_search()
+        if search.way is None:
+            bpy.context.window_manager.gscore_paint.color = search.result
             redraw_views()
             return
-        self._stroke = looking.result
-        for point in looking.way:
+        self._stroke = search.result
+        for point in search.way:
             self._stroke.to(point)
         self._stroke.show()
         redraw_views()
-        if looking.is_released:
+        if search.is_released:
             self._finish()
 
-    def _look_no_more(self) -> None:
-        looking, self._looking = self._looking, None
-        if looking is not None:
-            looking.end()
+    def _end_search(self) -> None:
+        search, self._search = self._search, None
+        if search is not None:
+            search.end()
 
     def _finish(self) -> None:
         stroke, self._stroke = self._stroke, None
@@ -275,8 +275,8 @@ class Session:
             if spot is not None and spot.region.as_pointer() == self._stroke_region:
                 self._go_to(spot, shown=event.type == "MOUSEMOVE")
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
-            if self._looking is not None:
-                self._looking.is_released = True
+            if self._search is not None:
+                self._search.is_released = True
             else:
                 self._finish()
         elif event.type in _DROPS and event.value == "PRESS":
@@ -284,17 +284,17 @@ class Session:
         return Answer.TAKEN
 
     def _go_to(self, spot: Spot, *, shown: bool) -> None:
-        if self._looking is not None:
-            if not self._looking.is_released:
-                self._looking.way.append(spot.point)
+        if self._search is not None:
+            if not self._search.is_released:
+                self._search.way.append(spot.point)
             return
         self._stroke.to(spot.point)
-        if shown:  # else more of the mouse's way is waiting
+        if shown:  # else more mouse moves are queued
             self._stroke.show()
             redraw_views()
 
     def _drop(self) -> None:
-        self._look_no_more()
+        self._end_search()
         stroke, self._stroke = self._stroke, None
         if stroke is not None:
             stroke.cancel()
@@ -312,10 +312,10 @@ class Session:
         return Answer.TAKEN
 
     def _pick(self, context: bpy.types.Context, spot: Spot, brush: BrushSettings) -> None:
-        self._look(wait=True)
+        self._step_search(wait=True)
         pieces = visible_splats.color_at(paintable(context), spot.view, spot.point)
-        self._looking = _Looking(context, pieces)
-        self._look(wait=bpy.app.background)
+        self._search = _Search(context, pieces)
+        self._step_search(wait=bpy.app.background)
 
     def _show_undone(self, context: bpy.types.Context) -> None:
         ob = objects.meant(context)
@@ -326,7 +326,7 @@ class Session:
     def _place_cursor(self, spot: Spot | None, brush: BrushSettings) -> None:
         before = self.cursor.state
         region = 0 if spot is None else spot.region.as_pointer()
-        if self._sizing is None:  # else it stays where it is, and grows
+        if self._sizing is None:  # else it only changes its radius
             place = (0.0, 0.0) if spot is None else (spot.x, spot.y)
             self.cursor.region, self.cursor.place = region, place
         self.cursor.radius, self.cursor.hardness = brush.radius, brush.hardness
@@ -336,15 +336,17 @@ class Session:
     def sentence(self, brush: BrushSettings) -> str:
         """Key hints for the status bar."""
         if self._sizing is not None:
-            return f"Radius {brush.radius:.0f} px   |   move the mouse, click to keep, Esc to drop"
+            return (
+                f"Radius {brush.radius:.0f} px   |   move the mouse, click to keep, Esc to cancel"
+            )
         keys = ["drag to paint"]
         if brush.does == OPACITY:
-            keys.append("with Ctrl the opposite")
+            keys.append("Ctrl for the opposite")
         elif brush.does == SELECT:
-            keys.append("with Ctrl to deselect")
+            keys.append("Ctrl to deselect")
         else:
-            keys.append("S or Shift click takes the color under the cursor")
-        keys += ["F or [ ] radius", "Ctrl Z undo", "Enter or Esc end"]
+            keys.append("S or Shift click to pick the color under the cursor")
+        keys += ["F or [ ] for the radius", "Ctrl Z to undo", "Enter or Esc to end"]
         label = brush.bl_rna.properties["does"].enum_items[brush.does].name
         return f"{label}, {brush.radius:.0f} px   |   {', '.join(keys)}"
 
@@ -357,10 +359,10 @@ def _navigates(key: str, *, ctrl: bool) -> bool:
 
 
 def paintable(context: bpy.types.Context) -> bpy.types.Object:
-    """The splat object that is active, in Object Mode and with the splats that it shows.
+    """The active splat object, switched to Object Mode, with the shown frame of a sequence.
 
     Raises:
-        GsError, ValueError: there is none, it is hidden, or Blender would not keep what is painted.
+        GsError, ValueError: there is none, it is hidden, or Blender would not save the changes.
     """
     ob = objects.meant(context)
     if not objects.is_splats(ob):
@@ -374,20 +376,20 @@ def paintable(context: bpy.types.Context) -> bpy.types.Object:
 
 
 def spot_of(window: bpy.types.Window, x: int, y: int) -> Spot | None:
-    """The main region of a 3D view under a place of a window; None where none is, or something
-    lies over it: the sidebar, a header.
+    """The main region of a 3D view under the mouse; None if there is none, or if another region,
+    such as the sidebar or a header, covers it.
 
     Args:
-        window: Of the event.
+        window: Window of the event.
         x: Pixels from its lower left.
-        y: The same.
+        y: Pixels from its lower left.
     """
     for area in window.screen.areas:
         if area.type != "VIEW_3D":
             continue
         under = [r for r in area.regions if _holds(r, x, y)]
         if under and all(r.type == "WINDOW" for r in under):
-            # A pixel's middle, as those of pictures.
+            # The middle of a pixel, as in pictures.
             return Spot(under[0], x - under[0].x + 0.5, y - under[0].y + 0.5)
     return None
 

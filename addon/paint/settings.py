@@ -13,24 +13,22 @@ from .brush import COLOR, OPACITY, SELECT, Brush
 
 LARGEST_RADIUS = 2000.0
 """Pixels."""
-FRONT_ONLY = (
-    "Leave out splats whose center lies behind the surface that the view shows of the object"
-)
+FRONT_ONLY = "Leave out splats with a center behind the visible surface of the object"
 """Description of the setting Front Only."""
 _DOES = [
-    (COLOR, "Color", "Paint a color; how colors depend on the view stays", "BRUSH_DATA", 0),
+    (COLOR, "Color", "Paint a color; view-dependent colors are kept", "BRUSH_DATA", 0),
     (OPACITY, "Opacity", "Paint an opacity; 0 erases", "MOD_OPACITY", 1),
-    (SELECT, "Select", "Select splats, or deselect them", "RESTRICT_SELECT_OFF", 2),
+    (SELECT, "Select", "Select or deselect splats", "RESTRICT_SELECT_OFF", 2),
 ]
 
 
 class BrushProperties:
     """Brush properties, shared by the session settings and the operator for scripts."""
 
-    does: EnumProperty(name="Brush", description="What the brush does", items=_DOES)
+    does: EnumProperty(name="Brush", description="Effect of the brush", items=_DOES)
     strength: FloatProperty(
         name="Strength",
-        description="How far one stroke goes towards the color or opacity",
+        description="Blending weight of the color or opacity in one stroke",
         subtype="FACTOR",
         min=0.0,
         max=1.0,
@@ -38,7 +36,7 @@ class BrushProperties:
     )
     hardness: FloatProperty(
         name="Hardness",
-        description="Share of the radius within which the brush acts in full; beyond, it fades",
+        description="Share of the radius with full strength; the brush fades outside of it",
         subtype="FACTOR",
         min=0.0,
         max=1.0,
@@ -46,7 +44,7 @@ class BrushProperties:
     )
     color: FloatVectorProperty(
         name="Color",
-        description="What splats are painted with",
+        description="Color to paint",
         subtype="COLOR_GAMMA",
         min=0.0,
         max=1.0,
@@ -54,7 +52,7 @@ class BrushProperties:
     )
     opacity: FloatProperty(
         name="Opacity",
-        description="What splats are given; 0 erases them",
+        description="Opacity to paint; 0 erases splats",
         subtype="FACTOR",
         min=0.0,
         max=1.0,
@@ -62,7 +60,7 @@ class BrushProperties:
     )
     front_only: BoolProperty(name="Front Only", description=FRONT_ONLY, default=True)
     only_selected: BoolProperty(
-        name="Only Selected", description="Leave out what is not selected in Edit Mode"
+        name="Only Selected", description="Paint only splats that are selected in Edit Mode"
     )
 
     def brush(self, *, inverted: bool) -> Brush:
@@ -83,7 +81,7 @@ class BrushSettings(BrushProperties, bpy.types.PropertyGroup):
 
     radius: FloatProperty(
         name="Radius",
-        description="Of the brush, in pixels",
+        description="Radius of the brush in pixels",
         subtype="PIXEL",
         min=1.0,
         max=LARGEST_RADIUS,

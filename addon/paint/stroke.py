@@ -6,25 +6,26 @@ from .brush import Brush
 
 
 class Stroke:
-    """Grows point by point. Going over a place twice does not paint it twice, so that a stroke is
-    the same however finely the way is cut into points."""
+    """Stroke that grows point by point. Passing a position twice does not paint it twice, so that
+    the result does not depend on the number of points of the path."""
 
     def __init__(self, points: np.ndarray, brush: Brush) -> None:
-        """Nothing is painted yet.
+        """Prepare; paints nothing yet.
 
         Args:
-            points: [N, D], where the brush can find what it paints.
-            brush: Its radius is a length among the points.
+            points: Positions that can be painted, [N, D].
+            brush: Its radius is in the units of the points.
         """
-        # An axis by itself, because most are compared with the brush's box and nothing more.
+        # Contiguous by axis, because most points are only compared with the brush's box.
         self._axes = np.ascontiguousarray(points.T, np.float32)
         self._brush = brush
         self._last: np.ndarray | None = None
         self.share = np.zeros(len(points), np.float32)
-        """[N] largest brush weight of each point so far."""
+        """Largest brush weight of each point so far, [N]."""
 
     def to(self, point: np.ndarray) -> np.ndarray:
-        """Extend the stroke straight to a point [D]; indices [K] of `points` with more weight."""
+        """Extend the stroke in a straight line to a point [D]; return the indices [K] of `points`
+        whose weight has increased."""
         point = np.asarray(point, np.float64)
         last = point if self._last is None else self._last
         self._last = point
@@ -38,7 +39,7 @@ class Stroke:
 
     def _near(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Indices [K] of points in the box around the brush along a segment."""
-        # Python's own numbers: with numpy's all points would be compared in double precision.
+        # Python floats, because numpy scalars would make the comparison double precision.
         low = (np.minimum(one, other) - self._brush.radius).tolist()
         high = (np.maximum(one, other) + self._brush.radius).tolist()
         inside = np.ones(self._axes.shape[1], bool)

@@ -18,8 +18,8 @@ from ..splats.read_chunked import read_chunked
 LARGEST = 512
 """Larger side of the depth picture for the occlusion test, pixels."""
 _SLACK = 4.0
-"""Widths of that picture's pixels by which a splat in front may lie behind the surface, besides its
-own size: surfaces are slanted."""
+"""Tolerance behind the surface in pixel widths of that picture, in addition to a splat's own size,
+because surfaces are slanted."""
 _BLOCK = 1 << 15
 """Splats per block."""
 _FAINTEST = 0.05
@@ -31,19 +31,19 @@ class VisibleSplats:
     """The splats of an object and a view, copied out of Blender; no bpy."""
 
     name: str
-    """The object's."""
+    """Name of the object."""
     view: RenderCamera | None
     """Camera of the view; None: points are in Blender's world."""
     matrix: np.ndarray
-    """[4, 4] float64 from the object's space to the world."""
+    """[4, 4] float64, object to world."""
     limits: filters.Filters
     """Display filters."""
     antialias: bool
     columns: dict[str, np.ndarray]
-    """Attributes of N splats, as `attributes.as_splats` takes them; some may be missing."""
+    """Attributes of N splats, as for `attributes.as_splats`; some may be missing."""
 
     def shown(self) -> np.ndarray:
-        """[N] bool: splats that pass the filters."""
+        """Splats that pass the filters, [N] bool."""
         if not self.limits.leave_out_anything:
             return np.ones(len(self.columns[attributes.BASE]), bool)
         return filters.passing(self.columns, self.limits)
@@ -52,14 +52,14 @@ class VisibleSplats:
         """Projected means.
 
         Returns:
-            [N, 2] float32, pixels from the top left, and [N] bool: which of them lie beyond the
-            view's near plane and within its picture.
+            [N, 2] float32, pixels from the top left, and [N] bool: those beyond the view's near
+            plane and inside its picture.
         """
         view, means = self.view, self.columns[attributes.POSITION]
         K, viewmat = (matrix.astype(np.float32) for matrix in (view.K, self._viewmat))
         found, there = np.zeros((len(means), 2), np.float32), np.zeros(len(means), bool)
         for part in _blocks(len(means)):
-            with np.errstate(all="ignore"):  # what lies behind the view is left out
+            with np.errstate(all="ignore"):  # splats behind the view are left out
                 at, depths = project(means[part], K, viewmat, orthographic=view.orthographic)
                 inside = depths > view.near
                 for axis, end in enumerate((view.width, view.height)):
@@ -68,15 +68,14 @@ class VisibleSplats:
         return found, there
 
     def in_front(self, at: np.ndarray) -> np.ndarray:
-        """[N] bool: splats whose mean is not behind the visible surface.
+        """Splats whose mean is not behind the visible surface, [N] bool.
 
-        The surface is where half of the light is blocked by the object's own splats, those that its
-        filters hide apart; the rasterizer says where, on a picture of `LARGEST` pixels. A splat may
-        lie behind it by its own size, its largest standard deviation, and by as much as `_SLACK`
-        pixels of that picture are wide at this depth.
+        The surface is at the median depth of the object's own filtered splats, rendered at
+        `LARGEST` pixels. The tolerance behind it is a splat's largest standard deviation plus the
+        width of `_SLACK` pixels of that picture at this depth.
 
         Args:
-            at: [N, 2], as `pixels` gives it.
+            at: [N, 2], as from `pixels`.
         """
         view = self.view
         small = smaller(view, -(-max(view.width, view.height) // LARGEST))
@@ -89,21 +88,21 @@ class VisibleSplats:
         for part in _blocks(len(means)):
             before = _looked_up(surface, at[part], view)
             pixel = (1 if view.orthographic else before) / np.float32(small.K[0, 0])
-            # By axis: the other way is slow.
+            # By axis, which is faster than by splat.
             size = larger * np.abs(scales[part].T.copy()).max(axis=0)
             depths = means[part] @ row[:3] + row[3]
-            # Where the light is never blocked, nothing is behind anything.
+            # Pixels without a median depth have no surface.
             found[part] = (before <= 0) | (depths <= before + _SLACK * pixel + size)
         return found
 
     def color_at(self, point: np.ndarray) -> np.ndarray:
-        """[3] sRGB values that the splats show at a pixel, without what depends on the view.
+        """sRGB values of the splats at a pixel without view dependence, [3].
 
         Args:
-            point: [2] pixels from the top left, within the view.
+            point: [2] pixels from the top left, inside the view.
 
         Raises:
-            ValueError: nothing is seen there.
+            ValueError: there are no splats.
         """
         left, top = (int(v) for v in np.floor(point))
         drawn = self._drawn(self.view, depths=False, window=(left, top, 1, 1))
@@ -137,19 +136,19 @@ class VisibleSplats:
 
     @property
     def _viewmat(self) -> np.ndarray:
-        """[4, 4] float64 from the object's space to the view's."""
+        """[4, 4] float64, object to camera."""
         return self.view.viewmat @ self.matrix
 
 
-def looking(
+def copy_visible(
     ob: bpy.types.Object, view: RenderCamera | None, *, drawn: bool
 ) -> Pieces[VisibleSplats]:
     """Copy the splats of an object in Object Mode for a view.
 
     Args:
         ob: A splat object.
-        view: From where, as `VisibleSplats.view`.
-        drawn: Whether pictures are drawn of it, without what depends on the view.
+        view: As `VisibleSplats.view`.
+        drawn: Copy all that rendering needs, without view dependence.
 
     Raises:
         ValueError: attributes are missing or not finite, or `drawn`, and the object is scaled
@@ -157,14 +156,14 @@ def looking(
     """
     matrix, limits = compat.matrix_to_numpy(ob.matrix_world), filters.filters_of(ob)
     if drawn:
-        objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # refuses a scale that is uneven
-    wanted = {attributes.BASE, attributes.POSITION}
+        objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # raises for an uneven scale
+    names = {attributes.BASE, attributes.POSITION}
     if limits.leave_out_anything:
-        wanted.update(filters.LOOKED_AT)
+        names.update(filters.LOOKED_AT)
     if drawn:
-        wanted.update((attributes.SCALE, attributes.ROTATION))
+        names.update((attributes.SCALE, attributes.ROTATION))
     name, antialias = ob.name, bool(ob.get(objects.ANTIALIAS, False))
-    columns = yield from read_chunked(ob, sorted(wanted))
+    columns = yield from read_chunked(ob, sorted(names))
     columns.setdefault(attributes.POSITION, np.zeros((0, 3), np.float32))
     return VisibleSplats(
         name=name, view=view, matrix=matrix, limits=limits, antialias=antialias, columns=columns
@@ -185,18 +184,18 @@ def _blocks(count: int) -> Iterator[slice]:
 
 
 def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Pieces[np.ndarray]:
-    """[3] sRGB values that an object's splats show at a pixel, without what depends on the view.
+    """sRGB values of an object's splats at a pixel without view dependence, [3].
 
     Args:
         ob: A splat object in Object Mode.
-        view: From where.
+        view: Camera of the view.
         point: [2] pixels from the top left.
 
     Raises:
-        ValueError: nothing is visible there, or as `looking`.
+        ValueError: there are no splats, or as `copy_visible`.
     """
     left, top = (int(v) for v in np.floor(point))
     if not (0 <= left < view.width and 0 <= top < view.height):
-        raise ValueError("There is no view under the cursor: pick a color within the 3D view.")
-    sight = yield from looking(ob, view, drawn=True)
-    return (yield from run_in_thread(lambda check: sight.color_at(point), "Looking for the color"))
+        raise ValueError("There is no view under the cursor: pick a color inside the 3D view.")
+    splats = yield from copy_visible(ob, view, drawn=True)
+    return (yield from run_in_thread(lambda check: splats.color_at(point), "Picking the color"))

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..render.copies import EDITED_AT_ONCE
+from ..render.viewport_copies import EDITED_AT_ONCE
 from ..splats.objects import is_splats, meant
 from .widgets import TabPanel
 

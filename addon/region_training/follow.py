@@ -4,7 +4,7 @@ from ..training import lookups
 from ..training.launch import following_verb
 from . import train_region
 from .job import RegionJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 
 def _wanted(job: RegionJob) -> bool:

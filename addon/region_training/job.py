@@ -8,7 +8,7 @@ from ..training.loader import Loader
 from ..training.verb_job import FAILED, STOPPING, VerbJob
 
 FINISHED = ("finished", "converged", "target")
-"""Reasons of trainings that came to their end."""
+"""Reasons of trainings that were completed."""
 
 
 class RegionJob(VerbJob):
@@ -34,8 +34,8 @@ class RegionJob(VerbJob):
             arguments: Of `gscore`.
             source: The capture.
             output: Folder of the results.
-            object_uid: Session number of the object whose splats are trained.
-            before: Fingerprint of these, to detect later edits.
+            object_uid: Session uid of the object whose splats are trained.
+            before: Fingerprint of the splats, to detect later edits.
         """
         self.output, self.object_uid, self.before = output, object_uid, before
         self.start = None
@@ -53,8 +53,8 @@ class RegionJob(VerbJob):
     @property
     def share(self) -> float:
         """Progress, 0 to 1."""
-        told = self.progress
-        return min(told.step / told.iterations, 1.0) if told and told.iterations > 0 else 0.0
+        now = self.progress
+        return min(now.step / now.iterations, 1.0) if now and now.iterations > 0 else 0.0
 
     def fail(self, sentence: str) -> None:
         """End the job with an error, because it cannot start."""
@@ -78,4 +78,4 @@ class RegionJob(VerbJob):
         self.loader.request(Path(done.path), final=True)
         psnr = headline_psnr(done.metrics)
         quality = "" if psnr is None else f", PSNR {psnr:.2f} dB"
-        return f"The region is trained: {done.step:,} steps{quality}. {self.output} has all of it."
+        return f"The region is trained: {done.step:,} steps{quality}. Results are in {self.output}."

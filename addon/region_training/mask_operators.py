@@ -37,7 +37,7 @@ class PaintMask(BaseOperator, bpy.types.Operator):
         if area is None:
             return f"{image.name} is made; open it in an Image Editor to paint."
         area.spaces.active.ui_mode = "PAINT"
-        # The mask is saved in the sidebar; neither it nor brushes are to cover the photo.
+        # The sidebar has the save button; neither it nor brushes should cover the photo.
         in_turn(area, open_sidebar, choose_tab, close_shelf, fit)
         if not use_brush(context, hides=True):
             self.warn([_NO_BRUSH])
@@ -57,11 +57,11 @@ class _OnMask(BaseOperator):
         """The mask to work on.
 
         Raises:
-            ValueError: the image is no mask.
+            ValueError: the image is not a mask.
         """
         found = bpy.data.images.get(self.image) if self.image else shown(context)
         if not masks.is_mask(found):
-            raise ValueError("This image is no mask of a photo; press Paint Mask first.")
+            raise ValueError("This image is not the mask of a photo; press Paint Mask first.")
         return found
 
 
@@ -82,7 +82,7 @@ class SaveMask(_OnMask, bpy.types.Operator):
         """Write it."""
         file = masks.save(context.scene, self.mask(context))
         if not context.scene.gscore.use_masks:
-            self.warn(["Use Masks is off, so training will not heed it; see Train > Options."])
+            self.warn(["Use Masks is off, so training ignores the mask; see Train > Options."])
         return f"Saved {file}."
 
 
@@ -98,7 +98,7 @@ class DiscardMask(_OnMask, bpy.types.Operator):
         image = self.mask(context)
         name = masks.photo_name(image)
         masks.discard(image)
-        return f"The painted mask of {name} is gone; its file is as it was."
+        return f"The painted mask of {name} was discarded; its file is unchanged."
 
 
 class MaskBrush(_OnMask, bpy.types.Operator):
@@ -112,8 +112,8 @@ class MaskBrush(_OnMask, bpy.types.Operator):
         name="Brush",
         description="Effect of the brush",
         items=(
-            ("HIDE", "Exclude", "What is painted does not count"),
-            ("SHOW", "Include", "What is painted counts again"),
+            ("HIDE", "Exclude", "Exclude painted pixels from the training"),
+            ("SHOW", "Include", "Include painted pixels again"),
         ),
     )
 

@@ -27,8 +27,8 @@ from ..training import facts, lookups, start_training
 
 _CAPTURE, _PHOTO, _SAVED = "gs_mask_capture", "gs_mask_photo", "gs_mask_saved"
 _FILE = "gs_mask_file"
-"""Custom properties of an image: the capture's folder, the photo's name in it, what tells whether
-the image is as it was made or saved, and the mask's file."""
+"""Custom properties of an image: the capture's folder, the photo's name in it, the fingerprint at
+the last save, and the mask's file."""
 
 
 def is_mask(image: bpy.types.Image | None) -> bool:
@@ -63,7 +63,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     """
     own, root = stated(camera), root_of(camera)
     if root is None:
-        raise ValueError(f"{camera.name} is no camera of a capture; import its cameras first.")
+        raise ValueError(f"{camera.name} is not a camera of a capture; import its cameras first.")
     source = stored_paths.read(root, stored_paths.SOURCE)
     for image in _of_capture(Path(source)):
         if photo_name(image) == own.image:
@@ -75,7 +75,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     if file is not None and file.is_file():
         mask = read_picture(str(file), own)
         if mask.shape[0] < rgba.shape[0] or mask.shape[1] < rgba.shape[1]:
-            raise ValueError(f"The mask {file} is smaller than its photo: mend it first.")
+            raise ValueError(f"The mask {file} is smaller than its photo: fix it first.")
         rgba = _enlarged(rgba, *mask.shape[:2])  # the mask keeps its own size
         rgba[..., 3] = kept_of(mask, scene.gscore.invert_masks)
     height, width = rgba.shape[:2]
@@ -83,13 +83,13 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     image.alpha_mode = "STRAIGHT"
     image[_CAPTURE], image[_PHOTO] = source, own.image
     image[_FILE] = str(file or mask_place(camera) / f"{own.image}.png")
-    image.use_fake_user = True  # no file has it until it is saved
+    image.use_fake_user = True  # keeps it until its file is written
     _settle(image, levels_of(rgba))
     return image
 
 
 def _enlarged(rgba: np.ndarray, height: int, width: int) -> np.ndarray:
-    """[height, width, 4] of a picture [h, w, 4], the nearest pixel of each."""
+    """A picture [h, w, 4] enlarged to [height, width, 4] by nearest pixels."""
     rows = np.arange(height) * rgba.shape[0] // height
     columns = np.arange(width) * rgba.shape[1] // width
     return rgba[rows[:, None], columns]
@@ -129,13 +129,13 @@ def _settle(image: bpy.types.Image, pixels: np.ndarray) -> None:
     """Pack the pixels into the .blend file, and mark the image as saved.
 
     Args:
-        image: Gets them.
+        image: The image.
         pixels: [H, W, 4] uint8, the top row first.
     """
-    # Blender's own packing compresses them at once, for 0.1 s a megapixel.
+    # Uncompressed: Blender's own packing compresses, which takes 0.1 s per megapixel.
     _pack(image, rgba_png(pixels, packed=False))
     image.source = "FILE"
-    image.buffers_free()  # they are read from what is packed, and nothing is unsaved
+    image.buffers_free()  # so that Blender reads the packed pixels, and the image is not dirty
 
 
 def _pack(image: bpy.types.Image, png: bytes) -> None:
@@ -144,7 +144,7 @@ def _pack(image: bpy.types.Image, png: bytes) -> None:
 
 
 def _mark(image: bpy.types.Image) -> str:
-    """Fingerprint of an image and its mask file: undo of a save restores the image alone."""
+    """Fingerprint of an image and its mask file, because undo of a save restores only the image."""
     packed, file = image.packed_file, Path(str(image.get(_FILE, "")))
     written = file.stat().st_mtime_ns if file.is_file() else 0
     return "" if packed is None else f"{packed.size} {written}"
@@ -166,72 +166,72 @@ def _camera_of(image: bpy.types.Image) -> bpy.types.Object:
             if (found := next(named, None)) is not None:
                 return found
     raise ValueError(
-        f"The camera of {photo_name(image)} is gone from the file; import the cameras of "
-        f"{image[_CAPTURE]} again."
+        f"The camera of {photo_name(image)} was removed; import the cameras of {image[_CAPTURE]} "
+        f"again."
     )
 
 
 def _check_usable(scene: bpy.types.Scene, photo: Path) -> None:
     """Raise ValueError if a mask file would change the use of the other photos, or be rotated."""
     found, problem = facts.capture(scene)
-    if found is None and not problem:  # else the panel has looked, a moment ago
+    if found is None and not problem:  # else the panel has checked a moment ago
         found, _ = facts.refresh(scene)
     if found is not None and found.alphas and not found.masks:
         raise ValueError(
-            "The photos' own transparency is their mask, and would not count beside files of "
-            "masks. Change it in the photos."
+            "The photos' own transparency is their mask, and would be ignored with mask files. "
+            "Change it in the photos."
         )
     header = read_header(photo)
     if header is not None and (header.is_flipped or header.is_sideways):
         raise ValueError(
-            f"{photo} is stored turned or mirrored, and Blender shows it so: a mask would not fit. "
-            "Store the photos upright."
+            f"{photo} is stored rotated or mirrored, and Blender ignores its orientation: a mask "
+            "would not fit. Store the photos upright."
         )
 
 
 def _stated_file(camera: bpy.types.Object, name: str) -> Path | None:
-    """The file that the capture itself names for a mask."""
+    """The mask file that the capture itself names."""
     source = source_of(camera)
     return None if source is None else stated_masks(source).get(name)
 
 
 def _found_file(camera: bpy.types.Object, name: str) -> Path | None:
-    """The file of a photo's mask in the folder of masks."""
+    """A photo's mask file in the folder of masks."""
     folder = mask_folder(camera)
     return None if folder is None else Folder(folder).find_mask(name)
 
 
 def _target(camera: bpy.types.Object, place: Path, name: str) -> Path:
-    """Where a mask is written: over the file that it was made of, else `masks/NAME.png`.
+    """The file to write: the one that the mask was made from, else `masks/NAME.png`.
 
     Raises:
-        ValueError: that is no place for a mask.
+        ValueError: it must not be written.
     """
     stated_file, found = _stated_file(camera, name), _found_file(camera, name)
     file = stated_file or found
     if file is None or file.suffix.lower() != ".png":
         if stated_file is not None:
-            raise ValueError(f"The capture names {file} as the mask: no PNG, so it stays as it is.")
+            raise ValueError(f"The mask {file} named by the capture is not a PNG: convert it.")
         file = place / f"{name}.png"
     photos = {Path(stated(c).photo).resolve().parent for c in cameras_of(root_of(camera))}
     inside = stated_file is not None or place.resolve() in file.resolve().parents
     if file.resolve().parent in photos or not inside:
-        raise ValueError(f"{file} lies among the photos, where no mask is written; move the masks.")
+        raise ValueError(f"{file} is in a folder of photos; move the masks to another folder.")
     return file
 
 
-def _told(source: Path) -> list[str]:
+def _unsaved_warnings(source: Path) -> list[str]:
     names = [photo_name(image) for image in _of_capture(source) if is_unsaved(image)]
     if not names:
         return []
     some = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-    return [f"Painted masks are not saved, and training will not see them: {some}."]
+    return [f"Painted masks are not saved, so training ignores them: {some}."]
 
 
 @persistent
 def _save_begins(*_: object) -> None:
-    """Let the .blend file have what is painted: Blender keeps what is packed alone. What was packed
-    in haste is made small."""
+    """Pack unsaved strokes, because .blend files keep only packed pixels, and compress images that
+    were packed uncompressed."""
     for image in filter(is_mask, bpy.data.images):
         if image.library is not None:
             continue
@@ -239,10 +239,10 @@ def _save_begins(*_: object) -> None:
             image.pack()
             image[_SAVED] = ""
         elif image.packed_file is not None and not is_unsaved(image):
-            _make_small(image)
+            _compress(image)
 
 
-def _make_small(image: bpy.types.Image) -> None:
+def _compress(image: bpy.types.Image) -> None:
     width, height = image.size
     if image.packed_file.size < 4 * width * height:
         return
@@ -253,11 +253,11 @@ def _make_small(image: bpy.types.Image) -> None:
 
 def on_register() -> None:
     """Add handlers: trainings list unsaved masks, and .blend files keep them."""
-    start_training.UNSAVED.append(_told)
+    start_training.UNSAVED.append(_unsaved_warnings)
     bpy.app.handlers.save_pre.append(_save_begins)
 
 
 def on_unregister() -> None:
     """Remove the handlers."""
     bpy.app.handlers.save_pre.remove(_save_begins)
-    start_training.UNSAVED.remove(_told)
+    start_training.UNSAVED.remove(_unsaved_warnings)

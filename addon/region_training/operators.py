@@ -30,7 +30,7 @@ class TrainRegion(BaseOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A splat object or its crop object is active."""
+        """Whether a splat object or its crop object is active."""
         if is_splats(meant(context)):
             return True
         cls.poll_message_set("Select splats, or their crop box")

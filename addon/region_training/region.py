@@ -8,8 +8,8 @@ from ..splats.splat_files import source_matrix_of_data
 
 
 def region_of(ob: bpy.types.Object) -> np.ndarray:
-    """[4, 4] float64 that takes the cube [-1, 1]^3 to the box around an object's crop object, in
-    the world of the object's capture.
+    """Matrix [4, 4] float64 from the cube [-1, 1]^3 to the box of an object's crop object, in the
+    world of the object's capture.
 
     Raises:
         ValueError: there is no crop box, or it has no volume.
@@ -19,7 +19,7 @@ def region_of(ob: bpy.types.Object) -> np.ndarray:
     settings = ob.gscore
     if settings.crop_shape == SPHERE or settings.crop_invert:
         raise ValueError(
-            "A region is what lies inside of a box: set the shape of the crop to Box, not inverted."
+            "A region is the inside of a box: set the shape of the crop to Box, not inverted."
         )
     to_unit = crop_matrix(ob, settings.crop_object)
     if not abs(np.linalg.det(to_unit[:3, :3])) > 0:

@@ -24,10 +24,10 @@ CLASSES = (SteerSettings,)
 
 
 def on_register() -> None:
-    """Make the settings a property of scenes."""
+    """Add the settings to scenes."""
     bpy.types.Scene.gscore_steer = bpy.props.PointerProperty(type=SteerSettings)
 
 
 def on_unregister() -> None:
-    """Take the property back."""
+    """Remove the settings."""
     del bpy.types.Scene.gscore_steer

@@ -26,7 +26,7 @@ class Start:
 
         Args:
             ob: The splat object.
-            box: [4, 4] of the region, as `write_region` takes it.
+            box: The region, [4, 4], as for `write_region`.
             splats_file: The PLY to write.
             region_file: The JSON to write.
 
@@ -38,10 +38,10 @@ class Start:
         self._origin, box = origin_of(ob), box_of_capture(box, ob)
         self._box, self._splats_file, self._region_file = box, splats_file, region_file
         self._name, self._matrix = ob.name, source_matrix_of_data(ob)
-        objects.moved(attributes.NO_SPLATS, self._matrix, self._name)  # refuses what cannot be
+        objects.moved(attributes.NO_SPLATS, self._matrix, self._name)  # raises for a bad matrix
         self._antialiased = bool(ob.get(objects.ANTIALIAS))
         self._going = TaskRunner(self._made(ChunkedRead(ob)))
-        self._going.step()  # from now on it leaves no copy where it is dropped
+        self._going.step()  # once started, cancelling it removes the copy
 
     def step(self) -> bool:
         """Do one step; return whether both files are complete.

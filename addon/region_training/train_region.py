@@ -20,19 +20,19 @@ from ..training import guides, options, start_training
 from ..training.launch import begin, follow, launch
 from ..training.results import signature
 from .job import RegionJob
+from .job_registry import JOBS
 from .region import region_of
-from .registry import JOBS
 from .start import Start
 
 
-class _Asked:
+class _Options:
     """The scene's training options, overridden by those of the region."""
 
     def __init__(self, settings: Any, ob: bpy.types.Object, steps: int) -> None:
         self._settings = settings
         self.iterations = steps
         self.time_budget = self.target_psnr = 0.0
-        self.early_stop = self.sky = False  # a region is trained from splats that are there
+        self.early_stop = self.sky = False  # a region starts from existing splats
         self.max_splats = max(settings.max_splats, 2 * len(ob.data.vertices))
         degree = attributes.SH_COUNTS.index(attributes.sh_count(ob.data))
         self.sh_degree = max(settings.sh_degree, degree)
@@ -69,15 +69,15 @@ def train_region(
         raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
     if is_map(ob):
         raise ValueError(f"{ob.name} shows errors, not splats; press Show Splats first.")
-    check_replaceable(ob)  # by what comes
+    check_replaceable(ob)
     objects.catch_up(ob)
     box = region_of(ob)
     found = start_training.check_capture(scene)
     output = _free(output_folder(scene, preferences.get().output_folder))
     start_file, region_file = output / "start.ply", output / "region.json"
-    asked = _Asked(scene.gscore, ob, scene.gscore_steer.region_steps)
+    settings = _Options(scene.gscore, ob, scene.gscore_steer.region_steps)
     line = options.new_run(
-        asked,
+        settings,
         source=source,
         output=output,
         machine=start_training.machine(),
@@ -115,7 +115,7 @@ def proceed(job: RegionJob) -> bool:
             return False
         else:
             begin(job.python, job.begin)
-    except Exception as error:  # whatever it is, nothing begins without its files
+    except Exception as error:  # any error: the training cannot begin without its files
         job.fail(error_words(error) or type(error).__name__)
     job.start = None
     return True
@@ -155,27 +155,27 @@ def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
     found = (ob for ob in bpy.data.objects if ob.session_uid == job.object_uid)
     ob = next(filter(objects.is_splats, found), None)
     if ob is None:
-        raise ValueError(f"The splats of the region are gone from the scene; {job.output} has all.")
+        raise ValueError(f"The splats were removed from the scene; results are in {job.output}.")
     try:
         check_replaceable(ob)
     except ValueError as error:
         raise ValueError(
-            f"The result could not be put into the scene: {error} It lies in {job.output}; Result "
-            f"> Import brings {Path(job.done.path).name} from there as an object of its own."
+            f"The result could not be put into the scene: {error} It is in {job.output}; Result > "
+            f"Import adds {Path(job.done.path).name} from there as a new object."
         ) from error
     if signature(ob) != job.before:
         name = ob.name
-        ob = _beside(ob)
+        ob = _copy_of(ob)
         job.warnings.append(f"{name} was edited and is kept; the result is {ob.name}.")
     moved = splat_files.source_matrix_of_data(ob)
     replace(ob, mesh)
     if not np.array_equal(moved, np.eye(4)):
-        _stand_in_source(ob, moved)
+        _move_to_source(ob, moved)
 
 
-def _stand_in_source(ob: bpy.types.Object, moved: np.ndarray) -> None:
-    """Put an object where splats in its capture's world belong; before, `moved` took its own ones
-    there. Its crop box stays where it is."""
+def _move_to_source(ob: bpy.types.Object, moved: np.ndarray) -> None:
+    """Give an object the transform of its capture's world, in which the new splats are; `moved` was
+    the matrix of the old splats to that world. Its crop box stays in place."""
     box = ob.gscore.crop_object
     place = None if box is None else box.matrix_world.copy()
     ob.matrix_world = ob.matrix_world @ Matrix(np.linalg.inv(moved).tolist())
@@ -184,8 +184,8 @@ def _stand_in_source(ob: bpy.types.Object, moved: np.ndarray) -> None:
         box.matrix_world = place
 
 
-def _beside(ob: bpy.types.Object) -> bpy.types.Object:
-    """A copy of an object, with a mesh of its own."""
+def _copy_of(ob: bpy.types.Object) -> bpy.types.Object:
+    """A copy of an object and its mesh, in the same collections."""
     copy = ob.copy()
     copy.data = ob.data.copy()
     for collection in ob.users_collection:
@@ -193,7 +193,7 @@ def _beside(ob: bpy.types.Object) -> bpy.types.Object:
     return copy
 
 
-def _free(beside: Path) -> Path:
-    """The first unused folder name for a region's results."""
-    numbered = (beside.with_name(f"{beside.name}_region_{n}") for n in itertools.count(1))
+def _free(output: Path) -> Path:
+    """The first unused folder name for a region's results, next to `output`."""
+    numbered = (output.with_name(f"{output.name}_region_{n}") for n in itertools.count(1))
     return next(path for path in numbered if not path.exists())

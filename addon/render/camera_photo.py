@@ -33,12 +33,12 @@ _READING = "Reading the photo"
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """What a picture is compared with."""
+    """The photo that a picture is compared with."""
 
     pixels: np.ndarray
     """[H, W, 3] float32 sRGB values, the top row first."""
     weight: np.ndarray | None
-    """[H, W] float32 in [0, 1], how much a pixel counts; None: all alike."""
+    """[H, W] float32 in [0, 1], weight of each pixel; None: all equal."""
 
 
 def load_target(
@@ -56,14 +56,14 @@ def load_target(
         camera: Of an imported capture.
         width: Pixels, at most the photo's.
         height: Pixels, at most the photo's.
-        background: sRGB values that photos are composited over where their opacity says so.
+        background: sRGB values behind transparent pixels of photos.
         mask_mode: As gscore's option: `auto`, `composite`, `ignore` or `none`. Masks are the
             files that the capture names, else those of its folder `masks` or `mask` with the
             photos' names, else the photos' opacity.
         invert_masks: Mask files are white where pixels do not count.
 
     Raises:
-        ValueError: photo or mask cannot be decoded or have other shapes than the camera.
+        ValueError: photo or mask cannot be decoded, or their shape differs from the camera's.
     """
     own = stated(camera)
     source = None if mask_mode == "none" else source_of(camera)
@@ -94,7 +94,7 @@ def load_target(
 
 @dataclass(frozen=True, kw_only=True)
 class _Wanted:
-    """What a photo is made to."""
+    """Settings for the target made from a photo."""
 
     own: PhotoCamera
     size: tuple[int, int]
@@ -104,7 +104,7 @@ class _Wanted:
 
 
 def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
-    """As `load_target`; touches no bpy."""
+    """As `load_target`, without bpy."""
     own, (width, height), mode = wanted.own, wanted.size, wanted.mode
     plan = undistortion_of(own)
     rgba = photo.arranged(own)
@@ -123,32 +123,32 @@ def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
         mode = "composite"
     if plan is not None:
         cuts_out = mask is None and mode != "none"
-        rgba, opacity = _straightened(rgba[..., :3], opacity, plan, cut_out=cuts_out)
+        rgba, opacity = _undistorted(rgba[..., :3], opacity, plan, cut_out=cuts_out)
     if width > rgba.shape[1] or height > rgba.shape[0]:
         raise ValueError(
-            f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, {width} x "
-            f"{height} are asked for: lower the scene's resolution percentage."
+            f"The photo {own.photo} has {rgba.shape[1]} x {rgba.shape[0]} pixels, fewer than "
+            f"{width} x {height}: lower the scene's resolution percentage."
         )
     pixels = _scaled(rgba[..., :3], width, height)
     weight = _scaled(opacity, width, height)
     if mode == "composite" and opacity.min() < 1:
-        # Averaged with the colours multiplied, so that hidden ones do not bleed in.
+        # Averages premultiplied colours, so that hidden ones do not bleed in.
         colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
         pixels = colors + np.array(wanted.background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
     return Target(pixels=pixels, weight=weight if ignores else None)
 
 
-def _straightened(
+def _undistorted(
     colors: np.ndarray, opacity: np.ndarray, plan: Undistortion, *, cut_out: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A photo [h, w, 3] and what says where it counts [h, w] as a training straightens them.
+    """A photo [h, w, 3] and its weights [h, w], undistorted as for a training.
 
     Args:
         colors: In [0, 1].
         opacity: In [0, 1].
-        plan: The way to what the camera sees.
-        cut_out: The opacity is the photo's own, and not a mask.
+        plan: From the photo to the pinhole camera.
+        cut_out: The opacity is the photo's own, not a mask.
     """
     photo, mask = levels_of(colors), levels_of(opacity)
     if cut_out:
@@ -157,21 +157,21 @@ def _straightened(
     straight = plan.straighten(photo)
     height, width = straight.shape[:2]
     scale = (mask.shape[1] / plan.camera.width, mask.shape[0] / plan.camera.height)
-    # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
+    # Interpolation would give a binary mask half-transparent rims.
     yes_or_no = not ((mask > 0) & (mask < 255)).any()
     kept = plan.remap(mask, (width, height), pixels=scale, nearest=yes_or_no)
     return straight / np.float32(255), kept / np.float32(255)
 
 
 def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
-    """[H, W] of a mask [H, W, 4], 1 = keep."""
+    """Weights [H, W] of a mask [H, W, 4], 1 = keep."""
     opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
     opacity = _yes_or_no(opacity)
     return 1 - opacity if inverted else opacity
 
 
 class _Masked(NamedTuple):
-    """A camera of a capture, to be looked up again: undo replaces objects."""
+    """A camera of a capture by its uid, because undo replaces objects."""
 
     uid: int
     """Session number of the object."""
@@ -195,7 +195,7 @@ def _find_masks(
     folder, stated_files = None if place is None else Folder(place), stated_masks(source)
 
     def find(name: str) -> str:
-        if stated_files:  # as in training, no folder serves a capture that names masks
+        if stated_files:  # as in training, the folder is ignored if the capture names masks
             file = stated_files.get(name)
             return str(file) if file is not None and file.is_file() else ""
         return "" if folder is None else str(folder.find_mask(name) or "")
@@ -208,21 +208,21 @@ def _find_masks(
 
 
 def _cut_out(masks: list[_Masked], inverted: bool) -> Pieces[bool]:
-    """Whether masks cut a subject out, as training sees that."""
-    asked: list[int] = []
+    """Whether masks cut a subject out, by the rule of training."""
+    sampled: list[int] = []
     blank = np.zeros((8, 8), np.uint8)
-    are_mattes(len(masks), lambda i: (asked.append(i), blank)[1])  # which it will look at
+    are_mattes(len(masks), lambda i: (sampled.append(i), blank)[1])  # which ones it reads
     levels = {}
-    for done, i in enumerate(asked):
+    for done, i in enumerate(sampled):
         one = masks[i]
         ob = with_uid(bpy.data.objects, one.uid)
         if not is_camera(ob):
             raise ValueError(
-                f"The camera of {one.image} was taken away while masks were read: compare again."
+                f"The camera of {one.image} was removed while masks were read: compare again."
             )
         levels[i] = yield from run_in_thread(
             partial(_levels, decode(one.file), stated(ob), inverted),
-            f"Reading masks: {done / len(asked):.0%}",
+            f"Reading masks: {done / len(sampled):.0%}",
         )
     return are_mattes(len(masks), levels.__getitem__)
 
@@ -232,7 +232,7 @@ def _levels(mask: Decoded, own: PhotoCamera, inverted: bool, check: Check) -> np
 
 
 def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
-    """A mask of 0 and one other number as one of 0 and 1, as gscore reads masks."""
+    """A mask of 0 and one other value as 0 and 1, as gscore reads masks."""
     top = opacity.max()
     if not ((opacity == 0) | (opacity == top)).all() or (opacity.min() > 1 / 255):
         return opacity
@@ -240,30 +240,30 @@ def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
 
 
 def mask_folder(camera: bpy.types.Object) -> Path | None:
-    """The folder of masks of a camera's capture, if it is there."""
+    """The folder of masks of a camera's capture, if it exists."""
     source = source_of(camera)
     return None if source is None else masks_inside(folder_of(source))
 
 
 def mask_place(camera: bpy.types.Object) -> Path | None:
-    """Where masks of a camera's capture belong; None: the camera is of none."""
+    """The folder for masks of a camera's capture; None: the camera belongs to none."""
     source = source_of(camera)
     return None if source is None else mask_folder(camera) or folder_of(source) / MASKS
 
 
 def source_of(camera: bpy.types.Object) -> Path | None:
-    """The file or folder of a camera's capture; None: the camera is of none."""
+    """The file or folder of a camera's capture; None: the camera belongs to none."""
     root = root_of(camera)
     return None if root is None else Path(stored_paths.read(root, stored_paths.SOURCE))
 
 
 def folder_of(source: Path) -> Path:
-    """The folder of a capture, of which `source` is that or a file inside."""
+    """The folder of a capture; `source` is the folder or a file in it."""
     return source.parent if source.is_file() else source
 
 
 def stated_masks(source: Path) -> dict[str, Path]:
-    """Files of masks by photo, as a capture names them; none where the capture is gone."""
+    """Mask files by photo name, as a capture lists them; empty if the capture is gone."""
     if not source.exists():
         return {}
     listed = source.glob("*.json") if source.is_dir() else ()
@@ -273,16 +273,16 @@ def stated_masks(source: Path) -> dict[str, Path]:
 
 @lru_cache(maxsize=4)
 def _stated_masks(source: Path, stamps: tuple[int, ...]) -> dict[str, Path]:
-    """The same, cached: to read a capture again takes 0.2 ms a photo.
+    """The same, cached, because reading a capture takes 0.2 ms a photo.
 
     Args:
         source: The capture.
-        stamps: Differ where its folder or its description was changed.
+        stamps: Modification times of its folder and its JSON files, ns.
     """
     views = read_capture(DataConfig(source=source)).views
     return {view.name: view.mask for view in views if view.mask is not None}
 
 
 def _scaled(values: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[height, width, ...] float32 of values in [0, 1], by way of bytes as in training."""
+    """Values in [0, 1] at another size, [height, width, ...] float32, via bytes as in training."""
     return downscale(levels_of(values), width, height) / np.float32(255)

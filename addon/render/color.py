@@ -8,19 +8,19 @@ from ..compat import TEXTURES_ARE_ENCODED
 from ..srgb import decode, encode
 
 NOTHING = 1e10
-"""Depth of a pixel without anything, as Blender's own engines write it."""
+"""Depth of an empty pixel, as Blender's own engines write it."""
 EXPONENT = 2.2
-"""Blender encodes what lies over a view's picture with it."""
+"""Gamma with which Blender encodes overlays of a view's picture."""
 
 
 def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray) -> np.ndarray:
-    """A picture as Blender's Combined pass wants it.
+    """A picture for Blender's Combined pass.
 
     Args:
-        rgb: [H, W, 3] sRGB values, over black where there is an alpha; else over the background,
-            which so is part of what is decoded.
-        alpha: [H, W] how much of each pixel is there; None: all. Colours are decoded as they are
-            before it multiplies them (straight), so that a saved PNG holds the splats' own colours.
+        rgb: [H, W, 3] sRGB values, over black if there is an alpha, else over the background,
+            which is decoded with them.
+        alpha: [H, W] coverage; None: 1. Colours are decoded as straight alpha, so that a saved
+            PNG contains the splats' own colours.
         to_scene: [3, 3], from linear Rec. 709 to the file's working space.
 
     Returns:
@@ -38,12 +38,12 @@ def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray)
 
 
 def over_view(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """[H, W, 4] float32 as textures are drawn over a view's picture, the bottom row first: light,
-    premultiplied, and encoded where Blender writes them as they are.
+    """A texture to draw over a view's picture, [H, W, 4] float32, the bottom row first: linear,
+    premultiplied, and encoded if Blender does not encode it.
 
     Args:
         rgb: [H, W, 3] sRGB values over black.
-        alpha: [H, W], how much of a pixel is covered.
+        alpha: [H, W] coverage.
     """
     out = np.empty((*alpha.shape, 4), np.float32)
     light = np.clip(_straight(rgb, alpha), 0, 1) ** np.float32(EXPONENT) * alpha[..., None]
@@ -53,16 +53,16 @@ def over_view(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def _straight(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Colors [H, W, 3] of pixels of which so much is there [H, W], not multiplied by that."""
+    """Colors [H, W, 3] divided by alpha [H, W]."""
     share = alpha[..., None]
     return np.divide(rgb, share, out=np.zeros_like(rgb), where=share > 0)
 
 
 def z_pass(rendered: Any) -> np.ndarray:
-    """Planar depths as Blender's Depth pass wants them: [H, W] float32, the bottom row first.
+    """Planar depths for Blender's Depth pass, [H, W] float32, the bottom row first.
 
-    The z at which half of the light is blocked; where the splats block less than half, their mean
-    z; `NOTHING` where there are none.
+    The z at which half of the light is blocked; the splats' mean z if they block less than half;
+    `NOTHING` where there are none.
     """
     z = np.where(rendered.median_depth > 0, rendered.median_depth, rendered.depth)
     return np.ascontiguousarray(np.where(z > 0, z, np.float32(NOTHING))[::-1])

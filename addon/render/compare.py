@@ -24,45 +24,45 @@ from .snapshot import Snapshot
 from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
-"""Error pictures show this times the mean absolute difference of the channels, as gscore's do."""
+"""Factor of the mean absolute channel difference in error pictures, as in gscore's."""
 PSNR, PSNR_MASKED = "gs_psnr", "gs_psnr_masked"
 """Custom properties of a camera: results of the last comparison, dB."""
 KINDS = ("Photo", "Render", "Error", "Comparison")
-"""Pictures that are made; Comparison has the others side by side."""
+"""Pictures of a comparison; Comparison shows the others side by side."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What came of a comparison."""
+    """Result of a comparison."""
 
     psnr: float
-    """dB, of the splats' picture against the photo, on sRGB values; inf if they are equal. Where a
-    mask says what counts, both are black elsewhere, as in gscore's metrics."""
+    """dB, of the splats' picture against the photo, on sRGB values; inf if they are equal. With a
+    mask, both are black outside of it, as in gscore's metrics."""
     psnr_masked: float | None
-    """dB, of the pixels that count alone; None without a mask."""
+    """dB, over the pixels inside the mask; None without a mask."""
     images: dict[str, bpy.types.Image]
     """By the names in `KINDS`."""
 
 
 class Comparing:
-    """A camera, the splats that it sees and the scene's settings as they are when this is made."""
+    """Snapshot of a camera, its visible splats and the scene's settings, to compare from."""
 
     def __init__(
         self, scene: bpy.types.Scene, camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph
     ) -> None:
-        """Look at all of it.
+        """Take the snapshot.
 
         Args:
-            scene: Gives percentage, world and settings, and receives nothing.
-            camera: Of an imported capture; it is where it stands now.
-            depsgraph: What is visible in it is drawn.
+            scene: Percentage, world and settings; not changed.
+            camera: Of an imported capture, in its current pose.
+            depsgraph: Its visible splats are drawn.
 
         Raises:
             ValueError: no such camera, or no splats.
         """
         if not is_camera(camera):
             raise ValueError(
-                f"{camera.name} is no camera of a photo: choose one that Import Capture made."
+                f"{camera.name} is not the camera of a photo: choose one that Import Capture made."
             )
         own = stated(camera)
         self._camera, self._name = camera.session_uid, camera.name
@@ -85,17 +85,16 @@ class Comparing:
         self._snapshot = Snapshot(depsgraph)
 
     def judged(self) -> Pieces[Comparison]:
-        """Render from it and compare with its photo.
+        """Render from the camera and compare with its photo.
 
         The picture has the photo's size times the scene's resolution percentage, whatever the
-        scene's resolution; the photo is scaled to that as it is for training. Masks are heeded as
-        the scene's settings for training say; what they make transparent is put over the world's
-        colour. Photos of lenses that bend lines are straightened as for training. The camera
-        receives `PSNR`.
+        scene's resolution; the photo is scaled to it as for training. Masks follow the scene's
+        settings for training; transparent pixels show the world's colour. Photos with lens
+        distortion are undistorted as for training. Sets `PSNR` on the camera.
 
         Raises:
-            ValueError: no photo, one that is not made for straightened photos, or the camera is
-                gone meanwhile; nothing is changed.
+            ValueError: no photo, its camera model cannot be undistorted, or the camera has been
+                removed; nothing is changed.
             GsError: the native library is missing.
         """
         try:
@@ -106,7 +105,7 @@ class Comparing:
         found = yield from run_in_thread(partial(self._drawn, placed, target), "Drawing the splats")
         camera = with_uid(bpy.data.objects, self._camera)
         if camera is None:
-            raise ValueError(f"The camera {self._name} was taken away meanwhile.")
+            raise ValueError(f"The camera {self._name} was removed during the comparison.")
         camera[PSNR] = found.psnr
         if found.psnr_masked is not None:
             camera[PSNR_MASKED] = found.psnr_masked
@@ -117,7 +116,7 @@ class Comparing:
             images[kind] = store(kind, png, camera.name)
         return Comparison(psnr=found.psnr, psnr_masked=found.psnr_masked, images=images)
 
-    def _drawn(self, placed: list[Placed], target: Target, check: Check) -> "_Judged":
+    def _drawn(self, placed: list[Placed], target: Target, check: Check) -> "_Compared":
         model = final_cache.model(placed)
         check()
 
@@ -129,12 +128,12 @@ class Comparing:
             return False
 
         rendered = picture.draw(model, self._view, self._options, stop=unwanted)
-        return _judged(np.clip(rendered.rgb, 0, 1), target, check)
+        return _compared(np.clip(rendered.rgb, 0, 1), target, check)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Judged:
-    """A comparison before its pictures are Blender's."""
+class _Compared:
+    """A comparison with PNGs, before they become Blender images."""
 
     psnr: float
     psnr_masked: float | None
@@ -142,7 +141,7 @@ class _Judged:
     """PNGs, by the names in `KINDS`."""
 
 
-def _judged(shown: np.ndarray, target: Target, check: Check) -> _Judged:
+def _compared(shown: np.ndarray, target: Target, check: Check) -> _Compared:
     photo, masked = target.pixels, None
     if target.weight is not None:
         weight = target.weight[..., None]
@@ -158,14 +157,14 @@ def _judged(shown: np.ndarray, target: Target, check: Check) -> _Judged:
         check()
         levels = levels_of(found[kind])
         opaque = np.full((*levels.shape[:2], 1), 255, np.uint8)
-        # Not made small, which would take long, and Blender longer to decode.
+        # Uncompressed: compressing takes long, and Blender would decode it more slowly.
         pictures[kind] = rgba_png(np.concatenate([levels, opaque], axis=2), packed=False)
-    return _Judged(psnr=value, psnr_masked=masked, pictures=pictures)
+    return _Compared(psnr=value, psnr_masked=masked, pictures=pictures)
 
 
 def _full_size(own: PhotoCamera) -> tuple[int, int]:
-    """Width and height of what a camera sees, with no more pixels than its photo has, which may be
-    smaller than the camera (images_4)."""
+    """Width and height of a camera's view, px, at the resolution of its photo, which may be smaller
+    than the camera's (images_4)."""
     info = read_header(own.photo)
     if info is None or info.width >= own.taken[0]:
         return own.width, own.height
@@ -180,7 +179,7 @@ def photo_view(
     width: int,
     height: int,
 ) -> RenderCamera:
-    """An imported camera with its photo's own K in float64, at another number of pixels."""
+    """An imported camera with its photo's own K in float64, scaled to another size in pixels."""
     K = own.K.copy()
     K[0] *= width / own.width
     K[1] *= height / own.height
@@ -199,8 +198,8 @@ def photo_view(
 def store(kind: str, png: bytes, camera: str) -> bpy.types.Image:
     """Put a picture into the image for its kind.
 
-    The image is a packed file: else Blender asks whether to save it, and a file that shows it loses
-    it. Blender decodes it when it is shown, in a third of the time that it would take to pack it.
+    The image is a packed file: otherwise Blender offers to save it, and a .blend file that shows it
+    loses it. Blender decodes it when it is shown, in a third of the time that packing takes.
     """
     name = f"GS {kind}"
     image = bpy.data.images.get(name)

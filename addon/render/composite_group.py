@@ -8,45 +8,47 @@ from .color import NOTHING
 
 GROUP = "Combine by Depth"
 _FORM, _OF_NOW = "gs_form", 3
-"""Custom property of the group: which form of the formula it has; those before 2 have none."""
+"""Custom property of the group: version of its formula; those before 2 have none."""
 _GROW = 2
-"""Pixels by which the order of depths grows into what meshes cut; the smoothing looks so far."""
+"""Pixels by which the depth order grows into the holes of meshes: the radius of the smoothing."""
 _ROWS = 4
-"""Of the nodes in the group."""
+"""Rows in which the nodes of the group are laid out."""
 Value = bpy.types.NodeSocket | float
 
 
 def group() -> bpy.types.NodeTree:
-    """Premultiplied pictures of meshes and splats with depths, and of a world, to one.
+    """Node group from premultiplied pictures of meshes, splats and a world, with depths, to one.
 
-    Of each pixel meshes, splats that are shown and splats that are held out have one depth each.
-    With M and a the picture and alpha of the meshes, S and s those of the splats, which are cut
-    where others are held out before them, W the world, V how much of it shows, h the alpha of all
-    that are held out by themselves, and A that of all splats if none were, light that goes from
-    back to front gives, with t = s and B = A but where meshes are held out,
+    Meshes, visible splats and holdout splats have one depth per pixel each. M and a are the picture
+    and alpha of the meshes; S and s those of the splats, cut where holdout splats are in front; W
+    is the world and V its weight; h is the alpha of the holdout splats alone, A that of all splats
+    if none were holdouts. With t = s and B = A except at holdout meshes, blending from back to
+    front gives, for color and alpha alike, depending on the order relative to the meshes,
 
-        splats  held out
+        splats  holdout splats
         before  before    S + (1 - B) M + V W
         before  behind    S + (1 - t) M + V W
         behind  before    (1 - a) S + (1 - h) M + V W
         behind  behind    (1 - a) S +         M + V W
 
-    the meshes, for color and alpha alike. Depths know no part of a pixel: with p and q for "before"
-    of the two, 1 or 0, smoothed where that changes, and the picture between the four,
+    A pixel has one depth even at an edge. Therefore p and q, which are 1 for "before" and 0 for
+    "behind" of the two, are smoothed along changes, and the picture is interpolated between the
+    four cases:
 
         (1 - a (1 - p)) S + (1 - p t - q (p (B - t) + (1 - p) h)) M + V W
 
-    What is opaque before and after such an edge so is opaque along it. The world shows where splats
-    and meshes let it through, never where the meshes are cut. With g how much of a pixel are meshes
-    that are held out, seen through the splats, and M and S cut there,
+    A pixel that is opaque on both sides of such an edge is opaque along it. The world shows through
+    splats and meshes, never in the holes of holdout meshes. With g the coverage of holdout meshes
+    seen through the splats, and M and S cut there,
 
         V = max((1 - A) (1 - a) - g, 0)
 
-    Along the edge of such a mesh no world is left then where what is beside it covers the rest; a
-    product with 1 - g would leave a part. Nor does M show there through splats that are opaque
-    beside the edge: both are cut, so that splats cover more than s of what is left of M. That is t,
-    their alpha in the part of the pixel beside such meshes, with 1 - B = (1 - t) (1 - A) / (1 - s).
-    Where these meshes hide all there are no depths, and p and q are those of what is next to it.
+    This leaves no world along the edge of such a mesh if its neighborhood covers the rest of the
+    pixel; a product with 1 - g would leave some. M must not show there either through splats that
+    are opaque next to the edge: both are cut, so that splats cover more than s of the rest of M.
+    That share is t, their alpha in the part of the pixel outside these meshes, with
+    1 - B = (1 - t) (1 - A) / (1 - s). Where these meshes hide everything there is no depth, and p
+    and q are those of adjacent pixels.
     """
     for tree in bpy.data.node_groups:
         ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
@@ -60,19 +62,19 @@ def group() -> bpy.types.NodeTree:
     backdrop = tree.interface.new_socket("World", in_out="INPUT", socket_type="NodeSocketColor")
     backdrop.default_value = (0, 0, 0, 0)
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    for name in holdout_passes.NAMES:  # after all others, whose links in older files so stay
+    for name in holdout_passes.NAMES:  # last, so that links in older files stay valid
         tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
     _fill(tree)
     return tree
 
 
 def is_of_now(tree: bpy.types.NodeTree) -> bool:
-    """Whether a group has the sockets and the formula of today."""
+    """Whether a group has the current sockets and formula."""
     return tree.get(_FORM) == _OF_NOW
 
 
 def _fill(tree: bpy.types.NodeTree) -> None:
-    """The formula, with its names."""
+    """Add the nodes of the formula; variables are named as in it."""
     given = _placed(tree.nodes.new("NodeGroupInput"), tree)
     meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
     h, gone, held_depth, g, t = (given.outputs[name] for name in holdout_passes.NAMES)
@@ -107,7 +109,7 @@ def _fill(tree: bpy.types.NodeTree) -> None:
 
 
 def _placed(node: bpy.types.Node, tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A node just made, in its place: in columns, in the order in which they are made."""
+    """Place a new node in the grid of columns, in order of creation."""
     column, row = divmod(len(tree.nodes) - 1, _ROWS)
     node.location = (220 * column, -200 * row)
     return node
@@ -128,8 +130,8 @@ def _before(
     other: bpy.types.NodeSocket,
     cut: bpy.types.NodeSocket,
 ) -> bpy.types.NodeSocket:
-    """1 where a depth is less than another, smoothed where that changes. Where one is missing since
-    all is cut, what is next to it counts."""
+    """1 where a depth is less than another, smoothed along changes; holes without a depth take the
+    value of adjacent pixels."""
     lacking = _math(tree, "MULTIPLY", _math(tree, "ADD", depth, other), cut)
     known = _math(tree, "LESS_THAN", lacking, NOTHING / 100)
     nearer = _math(tree, "MULTIPLY", _math(tree, "LESS_THAN", depth, other), known)
@@ -142,7 +144,7 @@ def _before(
 
 
 def _math(tree: bpy.types.NodeTree, operation: str, *values: Value) -> bpy.types.NodeSocket:
-    """What a math node makes of its inputs."""
+    """The output of a new math node."""
     node = _placed(compat.new_math_node(tree), tree)
     node.operation = operation
     for value, socket in zip(values, node.inputs, strict=False):

@@ -11,13 +11,13 @@ LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS W
 
 
 def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The node that puts a scene's splats among its meshes, where that was set up."""
+    """The node that combines a scene's splats with its meshes, if it was set up."""
     tree = compat.compositor_tree(scene)
     return None if tree is None else tree.nodes.get(COMBINE_NODE)
 
 
 def is_older(scene: bpy.types.Scene) -> bool:
-    """Whether an earlier version has put that node there, which takes less into account."""
+    """Whether that node comes from an earlier version, whose formula handles less."""
     node = combine_node(scene)
     return node is not None and not _is_renewed(node)
 
@@ -28,13 +28,13 @@ def insert(
     splats: bpy.types.Scene,
     world: bpy.types.Scene | None,
 ) -> None:
-    """Put the nodes behind the scene's render layers, or bring them up to date.
+    """Insert the nodes after the scene's render layers, or update them.
 
     Args:
         tree: The scene's.
         scene: Renders the meshes.
         splats: Renders the splats.
-        world: Renders what is behind everything; None: nothing is.
+        world: Renders the world; None: no world.
     """
     layers, combine = tree.nodes.get(LAYER_NODE), tree.nodes.get(COMBINE_NODE)
     if layers is not None and combine is not None:
@@ -50,27 +50,29 @@ def _is_renewed(combine: bpy.types.Node) -> bool:
 
 
 def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node, layers: bpy.types.Node) -> None:
-    """Give the node the group of today; that of older files knows neither of worlds nor of what is
-    held out, or shows what is behind meshes where these are cut."""
+    """Give the node the current group; those of older files have no inputs for world and holdouts,
+    or show the background in the holes of meshes."""
     if _is_renewed(combine):
         return
-    # The new group's result is another socket to Blender, so that its links would go.
+    # Blender drops links to the output, because the new group has another socket.
     targets = [link.to_socket for link in combine.outputs[0].links]
     combine.node_tree = group()
     for target in targets:
         tree.links.new(combine.outputs[0], target)
-    _link_held(tree, layers, combine)
+    _link_holdouts(tree, layers, combine)
 
 
-def _link_held(tree: bpy.types.NodeTree, layers: bpy.types.Node, combine: bpy.types.Node) -> None:
-    """Tell the node of what is held out, of which the node of the splats knows."""
+def _link_holdouts(
+    tree: bpy.types.NodeTree, layers: bpy.types.Node, combine: bpy.types.Node
+) -> None:
+    """Link the holdout passes of the splats' render layers to the node."""
     for name in holdout_passes.NAMES:
         tree.links.new(layers.outputs[name], combine.inputs[name])
 
 
 def show_passes(scene: bpy.types.Scene, splats: bpy.types.Scene) -> None:
-    """Give the node of the splats' render sockets for passes that were just switched on, which
-    Blender 4.2 does for the nodes of the rendered scene alone."""
+    """Add sockets for newly enabled passes to the node of the splats' render: Blender 4.2 adds them
+    only to nodes of the rendered scene."""
     tree = compat.compositor_tree(scene)
     node = None if tree is None else tree.nodes.get(LAYER_NODE)
     if node is not None:
@@ -78,7 +80,7 @@ def show_passes(scene: bpy.types.Scene, splats: bpy.types.Scene) -> None:
 
 
 def remove(tree: bpy.types.NodeTree) -> None:
-    """Take the nodes away; what they were put between is linked again."""
+    """Remove the nodes and link their neighbors again."""
     if (node := tree.nodes.get(COMBINE_NODE)) is not None:
         sources = [link.from_socket for link in node.inputs[0].links]
         for target in [link.to_socket for link in node.outputs[0].links]:
@@ -122,7 +124,7 @@ def _combine(
     for i, output in enumerate((meshes, layers)):
         tree.links.new(output.outputs["Image"], combine.inputs[2 * i])
         tree.links.new(output.outputs["Depth"], combine.inputs[2 * i + 1])
-    _link_held(tree, layers, combine)
+    _link_holdouts(tree, layers, combine)
     if not followers:
         tree.links.new(combine.outputs[0], compat.compositor_result(tree))
     return combine

@@ -1,25 +1,25 @@
 """Compositing scene: the splat-only scene of a main scene, and the visibility by collections in it.
 
-Collections hide objects, or hold them out, in the view layers of one scene. The splat-only scene
+Collections hide objects, or make them holdouts, per view layer of one scene. The splat-only scene
 has no collections of its own, so visibility comes from the first view layer of the main scene.
 """
 
 import bpy
 
 MAIN_SCENE = "gs_main_scene"
-"""Custom property of a scene that only renders the splats of another: that scene."""
+"""Custom property of a splat-only scene: its main scene."""
 SPLAT_SCENE = "gs_splat_scene"
 """Custom property of a scene: the scene that renders its splats."""
 
 
 def main_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene whose splats a scene renders apart; None for any other scene."""
+    """The main scene of a splat-only scene; None for any other scene."""
     main = scene.original.get(MAIN_SCENE)
     return main if isinstance(main, bpy.types.Scene) else None
 
 
 def is_seen(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether the camera sees an original object, as far as collections say."""
+    """Whether collections leave an original object visible to the camera."""
     main = main_scene(depsgraph.scene)
     if main is None:
         return not ob.indirect_only_get(view_layer=depsgraph.view_layer)
@@ -29,14 +29,14 @@ def is_seen(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
 
 
 def is_held_out(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether collections cut an original object out."""
+    """Whether an original object is a holdout, by itself or by its collections."""
     main = main_scene(depsgraph.scene)
     layer = depsgraph.view_layer if main is None else main.view_layers[0]
     return ob.holdout_get(view_layer=layer)
 
 
 def is_rendered(ob: bpy.types.Object, found: bpy.types.LayerCollection) -> bool:
-    """Whether a collection of a view layer, or one in it, shows an original object to renders."""
+    """Whether a layer collection, or one inside it, shows an original object in renders."""
     if found.collection.hide_render:
         return False
     holds = not found.exclude and found.collection.objects.get(ob.name) == ob

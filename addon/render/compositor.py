@@ -14,14 +14,14 @@ from .passes import MATTES
 _FILM = "gs_film_transparent"
 """Custom property of a scene: whether its film was transparent before."""
 _MADE, _ENGINE = "gs_film_made_transparent", "gs_engine_taken"
-"""Custom properties of a scene: whether compositing has made its film transparent, and which engine
-it has taken instead of that of the splats."""
+"""Custom properties of a scene: whether compositing has made its film transparent, and the engine
+that compositing has set instead of Gaussian Splats."""
 WORLD_SCENE = "gs_world_scene"
-"""Custom property of a scene: the scene that renders its world, where the film hides it."""
+"""Custom property of a scene: the scene that renders its world, if the film is transparent."""
 _WORLD_SAMPLES = 4
-"""Of a world, which is smooth from pixel to pixel or nearly so."""
+"""Samples of a world; few are enough, because it is nearly smooth from pixel to pixel."""
 _EEVEE = "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"
-"""Its names in Blender's versions."""
+"""Names of EEVEE in the versions of Blender."""
 _SHARED = (
     "resolution_x",
     "resolution_y",
@@ -47,17 +47,16 @@ _SHARED = (
 
 
 def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Scene:
-    """Make renders of a scene show its splat objects among its meshes, by depth.
+    """Make renders of a scene combine its splat objects and meshes by depth.
 
-    Makes a scene for the splats, or brings that of before up to date, and puts nodes between the
-    render and whatever the compositor does with it. Everything else in the tree stays. The splats'
-    own display is taken out of the meshes' render. A scene that the splats' engine renders gets the
-    engine that it had before.
+    Makes or updates a scene for the splats, and inserts nodes directly after the render layers.
+    Everything else in the tree stays. The splats' display is disabled in the meshes' render. A
+    scene with the engine Gaussian Splats gets the engine that it had before.
 
     Args:
         scene: With splats and a camera.
-        transparent: Make the meshes' film transparent, so that their edges blend. A world that was
-            seen is rendered by a scene of its own, behind everything.
+        transparent: Make the meshes' film transparent, so that their edges blend. A visible world
+            is rendered by a scene of its own, behind everything.
 
     Returns:
         The scene that renders the splats.
@@ -65,7 +64,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     Raises:
         ValueError: nothing to composite, or no camera.
     """
-    scene.view_layers[0].update()  # knows nothing yet of what a script has just added
+    scene.view_layers[0].update()  # to include what a script has just added
     splats = [ob for ob in scene.objects if is_splats(ob)]
     if not splats:
         raise ValueError(f"Scene {scene.name} has no splat objects: import a splat PLY first.")
@@ -77,7 +76,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     if scene.render.engine == NAME:
         _take_other_engine(scene)
         scene[_ENGINE] = scene.render.engine
-    other = _apart(scene, SPLAT_SCENE, "Splats")
+    other = _helper_scene(scene, SPLAT_SCENE, "Splats")
     _synchronise(scene, other, splats)
     for view_layer in scene.view_layers:
         view_layer.use_pass_z = True
@@ -95,36 +94,36 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
 
 
 def _take_other_engine(scene: bpy.types.Scene) -> None:
-    """The engine that a scene had before that of the splats, else EEVEE."""
+    """Set the engine that a scene had before Gaussian Splats, else EEVEE."""
     for name in (scene.get(ENGINE_BEFORE, ""), *_EEVEE):
         try:
             scene.render.engine = name
-        except TypeError:  # its add-on is gone, or a version calls it otherwise
+        except TypeError:  # its add-on is gone, or this version has another name
             continue
         return
 
 
 def _changed(scene: bpy.types.Scene) -> list[bpy.types.ID]:
-    """What is set up, and taken down: the scene, its nodes, and the splats' displays."""
+    """Data that compositing changes: the scene, its nodes, and the splat objects."""
     tree = compat.compositor_tree(scene)
     return [scene, *filter(None, (tree,)), *filter(is_splats, scene.objects)]
 
 
-def _apart(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scene:
-    """A scene that renders something for another one."""
+def _helper_scene(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scene:
+    """The scene that renders splats or world of a main scene, made if it does not exist."""
     other = scene.get(key)
     if not isinstance(other, bpy.types.Scene):
         other = bpy.data.scenes.new(f"{scene.name} {name}")
         scene[key] = other
         other[MAIN_SCENE] = scene
-    # Blender draws no frame beyond these, whatever the frame of the scene that it is for.
+    # Blender renders no frame outside this range, whatever the frame of the main scene.
     other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
     return other
 
 
 def _world_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """A scene without objects: the world as the scene's camera sees it."""
-    other = _apart(scene, WORLD_SCENE, "World")
+    """A scene without objects: the world from the scene's camera."""
+    other = _helper_scene(scene, WORLD_SCENE, "World")
     other.render.film_transparent = False
     if hasattr(other, "cycles"):
         other.cycles.samples, other.cycles.use_denoising = _WORLD_SAMPLES, False
@@ -135,7 +134,7 @@ def _world_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
 
 
 def _follow_world(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Give the world's scene world, engine and view; writes only what differs."""
+    """Copy world, engine and view to the world's scene; writes only differences."""
     _follow(scene, other)
     if other.world != scene.world:
         other.world = scene.world
@@ -149,11 +148,11 @@ def _follow_world(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 def _synchronise(
     scene: bpy.types.Scene, other: bpy.types.Scene, splats: list[bpy.types.Object]
 ) -> None:
-    """Give the splats' scene the objects and view of the meshes' scene."""
+    """Copy objects and view of the meshes' scene to the splats' scene."""
     _link(scene, other)
     for ob in splats:
         for modifier in ob.modifiers:
-            # Their picture comes from the other scene; points without faces show nothing here.
+            # The other scene renders them; without the modifier points render nothing here.
             if modifier.type == "NODES":
                 modifier.show_render = False
     other.render.engine, other.world = NAME, None
@@ -166,8 +165,8 @@ def _synchronise(
 
 
 def _follow_layer(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Give the splats' scene the mattes and the motion blur of the meshes' view layer; writes only
-    what differs."""
+    """Copy mattes and motion blur of the meshes' view layer to the splats' scene; writes only
+    differences."""
     layer, own = scene.view_layers[0], other.view_layers[0]
     names = (*MATTES, "use_motion_blur")
     differing = [name for name in names if getattr(own, name) != getattr(layer, name)]
@@ -178,8 +177,8 @@ def _follow_layer(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 
 def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Give the splats' scene the splats, and what is held out of the meshes' scene: it hides splats
-    behind it."""
+    """Link the splats and the holdout meshes, which hide splats behind them, to the splats'
+    scene."""
     wanted = [*filter(is_splats, scene.objects), *holdouts_of(scene)]
     for ob in [o for o in other.collection.objects if o not in wanted]:
         other.collection.objects.unlink(ob)
@@ -189,7 +188,7 @@ def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 
 def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Give the splats' scene the view of the meshes' scene; writes only what differs."""
+    """Copy the view of the meshes' scene to the other scene; writes only differences."""
     if other.camera != scene.camera:
         other.camera = scene.camera
     for name in _SHARED:
@@ -198,10 +197,10 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
             setattr(other.render, name, wanted)
     used = {view.name: view.use for view in scene.render.stereo_views}
     for own in other.render.stereo_views:
-        if own.use != (use := used.get(own.name, False)):  # users may take views away
+        if own.use != (use := used.get(own.name, False)):  # users may remove views
             own.use = use
     _follow_curve(*(s.render.motion_blur_shutter_curve for s in (scene, other)))
-    # Markers that change the camera: the render looks for them in the scene that it draws.
+    # Camera markers: a render reads those of the rendered scene only.
     cuts, own = (
         {(m.frame, m.camera) for m in s.timeline_markers if m.camera} for s in (scene, other)
     )
@@ -212,7 +211,7 @@ def _follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 
 def _follow_curve(curve: bpy.types.CurveMapping, other: bpy.types.CurveMapping) -> None:
-    """Give a curve the points of another one; writes only where they differ."""
+    """Copy the points of `curve` to `other`; writes only differences."""
     wanted, own = (
         [(tuple(p.location), p.handle_type) for p in c.curves[0].points] for c in (curve, other)
     )
@@ -230,7 +229,7 @@ def _follow_curve(curve: bpy.types.CurveMapping, other: bpy.types.CurveMapping) 
 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Once set up, a new camera or size of the meshes' scene is the others' at once."""
+    """Copy changes of the meshes' scene, such as camera or size, to its other scenes."""
     other = scene.get(SPLAT_SCENE)
     if isinstance(other, bpy.types.Scene):
         _follow(scene, other)
@@ -241,8 +240,8 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
 
 
 def rest(scene: bpy.types.Scene) -> None:
-    """Pass the render on as it is while the scene's own engine draws the splats, which would lie
-    over themselves; its film is what it was then."""
+    """Mute the node and restore the film while the scene's engine is Gaussian Splats, because the
+    splats would be drawn twice."""
     node, rests = combine_node(scene), scene.render.engine == NAME
     if node is None or not editable_check.keeps(node.id_data) or not editable_check.keeps(scene):
         return
@@ -255,8 +254,8 @@ def rest(scene: bpy.types.Scene) -> None:
 
 
 def take_down(scene: bpy.types.Scene) -> None:
-    """Undo `set_up`: the nodes between the render and what follows, the splats' scene, and what it
-    changed of displays and film. Everything else in the tree stays.
+    """Undo `set_up`: nodes, the scenes of splats and world, and changes of displays and film.
+    Everything else in the tree stays.
 
     Raises:
         ValueError: nothing was set up, or the nodes are linked.
@@ -264,7 +263,7 @@ def take_down(scene: bpy.types.Scene) -> None:
     others = [scene.get(key) for key in (SPLAT_SCENE, WORLD_SCENE)]
     others = [other for other in others if isinstance(other, bpy.types.Scene)]
     if combine_node(scene) is None and not others:
-        raise ValueError(f"Scene {scene.name} has no compositing of splats to be removed.")
+        raise ValueError(f"Scene {scene.name} has no compositing of splats to remove.")
     editable_check.check(*_changed(scene))
     if (tree := compat.compositor_tree(scene)) is not None:
         remove(tree)
@@ -282,7 +281,7 @@ def take_down(scene: bpy.types.Scene) -> None:
 
 
 def _drop(scene: bpy.types.Scene, key: str) -> None:
-    """Remove a scene that renders something for another one, if there is one."""
+    """Remove the scene that renders splats or world of a main scene, if it exists."""
     other = scene.get(key)
     scene.pop(key, None)
     if isinstance(other, bpy.types.Scene):

@@ -1,4 +1,4 @@
-"""Fingerprint of a copy of splats, kept after decoding in a fraction of the copy's memory."""
+"""Fingerprint of a copy of splats, kept after decoding in a fraction of its memory."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -10,29 +10,29 @@ from .mesh_copies import Frozen, FrozenMesh
 
 @dataclass(frozen=True)
 class Trace:
-    """Enough to tell whether another copy differs and, where only paint does, in which splats."""
+    """Data that shows whether another copy differs and, if only in paint, in which splats."""
 
     fingerprint: Hashable
     """`Frozen.fingerprint`."""
     unpainted: Hashable
-    """`FrozenMesh.unpainted`; None: the splats are those of a file, which nobody paints."""
+    """`FrozenMesh.unpainted`; None: the splats come from a file and cannot be painted."""
     base: np.ndarray | None
-    """[N, 4] of `radiance:base`; None as before."""
+    """`radiance:base`, [N, 4]; None: the splats come from a file."""
     kept: np.ndarray | None
-    """[N] bool, which splats passed the filters; None: there were none."""
+    """[N] bool, splats that passed the filters; None: no filters."""
 
 
 def trace_of(frozen: Frozen, kept: np.ndarray | None = None) -> Trace:
-    """The trace of a copy, of which the splats that are `kept` were decoded."""
+    """The trace of a copy whose `kept` splats were decoded."""
     if isinstance(frozen, FrozenMesh) and frozen.unpainted is not None:
         return Trace(frozen.fingerprint, frozen.unpainted, frozen.base, kept)
     return Trace(frozen.fingerprint, None, None, kept)
 
 
 def repainted_rows(before: Trace, after: Frozen) -> np.ndarray | None:
-    """[K], which splats differ in colour or opacity, where two copies are alike in all else.
+    """Indices [K] of splats that differ in colour or opacity only.
 
-    None where they are not, or where new values are not finite, which reading them refuses.
+    None if the copies differ otherwise, or if new values are not finite, which decoding refuses.
     """
     if before.base is None or not isinstance(after, FrozenMesh):
         return None

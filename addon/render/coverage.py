@@ -11,17 +11,17 @@ from .scene import Identity
 
 
 def one_hot(model: Model) -> Iterator[tuple[list[Identity], Model]]:
-    """A model in such colors that pictures of it tell how much objects add.
+    """A model with objects coded as colors, so that its pictures are the objects' coverage.
 
-    Returns:
-        Up to three objects, and the model: red of the first one, green of the second, blue of the
-        third, all else black; over and over until all had their turn. What is held out has none.
+    Yields:
+        Up to three objects, and the model with the first in red, the second in green, the third in
+        blue and all else black; repeated for all objects except holdouts.
     """
     found = list(dict.fromkeys(owner for owner, _ in model.owners if owner is not None))
     counts = [count for _, count in model.owners]
     for first in range(0, len(found), 3):
         three = found[first : first + 3]
-        # Far below black, so that rounding leaves nothing of those that are not asked for.
+        # Far below black, so that rounding leaves nothing of the other objects.
         colors = np.full((len(counts), 3), -2 * HALF, np.float32)
         for row, (owner, _) in zip(colors, model.owners, strict=True):
             if owner in three:
@@ -34,7 +34,7 @@ def one_hot(model: Model) -> Iterator[tuple[list[Identity], Model]]:
 def summed(
     covered: Mapping[Identity, np.ndarray], name_of: Callable[[Identity], str]
 ) -> dict[str, np.ndarray]:
-    """How much is added by all objects that share a name, by that name."""
+    """Coverage summed over the objects of one name, by name."""
     total: dict[str, np.ndarray] = {}
     for owner, part in covered.items():
         name = name_of(owner)
@@ -45,9 +45,9 @@ def summed(
 def index_pass(
     covered: Mapping[Identity, np.ndarray], shape: tuple[int, int], threshold: float
 ) -> np.ndarray:
-    """The Pass Index of the object that adds most to a pixel, [H, W] float32.
+    """The Pass Index of the object with the largest coverage of a pixel, [H, W] float32.
 
-    0 where all of them together add less than a share of it, or nothing.
+    0 where the coverage of all objects together is below the threshold, or zero.
     """
     most, total, result = (np.zeros(shape, np.float32) for _ in range(3))
     for owner, part in covered.items():

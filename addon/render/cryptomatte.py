@@ -12,9 +12,9 @@ import numpy as np
 
 _WORD = 0xFFFFFFFF
 _ROWS = 64
-"""Rows of a picture that are sorted together, which processors keep at hand."""
+"""Rows of a picture that are sorted together, few enough for the processor's cache."""
 OBJECT, ASSET = "CryptoObject", "CryptoAsset"
-"""What passes and mattes are called after: objects, or the uppermost of their parents."""
+"""Kinds of mattes: by object, or by the uppermost parent."""
 
 
 def name_hash(name: str) -> int:
@@ -22,7 +22,7 @@ def name_hash(name: str) -> int:
     data, result = name.encode(), 0
     whole = len(data) // 4 * 4
     for i in range(0, whole, 4):
-        result = _turned(result ^ _scrambled(data[i : i + 4]), 13)
+        result = _rotated(result ^ _scrambled(data[i : i + 4]), 13)
         result = (result * 5 + 0xE6546B64) & _WORD
     result ^= _scrambled(data[whole:]) ^ len(data)
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
@@ -32,16 +32,15 @@ def name_hash(name: str) -> int:
 
 def _scrambled(piece: bytes) -> int:
     word = int.from_bytes(piece, "little") * 0xCC9E2D51 & _WORD
-    return _turned(word, 15) * 0x1B873593 & _WORD
+    return _rotated(word, 15) * 0x1B873593 & _WORD
 
 
-def _turned(word: int, bits: int) -> int:
+def _rotated(word: int, bits: int) -> int:
     return (word << bits | word >> (32 - bits)) & _WORD
 
 
 def id_of(name: str) -> np.float32:
-    """A name's id, as pixels have it: the hash's bits as a float whose exponent is an ordinary
-    one."""
+    """A name's id in pixels: the hash's bits as a float with a clamped, normal exponent."""
     bits = name_hash(name)
     exponent = min(max(bits >> 23 & 0xFF, 1), 254)
     (value,) = struct.unpack("<f", struct.pack("<I", bits & 0x807FFFFF | exponent << 23))
@@ -49,23 +48,23 @@ def id_of(name: str) -> np.float32:
 
 
 def pass_names(kind: str, levels: int) -> list[str]:
-    """The passes that hold so many ids a pixel, two each."""
+    """Names of the passes that store `levels` ids per pixel, two each."""
     return [f"{kind}{i:02}" for i in range((levels + 1) // 2)]
 
 
 def ranked(
     covered: Mapping[str, np.ndarray], shape: tuple[int, int], kind: str, levels: int
 ) -> dict[str, np.ndarray]:
-    """The passes of a kind: what covers most of a pixel comes first.
+    """The passes of a kind, with ids sorted by coverage, largest first.
 
     Args:
-        covered: [H, W] float32 by name.
-        shape: H and W, where nothing is there.
+        covered: Coverage by name, [H, W] float32.
+        shape: H and W, for an empty `covered`.
         kind: OBJECT or ASSET.
-        levels: So many a pixel; what covers less is left out.
+        levels: Ids per pixel; those of least coverage are left out.
 
     Returns:
-        [H, W, 4] float32 by pass: id, share, id, share; zeros where there are no more.
+        [H, W, 4] float32 by pass: id, coverage, id, coverage; padded with zeros.
     """
     names = pass_names(kind, levels)
     passes = np.zeros((len(names), *shape, 4), np.float32)
@@ -83,12 +82,12 @@ def ranked(
 
 
 def metadata(layer: str, kind: str, names: list[str]) -> dict[str, str]:
-    """What files and nodes have to know of the passes of a kind, by Blender's and EXR's keys.
+    """Metadata of the passes of a kind, by the keys of Blender and EXR files.
 
     Args:
         layer: Name of the view layer.
         kind: OBJECT or ASSET.
-        names: All that may occur in the picture.
+        names: All names that may occur in the picture.
     """
     called = f"{layer}.{kind}"
     manifest = {name: f"{name_hash(name):08x}" for name in names}
@@ -98,5 +97,5 @@ def metadata(layer: str, kind: str, names: list[str]) -> dict[str, str]:
         "conversion": "uint32_to_float32",
         "manifest": json.dumps(manifest, ensure_ascii=False, separators=(",", ":")),
     }
-    # Seven digits of the hash, as the specification's own example.
+    # Seven digits of the hash, as in the specification's example.
     return {f"cryptomatte/{name_hash(called):08x}"[:19] + f"/{k}": v for k, v in fields.items()}

@@ -1,9 +1,9 @@
 """Cube map of a panorama: sharp pictures of patches of a cube around the camera, resampled.
 
-Splats are sorted by depth along the camera's axis, and their outlines are those of a projection
-that is exact on that axis. So each side of the cube is nine patches with their own axes: at the
-border of two patches the difference is half of that between whole sides. Patches overlap and are
-cross-faded, as the difference would show as an edge.
+Splats are sorted by depth along the camera's axis, and their projection is exact only on that
+axis. Therefore each side of the cube is nine patches with their own axes: the difference at the
+border of two patches is half of that between whole sides. Patches overlap and are cross-faded,
+because the difference would show as an edge.
 """
 
 from collections.abc import Callable, Iterator
@@ -33,24 +33,24 @@ above."""
 _ALONG = 3
 """Patches along a side, of equal angles."""
 _OVERLAP = 0.25
-"""How far a patch reaches into its neighbors, in patches."""
+"""Extent of a patch into its neighbors, in patches."""
 _DETAIL = 1.25
-"""Pixels of a patch, in its middle, for each of the panorama."""
+"""Pixels at the middle of a patch per pixel of the panorama."""
 _LARGEST = 8192
-"""Pixels along a patch."""
+"""Limit of the side of a patch, px."""
 _EDGE = 2
-"""Pixels around a patch, between which its outermost directions fall."""
+"""Margin around a patch for interpolation at its outermost directions, px."""
 _INSIDE = (0.25, 0.75)
-"""Where in a pixel one looks, along each axis."""
+"""Positions of samples within a pixel, along each axis."""
 _NEAREST = 0.8
-"""Depth on a patch, in distances, of what is nearest: less than in the corners of any."""
+"""Near depth of a patch in units of distance: less than the depth of its corners."""
 _AT_ONCE = 1 << 18
-"""Pixels of the panorama that are looked up together."""
+"""Pixels of the panorama that are sampled together."""
 
 
 def _patches() -> tuple[np.ndarray, float]:
-    """Right, down and forward of all patches [P, 3, 3], and how far a patch reaches to its sides,
-    for each unit forward."""
+    """Right, down and forward of all patches [P, 3, 3], and the largest half width of a patch per
+    unit forward."""
     middles = np.tan(((np.arange(_ALONG) + 0.5) / _ALONG - 0.5) * np.pi / 2)
     low, high = (
         np.tan(((np.arange(_ALONG) + end) / _ALONG - 0.5) * np.pi / 2)
@@ -82,18 +82,17 @@ def unfold(
     window: Window | None,
     draw: Callable[[RenderCamera, Window], dict[str, np.ndarray]],
 ) -> dict[str, np.ndarray]:
-    """The passes of a panorama; only what it sees of the cube is drawn.
+    """The passes of a panorama; only visible parts of the cube are drawn.
 
     Args:
         panorama: The camera.
-        window: The part that is wanted; None: all.
-        draw: Gives the passes of a part of a picture, their bottom rows first.
+        window: The part to draw; None: all.
+        draw: Returns the passes of a part of a picture, the bottom row first.
 
     Returns:
-        "Combined" [h, w, 4] and what else was drawn [h, w, 1], the mean of four looks a pixel
-        between the four nearest pixels of a patch; "Depth" [h, w], where it was drawn, the distance
-        along the middle of the pixel. The bottom rows first; nothing where the panorama sees
-        nothing.
+        "Combined" [h, w, 4] and further passes [h, w, 1], each the mean of four bilinear samples
+        per pixel; "Depth" [h, w], if it was drawn, the distance along the middle of the pixel. The
+        bottom row first; empty outside of the panorama's field of view.
     """
     window = window or (0, 0, panorama.width, panorama.height)
     half = min(int(np.ceil(panorama.density * _DETAIL * _REACH)), _LARGEST // 2 - _EDGE)
@@ -121,7 +120,7 @@ def unfold(
 
 
 def beyond(model: Model, panorama: Panorama) -> Model:
-    """What is farther away than a panorama's near end: a ball, the same for all patches."""
+    """The splats beyond a panorama's near distance, a ball that is the same for all patches."""
     to_camera = panorama.viewmat @ model.matrix
     places = model.splats.means @ to_camera[:3, :3].T + to_camera[:3, 3]
     far = np.linalg.norm(places, axis=1) > panorama.near
@@ -157,9 +156,8 @@ def _looks(
     focal: float,
     side: int,
 ) -> Iterator[tuple[int, _Pixels, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Where pixels look: of each patch that is met, its number, the pixels (rows and columns of the
-    band), its shares of them, places on it, x and y in pixels, and distances for each unit along
-    its axis."""
+    """Samples by patch: its number, the pixels (rows and columns of the band), its weights in them,
+    x and y on the patch in pixels, and distance per unit along its axis."""
     left, top, width, _ = window
     x, y = np.meshgrid(
         left + np.arange(width) + inside[0], top + np.arange(rows.start, rows.stop) + inside[1]
@@ -178,9 +176,8 @@ def _looks(
 
 
 def _shares(directions: np.ndarray, seen: np.ndarray) -> Iterator[tuple[int, _Pixels, np.ndarray]]:
-    """Of each patch through which directions [h, w, 3] look that are seen [h, w], its number, the
-    pixels, and its shares of them, which fall to 0 towards its edges; those of a pixel add up to
-    1."""
+    """Number, pixels and weights of each patch that visible (`seen` [h, w]) directions [h, w, 3]
+    hit. Weights fall to 0 towards a patch's edges; those of a pixel add up to 1."""
     total, found = np.zeros(seen.shape), []
     widest = np.tan((1 + 2 * _OVERLAP / _ALONG) * np.pi / 4)
     for number, side in enumerate(_SIDES):
@@ -200,7 +197,7 @@ def _shares(directions: np.ndarray, seen: np.ndarray) -> Iterator[tuple[int, _Pi
 
 
 def _ramps(angles: np.ndarray) -> np.ndarray:
-    """[_ALONG, n]: the shares of rows or columns of patches at angles [n] from a side's axis."""
+    """Weights [_ALONG, n] of rows or columns of patches at angles [n] from a side's axis."""
     middles = np.arange(_ALONG)[:, None] + 0.5
     away = np.abs((angles / (np.pi / 2) + 0.5) * _ALONG - middles)
     return np.clip((0.5 + _OVERLAP - away) / (2 * _OVERLAP), 0, 1)
@@ -213,7 +210,7 @@ def _every_look(window: Window) -> Iterator[tuple[slice, tuple[float, float]]]:
 
 
 def _parts(panorama: Panorama, window: Window, focal: float, side: int) -> dict[int, Window]:
-    """What is needed of each patch that is met."""
+    """The window to draw of each patch that is hit."""
     found: dict[int, np.ndarray] = {}
     for rows, inside in _every_look(window):
         for patch, _, _, x, y, _ in _looks(panorama, window, rows, inside, focal, side):
@@ -241,7 +238,7 @@ def _resampled(
 
 
 def _between(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values [n, C] of a picture [H, W, C] between its pixels' middles."""
+    """Bilinear samples [n, C] of a picture [H, W, C]."""
     height, width = picture.shape[:2]
     x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
     left, top = x.astype(int), y.astype(int)
@@ -255,8 +252,8 @@ def _between(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _distances(
     panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures
 ) -> np.ndarray:
-    """Of the nearest pixel of the patch with the largest share, because means of depths lie where
-    nothing is."""
+    """Distances at the nearest pixel of the patch with the largest weight; not interpolated,
+    because a mean of two depths may be in empty space."""
     out = np.full((window[3], window[2]), NOTHING, np.float32)
     for rows in _bands(window):
         band = out[rows]

@@ -14,7 +14,7 @@ from ..interface.option_labels import error_words
 from ..timeline import frame_sync
 from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
-from . import copies, holdout_meshes, holdout_passes, picture, unsupported_settings
+from . import holdout_meshes, holdout_passes, picture, unsupported_settings, viewport_copies
 from .compositing_scene import main_scene
 from .model import SplatCache
 from .pass_renderer import MESHES, SHARE, Film
@@ -41,15 +41,15 @@ from .world import background_of, world_light, world_of
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
 ENGINE_BEFORE = "gs_engine_before"
-"""Custom property of a scene: the engine that it had before this one was chosen for it."""
+"""Custom property of a scene: the engine that it had before this one."""
 final_cache = SplatCache()
-"""Decoded splats of the last picture: the frames of an animation share it."""
+"""Decoded splats of the last picture, shared by the frames of an animation."""
 _painters: WeakSet[ViewPainter] = WeakSet()
-"""Of all viewports in Rendered shading."""
+"""Painters of all viewports in Rendered shading."""
 
 
 class SplatsRenderEngine(bpy.types.RenderEngine):
-    """Draws splat objects, as the trainer and `gscore render` see them, and nothing else."""
+    """Renders splat objects only, in the same way as the trainer and `gscore render`."""
 
     bl_idname = NAME
     bl_label = "Gaussian Splats"
@@ -62,13 +62,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def update_render_passes(
         self, scene: bpy.types.Scene | None = None, renderlayer: Any = None
     ) -> None:
-        """Tell the compositor which passes there will be."""
+        """Register the passes of the render for the compositor."""
         for one in requested_passes(scene, renderlayer).registered():
             self.register_pass(scene, renderlayer, *one)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Draw one view layer of one frame. In the program this is not the main thread."""
-        # An exception would leave a black picture and the word FINISHED.
+        """Render one view layer of one frame. With a window this is not the main thread."""
+        # An exception would leave a black picture and the result FINISHED.
         try:
             self._render(depsgraph)
         except Cancelled:
@@ -76,21 +76,23 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except (GsError, ValueError) as error:
             self._refuse(error_words(error))
         except MemoryError:
-            self._refuse("Not enough memory to render the splats: close programs or delete some.")
+            self._refuse(
+                "Not enough memory to render the splats: close other programs or delete splats."
+            )
         except Exception as error:
             traceback.print_exc()
             self._refuse(f"Rendering splats failed: {error!r}. Details are in the console.")
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Something in the scene has changed."""
-        copies.SHARED.forget_changed(depsgraph)
+        """Mark changed data for new copies."""
+        viewport_copies.SHARED.forget_changed(depsgraph)
         holdout_meshes.SHARED.forget_changed(depsgraph)
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Show the last picture that is ready, and ask for the one of now.
+        """Show the last finished picture, and request the current one.
 
-        Where splats are drawn live, they are until the picture of now is ready. Before a photo that
-        Blender would lay over the picture, whoever draws live lays the picture over that.
+        With live drawing, that draws the splats until the current picture is ready. Blender would
+        draw background photos over the picture; live drawing then draws the picture over them.
         """
         view, region = self._viewport(), context.region
         pointer = region.as_pointer()
@@ -98,7 +100,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         OVER.pop(pointer, None)
         try:
             found = sources(depsgraph)
-            placed, complete = copies.SHARED.copied(found)
+            placed, complete = viewport_copies.SHARED.copied(found)
         except ValueError as error:
             self.update_stats("", error_words(error))
             return
@@ -108,17 +110,17 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         stays = live is not None and not holds and live.stays(context)
         over = not stays and any(one.lays_over(context) for one in STAND_INS)
         request = self._request(context, depsgraph, placed, held, over=over)
-        said = ""
+        status = ""
         if not complete:
-            said = "Reading splats"
-            if copies.SHARED.under_way(found):
+            status = "Reading splats"
+            if viewport_copies.SHARED.under_way(found):
                 self.tag_redraw()
         elif not placed:
             view.painter.pixels = None
-            said = "There are no splats to show"
+            status = "There are no splats to show"
         elif live is None or not (stays or live.moves(context)):
-            said = self._ask(view, request)
-        self.update_stats("", said or renders_only(depsgraph, camera_of(context)))
+            status = self._request_picture(view, request)
+        self.update_stats("", status or renders_only(depsgraph, camera_of(context)))
         view.painter.fresh = False
         if complete and not stays and view.painter.shows(request):
             EXACT.add(pointer)
@@ -141,9 +143,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         # Not in __init__, whose arguments differ between versions of Blender.
         if self._view is None:
             self._view = Viewport(final_cache)
-            holdout_meshes.SHARED.clear()  # nobody told of changes while none was drawn
+            holdout_meshes.SHARED.clear()  # changes were not reported while no view was drawn
             _painters.add(self._view.painter)
-            # Not in __del__ either: by then the instance's attributes are out of reach.
+            # Not in __del__ either, which cannot read the instance's attributes any more.
             finalize(self, self._view.painter.close)
         return self._view
 
@@ -177,8 +179,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             tinted=tinted_in(context.space_data, own=True),
         )
 
-    def _ask(self, view: Viewport, request: Request) -> str:
-        """Have a picture drawn; why there is none, or an empty string."""
+    def _request_picture(self, view: Viewport, request: Request) -> str:
+        """Start drawing a picture; return why there is none, or an empty string."""
         painter = view.painter
         painter.ask(request)
         if painter.busy:
@@ -186,13 +188,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return painter.problem
 
     def _empty(self, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
-        """[1, 1, 4] of a picture without splats."""
+        """A picture without splats, [1, 1, 4]."""
         if depsgraph.scene.render.film_transparent:
             return np.zeros((1, 1, 4), np.float32)
         return np.array([[[*_light(depsgraph), 1]]], np.float32)
 
     def _refuse(self, message: str) -> None:
-        """Stop with a sentence: on the render window, and as the operator's error."""
+        """Stop with an error, in the render window and as the operator's report."""
         self.error_set(message)
         self.report({"ERROR"}, message)
 
@@ -206,7 +208,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def _render_view(
         self, depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object, view: str
     ) -> None:
-        """Draw the picture of an eye, or the only one."""
+        """Render the picture of one eye, or the only one."""
         scene, layer = depsgraph.scene, depsgraph.view_layer_eval
         size = self.resolution_x, self.resolution_y
         self.update_stats("", "Reading splats")
@@ -220,7 +222,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         if stage.blurs:
             count = scene.gscore_render.blur_samples
             passes, covered, held = self._mean(film, stage, asked, count)
-            if asked.depth:  # of the frame itself, through the lens's middle: means are of no use
+            if asked.depth:  # at the frame, through the lens's middle: mean depths are useless
                 passes["Depth"] = film.shoot(still, self.test_break)["Depth"]
         else:
             passes = film.shoot(still, self.test_break)
@@ -231,7 +233,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             passes |= holdout_passes.completed(held, passes)
         else:
             passes.pop(MESHES, None)
-        passes.pop(SHARE, None)  # no pass of Blender's
+        passes.pop(SHARE, None)  # internal, not a pass of Blender
         passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
         self._deliver(passes, layer.name, view, scene.render, film.options.window)
@@ -252,13 +254,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def _mean(
         self, film: Film, stage: Stage, asked: RequestedPasses, count: int
     ) -> tuple[dict[str, np.ndarray], dict[Identity, np.ndarray], dict[str, np.ndarray]]:
-        """The means of the passes, but depths, from all over the lens and the exposure; how much
-        each object adds, and what is held out blocks, in the mean, where that is asked for."""
+        """Means over lens and exposure: the passes without depths, the coverage of each object, and
+        the light that holdouts block, the last two if requested."""
         plain, last = film.without_depths(), None
         picture, covered, blocked = Mean(), Mean(), Mean()
         shot, parts, held = {}, {}, {}
         _, top, _, height = film.options.window or (0, 0, 0, self.resolution_y)
-        # Pictures come with their bottom rows first.
+        # Pictures have the bottom row first.
         rows = (np.arange(top, top + height)[::-1] + 0.5) / self.resolution_y
         shares = stage.shares(count, rows)
         with closing(stage.views(count)) as views:
@@ -280,7 +282,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return picture.result(), covered.result(), blocked.result()
 
     def _warn(self, shown: unsupported_settings.Shown) -> None:
-        """Say what has no effect or is missing; of an animation with its first frame."""
+        """Report settings without effect and missing frames, once per animation."""
         if self.is_animation and shown.scene.frame_current != shown.scene.frame_start:
             return
         gaps = (gap_sentence(ob) for ob in shown.splats if plays(ob))
@@ -297,7 +299,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         main = main_scene(scene)
         if main is not None and main.camera is not None and main.camera.name != ob.name:
             raise ValueError(
-                f"Scene {scene.name} looks through {ob.name}, scene {main.name} through "
+                f"The camera of scene {scene.name} is {ob.name}, that of scene {main.name} is "
                 f"{main.camera.name}: run Composite Splats with Meshes again in {main.name}."
             )
         if problem := refusal(scene, ob):
@@ -312,7 +314,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         render: bpy.types.RenderSettings,
         window: picture.Window | None,
     ) -> None:
-        """Hand pictures over, of the window that was drawn; Blender's own may be a little less."""
+        """Write the passes of the drawn window to Blender, whose own window may be smaller."""
         full = self.resolution_x, self.resolution_y
         left, bottom = 0, 0
         if window is not None:
@@ -322,13 +324,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         size = result.resolution_x, result.resolution_y
         for name, values in passes.items():
             part = picture.crop(values, left, bottom, *size)
-            # Flat, and never assigned: rect = array converts every number by itself.
+            # Flat, and not assigned: rect = array converts each number separately.
             result.layers[0].passes[name].rect.foreach_set(part.ravel())
         self.end_result(result)
 
 
 def _light(depsgraph: bpy.types.Depsgraph) -> np.ndarray:
-    """[3] scene-linear color of what is behind the splats."""
+    """Scene-linear background color, [3]."""
     return world_light(world_of(depsgraph.scene, depsgraph.view_layer_eval))[0]
 
 
@@ -336,23 +338,23 @@ CLASSES = (SplatsRenderEngine,)
 
 
 def on_register() -> None:
-    """Have sequences leave their meshes alone while this engine renders."""
+    """Keep sequences from changing their meshes while this engine renders."""
     frame_sync.TAKE_FRAMES.add(NAME)
 
 
 def on_unregister() -> None:
-    """Let go of viewports and their splats."""
+    """Stop the viewports and drop their splats."""
     frame_sync.TAKE_FRAMES.discard(NAME)
     _leave_viewports()
     for painter in list(_painters):
         painter.close()
     final_cache.clear()
-    copies.SHARED.clear()
+    viewport_copies.SHARED.clear()
     holdout_meshes.SHARED.clear()
 
 
 def _leave_viewports() -> None:
-    """Have no viewport draw with the engine: Blender 4.3 never ends after it is gone then."""
+    """Switch viewports away from the engine: otherwise Blender 4.3 hangs after its removal."""
     manager = getattr(bpy.context, "window_manager", None)
     for window in [] if manager is None else manager.windows:
         for area in window.screen.areas:

@@ -12,50 +12,50 @@ from ..triangles import WITH_FACES, Triangles, triangles_of, triangles_of_mesh
 from .instances import DEEPEST, Path, inside, path_of
 
 Part = tuple[Triangles, np.ndarray]
-"""Faces, and [K, 4, 4] float64 matrices of all their places."""
+"""Faces, and the matrices of their instances, [K, 4, 4] float64."""
 
 
 def may_hold_out(ob: bpy.types.Object) -> bool:
-    """Whether an object has faces, or may get some, and is none of ours."""
+    """Whether an object has or may get faces and is not made by this add-on."""
     return ob.type in WITH_FACES and not is_splats(ob) and "gs_kind" not in ob
 
 
 def may_grow(ob: bpy.types.Object) -> bool:
-    """Whether an object that is none of ours may make such instances."""
+    """Whether an object may generate instances and is not made by this add-on."""
     ours = is_splats(ob) or "gs_kind" in ob
     return not ours and (_has_nodes(ob) or always_grows(ob))
 
 
 def always_grows(ob: bpy.types.Object) -> bool:
-    """Whether Blender takes an object for one that makes such instances, whatever comes of it."""
+    """Whether Blender treats an object as an instancer, even if it has no instances."""
     return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
 
 
 def has_to_be_walked(ob: bpy.types.Object) -> bool:
-    """Whether the geometry of an evaluated object is found by `walked` alone."""
+    """Whether only `walked` finds the geometry of an evaluated object."""
     return always_grows(ob) or (_has_nodes(ob) and not HAS_GEOMETRY_SETS)
 
 
 def generated_instances(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[Part]:
-    """What the nodes of an evaluated object show besides its own mesh, in its own axes."""
+    """Geometry that the nodes of an evaluated object add to its own mesh, in object space."""
     return list(_of_object(ob, np.eye(4)[None], depsgraph, 0, itself=False))
 
 
 Walker = tuple[int, Path]
-"""Uid of an object that a depsgraph shows, and the way from it to what makes instances."""
+"""Uid of an object that a depsgraph shows, and the path from it to the instancer."""
 
 
 def walked(
     depsgraph: bpy.types.Depsgraph, walkers: set[Walker], elsewhere: set[Walker]
 ) -> dict[Walker, list[Part]]:
-    """All instances that some objects make, in the world.
+    """All instances that some objects generate, in world space.
 
     Args:
-        depsgraph: What shows.
-        walkers: Which objects.
-        elsewhere: What is found in other ways, and is left out.
+        depsgraph: Its visible instances.
+        walkers: The objects.
+        elsewhere: Instances to leave out, because they are found otherwise.
     """
-    # The iterator has to be followed to its end, and what it gives does not outlive a step.
+    # The iterator must run to its end, and its items are valid for one step only.
     known: dict[tuple[int, bool], Triangles] = {}
     places: dict[tuple[Walker, tuple[int, bool]], list[np.ndarray]] = {}
     owners = {uid for uid, _ in walkers}
@@ -71,7 +71,7 @@ def walked(
         ob = instance.object
         if walker is None or (owner, path) in elsewhere or not _counts(ob, depsgraph):
             continue
-        # Blender shows instances of texts and the like one after the other under one address.
+        # Blender yields instances of texts and the like at one address, one after the other.
         is_mesh = ob.type == "MESH"
         key = (ob.data.as_pointer() if is_mesh else ob.original.session_uid), is_mesh
         if key not in known:
@@ -100,7 +100,7 @@ def _of_object(
     *,
     itself: bool = True,
 ) -> Iterator[Part]:
-    """An evaluated object at some places, and what it shows there."""
+    """An evaluated object at all matrices, with its instances."""
     counts = _counts(ob, depsgraph)
     if counts and itself:
         yield from _filled(triangles_of(ob), matrices)
@@ -134,7 +134,7 @@ def _of_geometry(
     *,
     faces: bool = True,
 ) -> Iterator[Part]:
-    """A geometry at some places: its faces, if they are wanted, and its instances."""
+    """A geometry at all matrices: its faces, if `faces`, and its instances."""
     if faces and geometry.mesh is not None:
         yield from _filled(triangles_of_mesh(geometry.mesh), matrices)
     points = geometry.instances_pointcloud()
@@ -144,7 +144,7 @@ def _of_geometry(
     own, which = np.empty((count, 4, 4), np.float32), np.empty(count, np.int32)
     points.attributes["instance_transform"].data.foreach_get("value", own.ravel())
     points.attributes[".reference_index"].data.foreach_get("value", which)
-    own = own.transpose(0, 2, 1).astype(np.float64)  # Blender keeps columns
+    own = own.transpose(0, 2, 1).astype(np.float64)  # Blender stores them column-major
     for number, shown in enumerate(geometry.instance_references()):
         there = own[which == number]
         if not len(there):

@@ -7,19 +7,19 @@ import numpy as np
 from ..core import Splats, sh_basis
 
 HALF = float(0.5 / sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
-"""Added to sh0 it makes white of grey, taken off it black."""
+"""Difference in sh0 from grey to white, and from black to grey."""
 
 
 def apply_holdout(splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
-    """Splats to draw, so that some of them cut holes.
+    """Splats of which some cut holes.
 
     Args:
-        splats: All of them.
-        runs: How many in a row cut holes, or do not; together all.
+        splats: All splats.
+        runs: Lengths of consecutive runs, and whether the run cuts holes.
 
     Returns:
-        The splats, black where they cut; and those that draw how much of the light is not cut
-        out: black where they cut and white elsewhere, without view dependence.
+        The splats with holdouts in black; and the splats whose picture is the share of light that
+        is not cut out: holdouts black, others white, without view dependence.
     """
     cuts = np.repeat([cut for _, cut in runs], [count for count, _ in runs])[:, None, None]
     sh0 = np.where(cuts, np.float32(-HALF), splats.sh0)

@@ -21,13 +21,13 @@ class HoldoutMesh:
     """A mesh copied out of Blender."""
 
     triangles: Triangles
-    """In its own axes."""
+    """In object space."""
     matrices: np.ndarray
-    """[K, 4, 4] float64 to the world, of each place where it stands."""
+    """[K, 4, 4] float64, object to world, one per instance."""
 
 
 def same_meshes(some: tuple[HoldoutMesh, ...], others: tuple[HoldoutMesh, ...]) -> bool:
-    """Whether they hide the same."""
+    """Whether two sets of meshes hide the same."""
     return len(some) == len(others) and all(
         np.array_equal(a.matrices, b.matrices) and _same(a.triangles, b.triangles)
         for a, b in zip(some, others, strict=True)
@@ -42,19 +42,19 @@ def _same(one: Triangles, other: Triangles) -> bool:
 
 
 def may_hide(ob: bpy.types.Object) -> bool:
-    """Whether an object may hide splats: by its faces, or by those of instances."""
+    """Whether an object may hide splats by its faces or by those of its instances."""
     return may_hold_out(ob) or generated_instances.may_grow(ob) or ob.instance_type == "COLLECTION"
 
 
 def is_holdout(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> bool:
-    """Whether an object is held out in a view layer, by itself or by its collection."""
+    """Whether an object is a holdout in a view layer, by itself or by its collection."""
     return ob.is_holdout or ob.original.holdout_get(view_layer=layer)
 
 
 def holdouts_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Objects that a scene holds out, and what it takes for their instances to be made."""
+    """Holdout objects of a scene, and the objects that their instances need."""
     layer = scene.view_layers[0]
-    there = [ob for ob in layer.objects if ob is not None]  # 4.2 keeps places of removed objects
+    there = [ob for ob in layer.objects if ob is not None]  # 4.2 has None for removed objects
     found = [ob for ob in there if may_hide(ob) and is_holdout(layer, ob)]
     on_corners = {ob for ob in found if ob.instance_type in {"VERTS", "FACES"}}
     shown = (ob for ob in there if ob.parent in on_corners and "gs_kind" not in ob)
@@ -62,7 +62,7 @@ def holdouts_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def not_taken_over(main: bpy.types.Scene | None, apart: bpy.types.Scene | None) -> str:
-    """Names of what a scene holds out and the scene that renders its splats apart does not have."""
+    """Names of holdout objects of a main scene that its splat-only scene does not have."""
     if main is None or apart is None:
         return ""
     there = set(apart.original.collection.objects)
@@ -70,24 +70,24 @@ def not_taken_over(main: bpy.types.Scene | None, apart: bpy.types.Scene | None) 
 
 
 class HoldoutMeshes:
-    """Copies of the meshes of depsgraphs that are alike, made where they change."""
+    """Copies of holdout meshes of similar depsgraphs, renewed when they change."""
 
     def __init__(self) -> None:
         self._known: dict[int, Triangles] = {}
         self._grown: dict[int, list[generated_instances.Part]] = {}
-        """In the axes of the objects that make them."""
+        """In the space of their instancers."""
         self._walked: dict[generated_instances.Walker, list[generated_instances.Part]] = {}
-        """In the world."""
+        """In world space."""
 
     def clear(self) -> None:
-        """Let go of everything."""
+        """Drop all copies."""
         for kept in (self._known, self._grown, self._walked):
             kept.clear()
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Copy again what a depsgraph update says has changed."""
+        """Drop copies of data that a depsgraph update reports as changed."""
         for update in depsgraph.updates:
-            # Instances may be of anything.
+            # Any object may have been an instance.
             self._grown.clear()
             self._walked.clear()
             if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
@@ -98,18 +98,18 @@ class HoldoutMeshes:
         depsgraph: bpy.types.Depsgraph,
         wanted: Callable[[bpy.types.Object, bpy.types.Object], bool] = lambda ob, shown_by: True,
     ) -> tuple[HoldoutMesh, ...]:
-        """All that a depsgraph holds out, with the instances that it makes.
+        """All holdout meshes of a depsgraph, with their instances.
 
         Args:
-            depsgraph: What shows.
-            wanted: Whether an evaluated object that another one shows, or itself, counts.
+            depsgraph: Its visible objects.
+            wanted: Predicate of an evaluated object and the object that shows it, possibly itself.
         """
         found, uids = [], set()
         walkers: set[generated_instances.Walker] = set()
         paths: set[generated_instances.Walker] = set()
         for shown_by, is_shown in _owners(depsgraph):
             for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
-                if not (_is_held(ob, shown_by, depsgraph) and wanted(ob, shown_by)):
+                if not (_cuts(ob, shown_by, depsgraph) and wanted(ob, shown_by)):
                     continue
                 uid = ob.original.session_uid
                 uids.add(uid)
@@ -137,7 +137,7 @@ class HoldoutMeshes:
         return tuple(found)
 
     def _own(self, ob: bpy.types.Object) -> generated_instances.Part:
-        """The faces of an evaluated object by itself."""
+        """The faces of an evaluated object without instances."""
         uid = ob.original.session_uid
         if uid not in self._known:
             self._known[uid] = triangles_of(ob)
@@ -145,13 +145,12 @@ class HoldoutMeshes:
 
 
 def _owners(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, bool]]:
-    """The evaluated objects that a depsgraph shows, or whose instances it does; whether it shows
-    them."""
+    """Evaluated objects that a depsgraph shows itself or by instances, and whether itself."""
     seen = set()
     for ob in depsgraph.objects:
         seen.add(ob.original.session_uid)
         yield ob, True
-    # What has instances and no Show Instancer is not among them.
+    # They do not include instancers with Show Instancer off.
     for layer in _layers(depsgraph):
         for ob in layer.objects:
             if ob is None or ob.original.session_uid in seen or not may_hide(ob):
@@ -161,8 +160,7 @@ def _owners(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, 
 
 
 def _layers(depsgraph: bpy.types.Depsgraph) -> Iterator[bpy.types.ViewLayer]:
-    """The view layer of a depsgraph, and those of its scene's background sets, as Blender takes
-    them."""
+    """The view layer of a depsgraph, and those that Blender uses of its background sets."""
     yield depsgraph.view_layer
     scene = depsgraph.scene.original.background_set
     while scene is not None:
@@ -173,7 +171,7 @@ def _layers(depsgraph: bpy.types.Depsgraph) -> Iterator[bpy.types.ViewLayer]:
 def _is_on(
     ob: bpy.types.Object, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph
 ) -> bool:
-    """Whether nothing hides an original object of a view layer."""
+    """Whether an original object of a view layer is visible."""
     if depsgraph.mode != "RENDER":
         return ob.visible_get(view_layer=layer)
     return not ob.hide_render and compositing_scene.is_rendered(ob, layer.layer_collection)
@@ -185,21 +183,19 @@ def _shows_instancer(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bo
 
 
 def _hides_itself(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, grows: bool) -> bool:
-    """Whether an evaluated object leaves its own faces out for those of its instances."""
+    """Whether an evaluated object hides its own faces in favor of its instances."""
     return not _shows_instancer(ob, depsgraph) and (grows or generated_instances.always_grows(ob))
 
 
-def _is_held(
-    ob: bpy.types.Object, shown_by: bpy.types.Object, depsgraph: bpy.types.Depsgraph
-) -> bool:
-    held = ob.is_holdout or shown_by.is_holdout
-    if not (held or compositing_scene.is_held_out(shown_by.original, depsgraph)):
+def _cuts(ob: bpy.types.Object, shown_by: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    holdout = ob.is_holdout or shown_by.is_holdout
+    if not (holdout or compositing_scene.is_held_out(shown_by.original, depsgraph)):
         return False
     if depsgraph.mode != "RENDER":
         return True
-    seen = ob.visible_camera and shown_by.visible_camera
-    return seen and compositing_scene.is_seen(shown_by.original, depsgraph)
+    visible = ob.visible_camera and shown_by.visible_camera
+    return visible and compositing_scene.is_seen(shown_by.original, depsgraph)
 
 
 SHARED = HoldoutMeshes()
-"""Those of the viewports of this Blender session."""
+"""Copies for the viewports of this Blender session."""

@@ -18,22 +18,22 @@ from .shutter_lens import View
 HOLDOUT, BEHIND, HELD_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
 BESIDE = "Holdout Beside"
 NAMES = HOLDOUT, BEHIND, HELD_DEPTH, MESHES, BESIDE
-"""Of the passes, in their order."""
+"""Names of the passes, in their order."""
 _FULL = 1e-4
-"""Share of a pixel below which nothing behind the splats shows."""
+"""Transmittance below which the background is taken as hidden."""
 _PART = 1 / 16
-"""Least part of a pixel that is judged by itself; in means over a lens smaller ones say little."""
+"""Least part of a pixel that gets its own alpha; smaller ones are unreliable in lens means."""
 
 Stop = Callable[[], bool]
 
 
 def blocked(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
-    """How much of the light some splats block, [H, W] float32, the bottom row first: `HOLDOUT`, and
-    as `BEHIND` all of them; nothing where none is held out.
+    """The light that splats block, [H, W] float32, the bottom row first: by holdouts as `HOLDOUT`,
+    by all splats as `BEHIND`; empty without holdouts.
 
     Args:
-        film: What the picture is to be, transparent.
-        view: What stands where.
+        film: A transparent film.
+        view: The model and its camera.
         stop: As `Film.shoot`.
     """
     if view.model.shares is None:
@@ -45,7 +45,7 @@ def blocked(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
 
 
 def depths(film: Film, view: View, stop: Stop) -> dict[str, np.ndarray]:
-    """*Depth* and `HELD_DEPTH`; arguments and result as `blocked`."""
+    """The passes *Depth* and `HELD_DEPTH`; arguments and result as `blocked`."""
     if view.model.shares is None:
         return {}
     shown = {"Depth": _only(view, held=False), HELD_DEPTH: _only(view, held=True)}
@@ -56,8 +56,8 @@ def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict
     """All passes.
 
     Args:
-        found: Of `blocked`, or means of such, and of `depths`.
-        shot: Of the film, or means of such.
+        found: Results of `blocked`, or their means, and of `depths`.
+        shot: Passes of the film, or their means.
     """
     picture = shot["Combined"]
     nothing = np.zeros(picture.shape[:2], np.float32)
@@ -72,14 +72,14 @@ def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict
 
 
 def _beside(alpha: np.ndarray, meshes: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Alpha beside the meshes that are held out, in all of the pixel where they leave nothing. They
-    hide what is behind them, so that it is at least what the whole pixel has."""
+    """Alpha in the part of each pixel outside holdout meshes, or of the whole pixel where they
+    cover all. At least the whole pixel's alpha, because the meshes hide splats behind them."""
     more = (meshes - share * (1 - alpha)) / np.maximum(1 - share, _PART)
     return np.clip(alpha + more, alpha, np.maximum(alpha, 1))
 
 
 def _only(view: View, *, held: bool) -> View:
-    """What stands where without the splats that are not held out, or those that are."""
+    """The view with holdout splats only, or without them."""
     owners, counts = zip(*view.model.owners, strict=True)
     cuts = np.repeat([owner is None for owner in owners], counts)
     splats = view.model.splats.subset(cuts == held)

@@ -8,15 +8,15 @@ import numpy as np
 from ..compat import matrix_to_numpy
 
 DEEPEST = 8
-"""Collections in collections that are followed."""
+"""Deepest nesting of instanced collections that is followed."""
 
 
 Path = tuple[int, ...]
-"""Which of the objects of a collection was gone into, and so on from there; () of what instances
-it. Blender numbers instances in the same way: see `path_of`."""
+"""Index of an object in an instanced collection at each level; () of the instancer itself. Blender
+numbers instances in the same way: see `path_of`."""
 
 _NO_ID = 0x7FFFFFFF
-"""What Blender puts where an instance has no further number."""
+"""Filler of Blender's persistent ids after the last number."""
 
 
 def instances(
@@ -24,8 +24,8 @@ def instances(
     depsgraph: bpy.types.Depsgraph,
     wanted: Callable[[bpy.types.Object], bool],
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
-    """An evaluated object itself, or those in the collection that it instances, if they are wanted;
-    each with its matrix to the world, [4, 4] float64."""
+    """An evaluated object and those of its instanced collection that are `wanted`, each with its
+    matrix to the world, [4, 4] float64."""
     for found, matrix, _ in instances_with_paths(ob, depsgraph, wanted):
         yield found, matrix
 
@@ -35,13 +35,13 @@ def instances_with_paths(
     depsgraph: bpy.types.Depsgraph,
     wanted: Callable[[bpy.types.Object], bool],
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
-    """The same, each with the way to it."""
-    # Not through depsgraph.object_instances: that walks over every ellipsoid of a display.
+    """The same, each with its path."""
+    # Not through depsgraph.object_instances, which yields every ellipsoid of a display.
     return _instances(ob, depsgraph, wanted, matrix_to_numpy(ob.matrix_world), ())
 
 
 def path_of(instance: bpy.types.DepsgraphObjectInstance) -> Path:
-    """The way to an instance from the object at which it begins."""
+    """The path to an instance from its outermost instancer."""
     numbers = [number for number in instance.persistent_id if number != _NO_ID]
     return tuple(reversed(numbers))
 
@@ -65,8 +65,8 @@ def _instances(
 def inside(
     collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph
 ) -> Iterator[tuple[int, bpy.types.Object, np.ndarray]]:
-    """The evaluated objects that a collection shows, each with its number among all of them and its
-    matrix to where the collection is instanced."""
+    """Visible evaluated objects of a collection, each with its index in the collection and its
+    matrix to the space of the instancer."""
     offset = np.eye(4)
     offset[:3, 3] = -np.array(collection.instance_offset)
     for number, inner in enumerate(collection.all_objects):

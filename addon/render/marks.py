@@ -8,13 +8,13 @@ from ..core import Splats, sh_basis
 from .mesh_copies import HIDDEN, SELECTED
 
 TINT = np.float32([1.0, 0.5, 0.05])
-"""sRGB values, near those of selected vertices in Blender's own themes."""
+"""sRGB values, close to selected vertices in Blender's own themes."""
 SHARE = np.float32(0.65)
-"""Of the tint in the colour of a selected splat; the rest tells splats apart."""
+"""Share of the tint in the colour of a selected splat; the rest keeps splats distinguishable."""
 
 
 def tinted(colors: np.ndarray, marks: np.ndarray) -> np.ndarray:
-    """[B, 3] float32 colours [B, 3] of splats with these marks [B]."""
+    """Colours [B, 3] float32 of splats, tinted where their marks [B] are selected."""
     chosen = (marks & SELECTED) != 0
     return np.where(chosen[:, None], colors + SHARE * (TINT - colors), colors)
 
@@ -22,21 +22,20 @@ def tinted(colors: np.ndarray, marks: np.ndarray) -> np.ndarray:
 def reselected(
     before: np.ndarray | None, after: np.ndarray | None, count: int
 ) -> np.ndarray | None:
-    """[count] bool: which splats were selected or deselected from some marks to others, [count] or
-    None; None where others show."""
+    """Splats that were selected or deselected between two sets of marks ([count] or None), [count]
+    bool; None if visibility has changed."""
     none = np.zeros(count, np.uint8)
     differ = (none if before is None else before) ^ (none if after is None else after)
     return None if (differ & HIDDEN).any() else differ != 0
 
 
 def shown(marks: np.ndarray) -> np.ndarray:
-    """[B] bool: which splats with these marks [B] show."""
+    """Splats that are not hidden by their marks [B], [B] bool."""
     return (marks & HIDDEN) == 0
 
 
 def tinted_splats(splats: Splats, marks: np.ndarray) -> Splats:
-    """Splats as a picture of all of them has to be given them, with these marks [N]: without those
-    that are hidden, and those that are selected tinted."""
+    """Splats for a picture with marks [N]: without hidden splats, selected splats tinted."""
     there = shown(marks)
     if not there.all():
         splats, marks = splats.subset(there), marks[there]

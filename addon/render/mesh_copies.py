@@ -16,36 +16,36 @@ from ..splats.filters import Filters, mask
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
 _KEYS["FLOAT_COLOR"] = ("color", 4)
 SELECTED, HIDDEN = 1, 2
-"""Bits of marks: what the user has done to a point in Edit Mode."""
+"""Bits of marks: selection and visibility of a point in Edit Mode."""
 AHEAD = 1 << 21
-"""Numbers, 8 MB, whose memory takes the main thread too long to get."""
+"""Floats, 8 MB, from which on allocating takes too long on the main thread."""
 _MARKED_BY = {".select_vert": SELECTED, ".hide_vert": HIDDEN}
 
 
 class Frozen(Protocol):
-    """Splats that are no longer Blender's, of a mesh or of a file."""
+    """Copied splats of a mesh or a file, independent of Blender's data."""
 
     @property
     def vertices(self) -> Sized:
-        """One a splat."""
+        """One item per splat."""
 
     @property
     def fingerprint(self) -> Hashable:
-        """Differs wherever a value does."""
+        """Differs if any value differs."""
 
     @property
     def marks(self) -> np.ndarray | None:
-        """[N] uint8 of SELECTED and HIDDEN; None: none has any."""
+        """[N] uint8 of SELECTED and HIDDEN; None: no marks."""
 
     def read(self) -> Splats:
-        """The splats; ValueError where some are missing or not finite."""
+        """The splats; ValueError if attributes are missing or not finite."""
 
     def kept(self, filters: Filters) -> np.ndarray:
-        """[N] bool: which of them filters let pass."""
+        """Splats that pass the filters, [N] bool."""
 
 
 class _Data:
-    """What `attribute.data` offers."""
+    """Interface of `attribute.data`."""
 
     def __init__(self, values: np.ndarray, width: int) -> None:
         self.values, self.width = values, width
@@ -59,7 +59,7 @@ class _Data:
 
 
 class _Attribute:
-    """What an attribute offers; its memory is its own."""
+    """Interface of an attribute, over its own memory."""
 
     def __init__(self, name: str, domain: str, data_type: str, values: np.ndarray) -> None:
         self.name, self.domain, self.data_type = name, domain, data_type
@@ -67,19 +67,19 @@ class _Attribute:
         self.fingerprint = (name, domain, data_type, zlib.crc32(values))
 
     def refilled(self, values: np.ndarray) -> "_Attribute":
-        """The same attribute with other values, flat float32."""
+        """A copy of the attribute with other values, flat float32."""
         return _Attribute(self.name, self.domain, self.data_type, values)
 
 
 def _numbers(attribute: Any) -> int:
-    """How many numbers are copied of Blender's attribute; none where its type is none of a splat's,
-    which the reader refuses."""
+    """Number of floats to copy of Blender's attribute; 0 for types that splats do not have, which
+    the reader refuses."""
     _, width = _KEYS.get(attribute.data_type, ("", 0))
     return len(attribute.data) * width
 
 
 def _copied(attribute: Any, memory: Memory | None) -> _Attribute:
-    """A copy of Blender's attribute, where there is a memory in its next array."""
+    """A copy of Blender's attribute, in the next array of `memory` if given."""
     values = memory.take() if memory else np.empty(_numbers(attribute), np.float32)
     if len(values):
         attribute.data.foreach_get(_KEYS[attribute.data_type][0], values)
@@ -87,30 +87,30 @@ def _copied(attribute: Any, memory: Memory | None) -> _Attribute:
 
 
 class _Attributes(dict[str, _Attribute]):
-    """Indexed by name and, like Blender's, giving attributes when iterated over."""
+    """Attributes by name; like Blender's, iteration yields attributes."""
 
     def __iter__(self) -> Any:
         return iter(self.values())
 
 
 class FrozenMesh:
-    """The splat attributes of a mesh or point cloud as they were; reads like the datablock."""
+    """Copied splat attributes of a mesh or point cloud, with the interface of the datablock."""
 
     def __init__(self, name: str, count: int) -> None:
         self.name = name
         self.vertices = range(count)
         self.attributes = _Attributes()
         self.marks: np.ndarray | None = None
-        """[N] uint8 of SELECTED and HIDDEN; None: no point has any. Not in the fingerprint, because
-        splats stay what they are."""
+        """[N] uint8 of SELECTED and HIDDEN; None: no marks. Not in the fingerprint, because the
+        splats stay the same."""
 
     @classmethod
     def of(cls, name: str, columns: dict[str, np.ndarray]) -> "FrozenMesh":
-        """The splats of copies of attributes, which belong to it from now on; without marks.
+        """The splats of given attributes, which are not copied; without marks.
 
         Args:
-            name: What messages shall call them.
-            columns: As `attributes.as_splats` takes them.
+            name: Object name for messages.
+            columns: As for `attributes.as_splats`.
         """
         made = cls(name, len(columns[BASE]))
         for one in sorted(columns):  # as `Freezer` does, so that the fingerprint is the same
@@ -122,7 +122,7 @@ class FrozenMesh:
 
     @property
     def fingerprint(self) -> tuple[Any, ...]:
-        """Differs wherever a value does, but for one case in 2^32 an attribute."""
+        """Differs if any value differs, except for one case in 2^32 per attribute (CRC)."""
         return (len(self.vertices), *(a.fingerprint for a in self.attributes.values()))
 
     def remarked(self, marks: np.ndarray | None) -> "FrozenMesh":
@@ -132,14 +132,14 @@ class FrozenMesh:
         return made
 
     def can_take(self, base: np.ndarray) -> bool:
-        """Whether `repainted` can be given this."""
+        """Whether `base` fits `repainted`."""
         return BASE in self.attributes and len(base) == len(self.vertices)
 
     def repainted(self, base: np.ndarray) -> "FrozenMesh":
         """The same splats with other colours and opacities.
 
         Args:
-            base: [N, 4] float32, contiguous, of `radiance:base`; from now on it belongs to this.
+            base: `radiance:base`, [N, 4] float32, contiguous; not copied.
         """
         made = FrozenMesh(self.name, len(self.vertices))
         made.attributes.update((a.name, a) for a in self.attributes)
@@ -149,8 +149,8 @@ class FrozenMesh:
 
     @property
     def unpainted(self) -> tuple[Any, ...] | None:
-        """Like `fingerprint`, but the same whatever the values of `radiance:base`; None: there is
-        no such attribute."""
+        """Like `fingerprint`, but without the values of `radiance:base`; None: there is no such
+        attribute."""
         if BASE not in self.attributes:
             return None
         found = (a.fingerprint[: 3 if a.name == BASE else 4] for a in self.attributes)
@@ -166,19 +166,19 @@ class FrozenMesh:
         return attributes.read(self)
 
     def kept(self, filters: Filters) -> np.ndarray:
-        """[N] bool: which of them filters let pass."""
+        """Splats that pass the filters, [N] bool."""
         means, scales, base = (attributes.column(self, name) for name in (POSITION, SCALE, BASE))
         return mask(means, scales, base[:, 3], filters)
 
 
 class Freezer:
-    """Copies a datablock's splat attributes one at a time, so that nobody waits for all."""
+    """Copies a datablock's splat attributes one per step, so that the main thread stays free."""
 
     def __init__(self, *, ahead: int = AHEAD) -> None:
-        """Nothing is copied yet.
+        """Prepare; copies nothing yet.
 
         Args:
-            ahead: From so many numbers of all attributes on a thread makes the memory for them.
+            ahead: Floats of all attributes from which on a thread allocates their memory.
         """
         self._ahead = ahead
         self._begun: FrozenMesh | None = None
@@ -186,15 +186,15 @@ class Freezer:
 
     @property
     def waits(self) -> bool:
-        """Whether the next step has to wait for memory, and so does nothing."""
+        """Whether memory for the next step is not ready, so that the step does nothing."""
         return self._memory is not None and not self._memory.ready
 
     def step(self, data: Any, name: str) -> FrozenMesh | None:
-        """Copy one more attribute, unless it `waits`; the whole once there are no more.
+        """Copy one more attribute, unless it `waits`; return the copy when it is complete.
 
         Args:
-            data: Mesh or point cloud; between the steps of one copy it must not change.
-            name: What messages shall call it: the object's name.
+            data: Mesh or point cloud; it must not change between the steps of one copy.
+            name: Object name for messages.
         """
         if self._begun is None:
             self._begin(data, name)
@@ -205,7 +205,7 @@ class Freezer:
                 copy = _copied(data.attributes[missing[0]], self._memory)
                 dict.__setitem__(frozen.attributes, missing[0], copy)
                 if len(missing) == 1:
-                    self._memory = None  # nothing is left to wait for
+                    self._memory = None  # all arrays are in use
             return None
         self._begun = None
         frozen.marks = read_marks(data)
@@ -218,16 +218,16 @@ class Freezer:
         self._memory = Memory(sizes) if sum(sizes) >= self._ahead else None
 
     def repaint(self, base: np.ndarray) -> None:
-        """Have the copy that has begun get other colours and opacities; as `FrozenMesh.repainted`.
+        """Replace colours and opacities in an unfinished copy; as `FrozenMesh.repainted`.
 
-        It does where it has copied those of the datablock; else they are copied in their turn.
+        Does nothing if they are not copied yet; their step then copies those of the datablock.
         """
         if self._begun is not None and self._begun.can_take(base):
             self._begun = self._begun.repainted(base)
 
 
 def freeze(data: Any, name: str) -> FrozenMesh:
-    """All of a datablock's splat attributes at once; arguments as `Freezer.step`."""
+    """Copy all splat attributes of a datablock in one call; arguments as `Freezer.step`."""
     freezer = Freezer(ahead=sys.maxsize)
     while (frozen := freezer.step(data, name)) is None:
         pass

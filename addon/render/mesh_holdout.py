@@ -13,27 +13,27 @@ from ..triangles import Triangles, joined, repeated
 from .holdout_meshes import HoldoutMesh
 from .picture import Window
 
-_LOOKS = 4
-"""Places along either side of a pixel at which meshes are looked for."""
+_SAMPLES = 4
+"""Samples along either side of a pixel at which meshes are rasterized."""
 MOST_TRIANGLES = 20_000_000
-"""Of all that is held out, each instance counted."""
+"""Limit of the triangles of all holdout meshes, each instance counted."""
 _AT_ONCE = 1 << 22
-"""Such places that are looked at together."""
+"""Samples of one band."""
 _BLENDED = ("rgb", "alpha")
 _PICTURES = (*_BLENDED, "depth", "inverse_depth", "median_depth")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hidden:
-    """What meshes do to a picture."""
+    """Parts of a picture that meshes hide."""
 
     share: np.ndarray
-    """[H, W] float32, how much of a pixel is covered by them."""
+    """[H, W] float32, coverage of a pixel by meshes."""
     far: np.ndarray
-    """[H, W] float32, z of what covers it; NaN where nothing does."""
+    """[H, W] float32, z of the meshes that cover it; NaN: none."""
 
     def inside(self, window: Window | None) -> "Hidden":
-        """The same of a window of the picture; None: of everything."""
+        """The part in a window of the picture; None: everything."""
         if window is None:
             return self
         left, top, width, height = window
@@ -42,7 +42,7 @@ class Hidden:
 
     @property
     def edges(self) -> Window | None:
-        """What holds all pixels that are covered in part."""
+        """The smallest window with all partly covered pixels; None: there are none."""
         rows, columns = np.nonzero((self.share > 0) & (self.share < 1))
         if not len(rows):
             return None
@@ -51,7 +51,7 @@ class Hidden:
 
 
 def hidden(held: Sequence[HoldoutMesh], camera: RenderCamera) -> Hidden:
-    """What meshes hide from a camera, looked for at 4 x 4 places of each pixel.
+    """The parts of a camera's picture that meshes hide, by 4 x 4 samples per pixel.
 
     Raises:
         ValueError: there are too many triangles.
@@ -59,56 +59,56 @@ def hidden(held: Sequence[HoldoutMesh], camera: RenderCamera) -> Hidden:
     count = sum(len(m.triangles.triangles) * len(m.matrices) for m in held)
     if count > MOST_TRIANGLES:
         raise ValueError(
-            f"What is held out has {count:,} triangles with all its instances; splats can be "
-            f"hidden by {MOST_TRIANGLES:,}. Hold out a simpler mesh in its place."
+            f"Holdout meshes have {count:,} triangles with all instances; the limit is "
+            f"{MOST_TRIANGLES:,}. Use a simpler mesh as holdout."
         )
     mesh, height = joined([repeated(m.triangles, m.matrices) for m in held]), camera.height
-    rows = max(1, _AT_ONCE // (_LOOKS**2 * camera.width))
+    rows = max(1, _AT_ONCE // (_SAMPLES**2 * camera.width))
     bands = [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
     share = np.zeros((height, camera.width), np.float32)
     far = np.full_like(share, np.nan)
 
-    def look(band: slice) -> None:
-        share[band], far[band] = _looked(mesh, camera, band)
+    def sample(band: slice) -> None:
+        share[band], far[band] = _sampled(mesh, camera, band)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(look, bands))
+        list(pool.map(sample, bands))
     return Hidden(share=share, far=far)
 
 
-def _looked(mesh: Triangles, camera: RenderCamera, band: slice) -> tuple[np.ndarray, np.ndarray]:
+def _sampled(mesh: Triangles, camera: RenderCamera, band: slice) -> tuple[np.ndarray, np.ndarray]:
     """`Hidden.share` and `far` of some rows."""
     K = camera.K.copy()
     K[1, 2] -= band.start
-    K[:2] *= _LOOKS
+    K[:2] *= _SAMPLES
     inverse = mesh_depth(
         mesh.vertices,
         mesh.triangles,
         K,
         camera.viewmat,
-        camera.width * _LOOKS,
-        (band.stop - band.start) * _LOOKS,
+        camera.width * _SAMPLES,
+        (band.stop - band.start) * _SAMPLES,
         near=camera.near,
         orthographic=camera.orthographic,
-    ).reshape(band.stop - band.start, _LOOKS, camera.width, _LOOKS)
+    ).reshape(band.stop - band.start, _SAMPLES, camera.width, _SAMPLES)
     hits = (inverse > 0).sum((1, 3), dtype=np.float32)
     with np.errstate(invalid="ignore"):
         # The mean of inverse depths is that of a plane in the middle of the pixel.
         far = hits / inverse.sum((1, 3), dtype=np.float32)
-    return hits / np.float32(_LOOKS**2), far
+    return hits / np.float32(_SAMPLES**2), far
 
 
 def cut(covered: Rendered, free: Rendered | None, at: Hidden) -> tuple[Rendered, np.ndarray]:
-    """A picture without background in which meshes hide what is behind them.
+    """A picture without background in which meshes hide the splats behind them.
 
     Args:
-        covered: The splats before the meshes.
-        free: The same of all splats, in the window `at.edges`; None where that is None.
-        at: What the meshes hide.
+        covered: Picture of the splats in front of the meshes.
+        free: Picture of all splats, in the window `at.edges`; None if that is None.
+        at: The parts that meshes hide.
 
     Returns:
-        The picture, with the depths of what covers more of a pixel; and [H, W] float32, how much of
-        what is behind everything still shows.
+        The picture, with the depths of the larger part of each pixel; and [H, W] float32, the
+        share of the background that still shows.
     """
     light = (1 - at.share) * (1 - covered.alpha)
     if free is None or at.edges is None:

@@ -20,7 +20,7 @@ class Model:
     """All splats of a picture."""
 
     splats: Splats
-    """In the space of the object with the most splats, which so needs no transformation."""
+    """In the space of the object with the most splats, which needs no transformation then."""
     matrix: np.ndarray
     """[4, 4] float64, similarity from that space to the world."""
     antialias: tuple[str, ...]
@@ -28,32 +28,32 @@ class Model:
     plain: tuple[str, ...]
     """Names of the others."""
     owners: tuple[tuple[Identity | None, int], ...] = ()
-    """Whose `splats` are, so many in a row each; None: of what is held out."""
+    """Owners of consecutive runs of `splats`, and the runs' lengths; None: a holdout."""
     shares: Splats | None = None
-    """Where objects are held out, whose `splats` are black then: the same splats, those black and
-    all others white, which so draw how much of the light is not cut out."""
+    """With holdouts, which are black in `splats`: the same splats with all others white. Their
+    picture is the share of light that is not cut out."""
 
 
 class SplatCache:
-    """Decoded splats by object, and the last model made of them. May be used from any thread."""
+    """Decoded splats by object, and the last merged model. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._parts: dict[tuple[int, bytes], tuple[Trace, Splats]] = {}
         self._merged: tuple[list[tuple[Splats, np.ndarray]], Splats] | None = None
-        self._held: tuple[Splats, list[tuple[int, bool]], tuple[Splats, Splats]] | None = None
+        self._holdouts: tuple[Splats, list[tuple[int, bool]], tuple[Splats, Splats]] | None = None
         self.decoded = 0
-        """How many times an object has been decoded, for measuring."""
+        """Number of decoded objects, for measurements."""
         self.merged = 0
-        """How many times several objects have been brought into one space."""
+        """Number of merges of several objects, for measurements."""
 
     def clear(self) -> None:
-        """Let go of everything."""
+        """Drop all splats."""
         with self._lock:
-            self._parts, self._merged, self._held = {}, None, None
+            self._parts, self._merged, self._holdouts = {}, None, None
 
     def model(self, placed: list[Placed]) -> Model:
-        """One model of all objects; only what has changed since the last call is computed.
+        """One model of all objects; only changes since the last call are computed.
 
         Raises:
             ValueError: attributes are missing or not finite, or an object is scaled unevenly; the
@@ -88,7 +88,7 @@ class SplatCache:
         return [found[p.part] for p in placed]
 
     def _decoded(self, placed: list[Placed]) -> dict[tuple[int, bytes], Splats]:
-        """By `Placed.part`; what is not asked for is forgotten."""
+        """Splats by `Placed.part`; drops all others."""
         for p in placed:
             check_similar(p)
         parts = {p.part: self._decode(p) for p in placed}
@@ -107,10 +107,11 @@ class SplatCache:
         return made[1]
 
     def _hold_out(self, splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
-        """`Model.splats` and `shares`, of splats of which so many each are held out or not."""
-        if self._held is None or self._held[0] is not splats or self._held[1] != runs:
-            self._held = splats, runs, apply_holdout(splats, runs)
-        return self._held[2]
+        """`Model.splats` and `shares`; `runs` as for `apply_holdout`."""
+        last = self._holdouts
+        if last is None or last[0] is not splats or last[1] != runs:
+            self._holdouts = last = splats, runs, apply_holdout(splats, runs)
+        return last[2]
 
     def _merge(self, turned: list[tuple[Splats, np.ndarray]]) -> Splats:
         """Splats, each with the matrix to the common space, as one model."""
@@ -129,7 +130,7 @@ class SplatCache:
 
 
 def _read(placed: Placed) -> tuple[Trace, Splats]:
-    """The splats of an object that pass its filters, and what to remember of it."""
+    """The splats of an object that pass its filters, and the trace of its copy."""
     splats, kept = placed.frozen.read(), None
     if placed.filters is not None:
         kept = placed.frozen.kept(placed.filters)
@@ -138,17 +139,16 @@ def _read(placed: Placed) -> tuple[Trace, Splats]:
 
 
 def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Splats] | None:
-    """As `_read`, of an object of which only colours and opacities have changed; the other arrays
-    of its splats are shared with what they were.
+    """As `_read`, if only colours and opacities have changed; all other arrays are shared with
+    `splats`.
 
     Args:
-        before: What is remembered of the copy that `splats` were decoded from, with the filters
-            that it has now.
-        splats: As they were.
+        before: Trace of the copy that `splats` were decoded from, with the current filters.
+        splats: The earlier splats.
         placed: The object.
 
     Returns:
-        None where more has changed, or others pass the filters.
+        None if more has changed, or if other splats pass the filters.
     """
     rows = repainted_rows(before, placed.frozen)
     if rows is None:
@@ -165,15 +165,15 @@ def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Sp
 
 
 def check_similar(placed: Placed) -> None:
-    """Raise ValueError, which names the object, unless splats can follow its matrix; quick enough
-    for every redraw."""
+    """Raise ValueError, which names the object, if its matrix is no similarity; quick enough for
+    every redraw."""
     if problem := _refusal(placed.matrix.tobytes()):
         raise ValueError(f"{placed.name} cannot be rendered. {problem}")
 
 
 @lru_cache(maxsize=1024)
 def _refusal(matrix: bytes) -> str:
-    """Why splats cannot follow a [4, 4] float64; empty where they can."""
+    """Why splats cannot be transformed by a matrix [4, 4] float64; empty if they can."""
     try:
         transform_splats(attributes.NO_SPLATS, np.frombuffer(matrix).reshape(4, 4))
     except ValueError as error:
@@ -182,12 +182,12 @@ def _refusal(matrix: bytes) -> str:
 
 
 def _moved(splats: Splats, matrix: np.ndarray) -> Splats:
-    matrix[3] = 0, 0, 0, 1  # an inversion leaves it so but for rounding
+    matrix[3] = 0, 0, 0, 1  # exact, despite the rounding of an inversion
     return transform_splats(splats, matrix)
 
 
 def _concatenated(parts: list[Splats]) -> Splats:
-    """One model; SH of lower degrees are filled up with zeros, which changes nothing."""
+    """One model; SH of lower degrees are padded with zeros, which changes nothing."""
     rest = max(p.shN.shape[1] for p in parts)
     padded = [np.pad(p.shN, ((0, 0), (0, rest - p.shN.shape[1]), (0, 0))) for p in parts]
     names = ("means", "quats", "scales", "opacities", "sh0")

@@ -27,7 +27,7 @@ def use_engine(scene: bpy.types.Scene) -> None:
 
 
 def use_photo_colors(scene: bpy.types.Scene) -> None:
-    """Take away what changes colours on the way to the file."""
+    """Reset settings that change colours between the splats and the file."""
     view = scene.view_settings
     view.view_transform = "Standard"  # resets the look where the new transform does not have it
     view.look = "None"
@@ -38,7 +38,7 @@ def use_photo_colors(scene: bpy.types.Scene) -> None:
 
 
 def changes_colors(scene: bpy.types.Scene) -> str:
-    """What changes colours between the splats and the file, or nothing."""
+    """Settings that change colours between the splats and the file; empty: none."""
     view = scene.view_settings
     found = []
     if view.view_transform != "Standard":
@@ -53,7 +53,8 @@ def changes_colors(scene: bpy.types.Scene) -> str:
 
 
 class UseEngine(OnScene, bpy.types.Operator):
-    """Render with the Gaussian Splats engine, in the colors of the photos (view Standard)"""
+    """Render with the engine Gaussian Splats in the colors of the photos (view transform
+    Standard)"""
 
     bl_idname = "gscore.use_engine"
     bl_label = "Render with Gaussian Splats"
@@ -107,21 +108,21 @@ class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
         """Whether splats of a training are active."""
         if is_splats(ob := meant(context)) and RUN in ob:
             return True
-        cls.poll_message_set("Select splats that were trained here")
+        cls.poll_message_set("Select splats that were trained with this add-on")
         return False
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Find the camera, compare from it, and make it the active object."""
         found = worst_of(context.scene, meant(context))
         name = found.camera.name
-        told = yield from compared(context, found.camera)
+        report = yield from compared(context, found.camera)
         if context.mode == "OBJECT" and (camera := context.view_layer.objects.get(name)):
             make_active(context, camera)
-        return f"Worst of {found.among} photos, {found.psnr:.2f} dB when measured. {told}"
+        return f"Worst of {found.among} photos, {found.psnr:.2f} dB when measured. {report}"
 
 
 def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str]:
-    """Compare from a camera and show it; what to tell the user."""
+    """Compare from a camera, show the pictures, and return the report."""
     with splats_in_view():
         begun = comparing.Comparing(context.scene, camera, context.evaluated_depsgraph_get())
     name = camera.name
@@ -149,7 +150,7 @@ class SetUpCompositing(OnScene, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Set up, or bring the set-up of before up to date."""
+        """Set up or update the compositing."""
         made = compositor.set_up(context.scene, transparent=self.transparent)
         return f"Rendering {context.scene.name} now includes {made.name}."
 
@@ -164,11 +165,11 @@ class RemoveCompositing(OnScene, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Undo the set-up."""
         compositor.take_down(context.scene)
-        return f"Rendering {context.scene.name} shows what it did before."
+        return f"Rendering {context.scene.name} works as before compositing."
 
 
 def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Object:
-    """The camera called so, else the active object if it is a photo's camera, else the scene's.
+    """The camera of that name, else the active object if it is a photo's camera, else the scene's.
 
     Raises:
         ValueError: there is none.
@@ -176,7 +177,7 @@ def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Objec
     if name:
         found = context.scene.objects.get(name)
         if found is None:
-            raise ValueError(f"Scene {context.scene.name} has no object {name}: give a camera's.")
+            raise ValueError(f"Scene {context.scene.name} has no object {name}: name a camera.")
         return found
     for candidate in (context.view_layer.objects.active, context.scene.camera):
         if comparing.is_camera(candidate):

@@ -16,13 +16,13 @@ from .operators import changes_colors
 from .shutter_lens import blurs
 
 _OTHERS = {"EEVEE_WORLD_PT_surface", "WORLD_PT_context_world"}
-"""Panels that say of themselves that they are for other engines, but show what this one reads."""
+"""Panels that are declared for other engines only, but show settings that this one uses."""
 _UNUSED = ("freestyle", "gpencil", "grease", "simplify")
-"""Parts of the names of panels for every engine that offer what this one does not do."""
+"""Name parts of panels for all engines whose settings this one does not use."""
 
 
 def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Settings, warnings and their cures; for the properties editor and the sidebar."""
+    """Draw settings, warnings and their fixes; for the properties editor and the sidebar."""
     scene, layer, width = context.scene, context.view_layer, letters(context)
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
@@ -60,16 +60,16 @@ class RENDER_PT_gscore(bpy.types.Panel):  # noqa: N801 Blender's rule
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """For this engine."""
+        """Whether this engine is active."""
         return context.engine in cls.COMPAT_ENGINES
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Lay it out."""
+        """Draw the panel."""
         draw_render(self.layout, context)
 
 
 class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
-    """Passes the engine makes."""
+    """Passes of the engine."""
 
     bl_label = "Passes"
     bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "view_layer"
@@ -77,11 +77,11 @@ class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """For this engine."""
+        """Whether this engine is active."""
         return context.engine in cls.COMPAT_ENGINES
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Lay it out."""
+        """Draw the panel."""
         layout, layer = self.layout, context.view_layer
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(heading="Data")
@@ -94,11 +94,11 @@ class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
         column.prop(layer, "use_pass_cryptomatte_asset", text="Asset")
         if layer.use_pass_cryptomatte_object or layer.use_pass_cryptomatte_asset:
             column.prop(layer, "pass_cryptomatte_depth", text="Levels")
-        wrapped(layout, "Splats have no materials, so there are no passes of them.", icon="INFO")
+        wrapped(layout, "Splats have no materials, so there are no material passes.", icon="INFO")
 
 
 class DATA_PT_gscore_panorama(bpy.types.Panel):  # noqa: N801 Blender's rule
-    """Settings of panoramic cameras, which Blender's own panel shows for Cycles alone."""
+    """Settings of panoramic cameras, which Blender's own panel shows for Cycles only."""
 
     bl_label = "Panorama"
     bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "data"
@@ -106,17 +106,17 @@ class DATA_PT_gscore_panorama(bpy.types.Panel):  # noqa: N801 Blender's rule
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """For this engine, of a panoramic camera."""
+        """Whether this engine and a panoramic camera are active."""
         camera = context.camera
         return context.engine in cls.COMPAT_ENGINES and camera is not None and camera.type == "PANO"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Lay it out."""
+        """Draw the panel."""
         draw_panorama(self.layout, context.camera)
 
 
 class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rule
-    """The switches of an object's motion blur, which Blender's own panel shows for Cycles alone."""
+    """Switches of an object's motion blur, which Blender's own panel shows for Cycles only."""
 
     bl_label = "Motion Blur"
     bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "object"
@@ -124,7 +124,7 @@ class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rul
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """For this engine, of what it draws or looks through."""
+        """Whether this engine renders the active object or renders through it."""
         ob = context.object
         if ob is None or context.engine not in cls.COMPAT_ENGINES:
             return False
@@ -132,12 +132,12 @@ class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rul
         return counts and hasattr(ob, "cycles")
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        """The switch."""
+        """Draw the switch."""
         self.layout.active = context.scene.render.use_motion_blur
         self.layout.prop(context.object.cycles, "use_motion_blur", text="")
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Whether its frames change within an exposure."""
+        """Draw the switch of frames that change within an exposure."""
         ob = context.object
         self.layout.active = context.scene.render.use_motion_blur and ob.cycles.use_motion_blur
         if plays(ob):
@@ -145,11 +145,11 @@ class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rul
 
 
 def draw_panorama(layout: bpy.types.UILayout, camera: bpy.types.Camera) -> None:
-    """The kind of a panoramic camera, and its settings."""
+    """Draw the type of a panoramic camera and its settings."""
     own, column = panorama_settings(camera), layout.column()
     column.use_property_split = True
     if own is None:
-        column.label(text="Enable Cycles, which keeps these settings", icon="ERROR")
+        column.label(text="Enable Cycles, which stores these settings", icon="ERROR")
         return
     column.prop(own, "panorama_type")
     for name in KINDS.get(kind_of(camera), ()):
@@ -165,11 +165,11 @@ CLASSES = (
 
 
 def _shared() -> list[Any]:
-    """Blender's panels that are made for engines like this one."""
+    """Blender's panels whose settings this engine uses."""
     found = []
     for panel in bpy.types.Panel.__subclasses__():
         name = panel.__name__
-        # BLENDER_RENDER is no engine any more; it marks what every engine shows.
+        # BLENDER_RENDER is no longer an engine; it marks panels for all engines.
         general = "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", set())
         if name in _OTHERS or (general and not any(word in name for word in _UNUSED)):
             found.append(panel)
@@ -183,7 +183,7 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take it back. The add-on's own keep it: Blender enables the same classes again."""
+    """Undo that. The add-on's own panels keep the name: Blender may enable the classes again."""
     for panel in bpy.types.Panel.__subclasses__():
         if panel not in CLASSES:
             getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)

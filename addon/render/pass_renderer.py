@@ -18,27 +18,27 @@ from .scene import Identity
 from .shutter_lens import View
 
 MESHES = "Holdout Meshes"
-"""Pass of how much of a pixel are meshes that are held out, as they would show through all splats;
-there is none without such meshes."""
+"""Pass with the coverage of a pixel by holdout meshes as seen through all splats; only made with
+such meshes."""
 SHARE = "Holdout Meshes Share"
-"""How much of a pixel they are by themselves; there where `MESHES` is, and no pass of Blender's."""
+"""Their coverage without splats; made together with `MESHES`, but not a pass of Blender."""
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """What a picture is to be."""
+    """Settings of a picture."""
 
     options: picture.Options
     transparent: bool
-    """Whether what is not covered is left empty."""
+    """Whether the background stays empty."""
     to_scene: np.ndarray
     """[3, 3], from linear Rec. 709 to the file's working space."""
     over_view: bool = False
-    """Whether Combined is to lie over a view's picture (`color.over_view`); a transparent film."""
+    """Whether Combined is drawn over a view's picture (`color.over_view`); a transparent film."""
 
     def without_depths(self) -> "Film":
-        """The same without the pass Depth."""
+        """The film without the pass Depth."""
         return replace(self, options=replace(self.options, depths=False))
 
     def shoot(
@@ -60,7 +60,7 @@ class Film:
         rendered, light = expose(view.model, self.options)
         share = None
         if view.model.shares is not None:
-            # What is behind everything is not cut out either, but it is only there in a full film.
+            # The background is not cut out either; a transparent film has none.
             background = _BLACK if self.transparent else _WHITE
             options = replace(self.options, background=background, depths=False)
             model = replace(view.model, splats=view.model.shares)
@@ -82,9 +82,9 @@ class Film:
         return passes
 
     def coverage(self, view: View, stop: Callable[[], bool]) -> dict[Identity, np.ndarray]:
-        """How much each object adds to each pixel, [H, W] float32, the bottom row first.
+        """Coverage of each pixel by each object, [H, W] float32, the bottom row first.
 
-        The picture is drawn once more for every three objects; errors as `shoot`.
+        Draws one more picture per three objects; errors as `shoot`.
         """
         found = {}
         for three, model in one_hot(view.model):
@@ -96,7 +96,7 @@ class Film:
     def _weights(
         self, view: View, model: Model, window: Window | None, stop: Callable[[], bool]
     ) -> np.ndarray:
-        """[H, W, 4] of a model that stands where that of a view does; the last one is nothing."""
+        """Picture [H, W, 4] of a model at the place of the view's; the last channel is unused."""
         if isinstance(view.camera, Panorama):
 
             def side(camera: RenderCamera, part: Window) -> dict[str, np.ndarray]:
@@ -118,7 +118,7 @@ class Film:
         seen = beyond(view.model, camera)
         passes = unfold(camera, self.options.window, side)
         if not (self.transparent or view.model.shares or view.held):
-            passes["Combined"][..., 3] = 1  # beyond a fisheye's circle it is black
+            passes["Combined"][..., 3] = 1  # black outside of a fisheye's circle
         return passes
 
 
@@ -130,7 +130,7 @@ def _exposed(
     stop: Callable[[], bool],
     cancel: CancelFlag | None,
 ) -> tuple[Rendered, np.ndarray | None]:
-    """A picture, and where meshes hide something how much of its background shows."""
+    """A picture, and with holdout meshes the share of the background that shows."""
     if at is None:
         return picture.draw(model, camera, options, stop=stop, cancel=cancel), None
     bare = replace(options, background=_BLACK)

@@ -22,31 +22,31 @@ MATTES = (
     *("use_pass_object_index", "pass_alpha_threshold"),
     *("use_pass_cryptomatte_object", "use_pass_cryptomatte_asset", "pass_cryptomatte_depth"),
 )
-"""What of a view layer says which mattes there are."""
+"""Settings of a view layer for mattes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RequestedPasses:
-    """The passes of a view layer besides the picture."""
+    """The passes of a view layer in addition to the picture."""
 
     depth: bool
     held: bool
-    """Those by which meshes are cut where splats are held out."""
+    """Passes with which the compositor cuts meshes at holdout splats."""
     index: bool
     kinds: tuple[str, ...]
-    """Those of Cryptomatte."""
+    """Kinds of Cryptomatte."""
     levels: int
-    """Objects a pixel that Cryptomatte has."""
+    """Objects per pixel in Cryptomatte."""
     threshold: float
-    """Share of a pixel from which on it has an object's index."""
+    """Coverage of a pixel from which on it has an object index."""
 
     @property
     def mattes(self) -> bool:
-        """Whether it takes knowing how much each object adds to each pixel."""
+        """Whether the passes need the coverage by each object."""
         return self.index or bool(self.kinds)
 
     def registered(self) -> list[tuple[str, int, str, str]]:
-        """All passes as Blender registers them: name, numbers a pixel, their names, and kind."""
+        """All passes as Blender registers them: name, number of channels, their names, and type."""
         found = [("Combined", 4, "RGBA", "COLOR")]
         if self.depth:
             found.append(("Depth", 1, "Z", "VALUE"))
@@ -55,7 +55,7 @@ class RequestedPasses:
         if self.index:
             found.append((index_pass_name(), 1, "X", "VALUE"))
         for kind in self.kinds:
-            # Small letters, so that files keep these numbers exact where they shrink colors.
+            # Lower case, so that lossy files keep these channels exact.
             names = cryptomatte.pass_names(kind, self.levels)
             found += [(name, 4, "rgba", "COLOR") for name in names]
         return found
@@ -63,10 +63,10 @@ class RequestedPasses:
     def mattes_of(
         self, covered: Mapping[Identity, np.ndarray], shape: tuple[int, int]
     ) -> dict[str, np.ndarray]:
-        """Their passes by name.
+        """The matte passes by name.
 
         Args:
-            covered: [H, W] float32, how much an object adds.
+            covered: Coverage by object, [H, W] float32.
             shape: H and W.
         """
         found = {}
@@ -78,12 +78,12 @@ class RequestedPasses:
         return found
 
     def stamp(self, result: Any, layer: str, covered: Mapping[Identity, np.ndarray]) -> None:
-        """Put into a render's result what Cryptomatte nodes and files need.
+        """Write the metadata of Cryptomatte into a render's result.
 
         Args:
             result: The RenderResult of the whole render.
             layer: Name of the view layer.
-            covered: As before.
+            covered: As for `mattes_of`.
         """
         for kind in self.kinds:
             names = sorted({_NAMES[kind](owner) for owner in covered})
@@ -98,8 +98,8 @@ _NAMES = {
 
 
 def requested_passes(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> RequestedPasses:
-    """What a view layer of a scene asks for; scenes whose splats are laid among meshes ask for what
-    that takes."""
+    """The passes that a view layer requests, with those that compositing needs in a splat-only
+    scene."""
     kinds = {
         cryptomatte.OBJECT: layer.use_pass_cryptomatte_object,
         cryptomatte.ASSET: layer.use_pass_cryptomatte_asset,

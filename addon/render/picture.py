@@ -14,40 +14,40 @@ Window = tuple[int, int, int, int]
 """Left, top, width and height of a part of a picture, pixels."""
 AUTO, ON, OFF = "AUTO", "ON", "OFF"
 POLL = 0.02
-"""Seconds between two questions whether to stop."""
+"""Seconds between two calls of `stop`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """How to draw."""
+    """Options of a picture."""
 
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """sRGB values, as the splats' own."""
     depths: bool = False
-    """Make depths too."""
+    """Whether to render depths too."""
     antialias: str = AUTO
     """ON, OFF, or AUTO: as the objects were trained."""
     window: Window | None = None
-    """The part that is drawn; None: everything."""
+    """The part to draw; None: everything."""
 
 
-def compensates(wish: str, *, trained: tuple[str, ...], plain: tuple[str, ...]) -> bool:
-    """Whether opacities are compensated.
+def compensates(setting: str, *, trained: tuple[str, ...], plain: tuple[str, ...]) -> bool:
+    """Whether opacities of small splats are compensated (antialias).
 
     Args:
-        wish: ON, OFF or AUTO.
+        setting: ON, OFF or AUTO.
         trained: Names of the objects that were trained with anti-aliasing.
         plain: Names of the others.
 
     Raises:
         ValueError: AUTO, and the objects were trained differently.
     """
-    if wish != AUTO:
-        return wish == ON
+    if setting != AUTO:
+        return setting == ON
     if trained and plain:
         raise ValueError(
             f"{trained[0]} was trained with anti-aliasing and {plain[0]} without, "
-            f"but a picture is drawn one way: set Anti-Aliasing of the render settings to On or "
+            f"but a picture uses one setting: set Anti-Aliasing in the render settings to On or "
             f"Off, or render them in two scenes."
         )
     return bool(trained)
@@ -62,20 +62,20 @@ def draw(
     stop: Callable[[], bool] = lambda: False,
     cancel: CancelFlag | None = None,
 ) -> Rendered:
-    """Rasterize.
+    """Rasterize a model.
 
     Args:
-        model: What to draw.
-        camera: From where.
-        options: How.
+        model: The splats.
+        camera: The camera.
+        options: The options.
         far_depths: [H, W] float32, z behind which a pixel shows no splat; NaN: it shows all.
-        stop: Asked every `POLL` seconds on the calling thread.
-        cancel: Another way to stop, from another thread.
+        stop: Called every `POLL` seconds on the calling thread; True cancels.
+        cancel: Flag to cancel from another thread.
 
     Raises:
-        Cancelled: `stop` said so, or `cancel` was set.
+        Cancelled: `stop` returned True, or `cancel` was set.
         GsError: the library is missing or out of memory.
-        ValueError: the objects want to be drawn in different ways.
+        ValueError: the objects were trained with and without anti-aliasing.
     """
     antialias = compensates(options.antialias, trained=model.antialias, plain=model.plain)
     flag = CancelFlag() if cancel is None else cancel
@@ -87,7 +87,7 @@ def draw(
                 render(
                     model.splats,
                     camera.K,
-                    # A similarity in front of the camera leaves the picture exact, colours too:
+                    # A similarity in the view matrix keeps the picture exact, colours too, because
                     # they depend on directions in the splats' own space.
                     camera.viewmat @ model.matrix,
                     camera.width,
@@ -117,5 +117,5 @@ def draw(
 
 
 def crop(array: np.ndarray, left: int, bottom: int, width: int, height: int) -> np.ndarray:
-    """A window of [H, W, ...], whose first row is the bottom one, contiguous."""
+    """A contiguous window of [H, W, ...], whose first row is the bottom one."""
     return np.ascontiguousarray(array[bottom : bottom + height, left : left + width])

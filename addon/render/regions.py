@@ -1,4 +1,4 @@
-"""Render regions of a render, and of a 3D view with the camera that it looks through."""
+"""Render regions of renders, and of 3D views with their cameras."""
 
 import bpy
 import numpy as np
@@ -7,7 +7,7 @@ from .picture import Window
 
 
 def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The camera through which a view looks, if it does."""
+    """The camera of a view in camera perspective, else None."""
     space, region = context.space_data, context.region_data
     if region.view_perspective != "CAMERA":
         return None
@@ -17,14 +17,14 @@ def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
 def frame_of(
     camera: bpy.types.Object, scene: bpy.types.Scene, window: np.ndarray, width: int, height: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower left corner and size, pixels of a view, of the frame of a camera that it looks through.
+    """Lower left corner and size of a camera's frame in its view, px.
 
     Args:
         camera: Of type CAMERA.
-        scene: Gives the frame's aspect.
+        scene: Defines the frame's aspect ratio.
         window: [4, 4] float64, Blender's projection of the view.
-        width: Of the view, pixels.
-        height: Of the view, pixels.
+        width: Width of the view, px.
+        height: Height of the view, px.
     """
     corners = np.array([tuple(c) for c in camera.data.view_frame(scene=scene)])
     clip = np.column_stack([corners, np.ones(4)]) @ window.T
@@ -35,14 +35,13 @@ def frame_of(
 def drawn_window(
     context: bpy.types.Context, window: np.ndarray, width: int, height: int
 ) -> Window | None:
-    """The part of a view that its Render Region (Ctrl-B) leaves, as Cycles and EEVEE have it; None:
-    all of it.
+    """The Render Region (Ctrl-B) of a view, as in Cycles and EEVEE; None: all of it.
 
     Args:
-        context: Of the view.
-        window: As `frame_of`.
-        width: Of the view, pixels.
-        height: Of the view, pixels.
+        context: Context of the view.
+        window: As for `frame_of`.
+        width: Width of the view, px.
+        height: Height of the view, px.
     """
     render, space = context.scene.render, context.space_data
     workbench = space.shading.type == "RENDERED" and render.engine == "BLENDER_WORKBENCH"
@@ -63,21 +62,21 @@ def drawn_window(
         most = render.border_max_x, render.border_max_y
     left, bottom = (round(v) for v in low + size * least)
     right, top = (round(v) for v in low + size * most)
-    # A pixel at least, as with Cycles, also where the region lies beside the view.
+    # One pixel at least, as in Cycles, even if the region is outside of the view.
     left, bottom = min(max(left, 0), width - 1), min(max(bottom, 0), height - 1)
     right, top = min(max(right, left + 1), width), min(max(top, bottom + 1), height)
     return left, height - top, right - left, top - bottom
 
 
 def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int]:
-    """Left and bottom pixel of the render border, as Blender computes them: in float32."""
+    """Left and bottom pixel of the render border, in float32 as in Blender."""
     left = np.float32(render.border_min_x) * np.float32(width)
     bottom = np.float32(render.border_min_y) * np.float32(height)
     return int(left), int(bottom)
 
 
 def border_window(render: bpy.types.RenderSettings, width: int, height: int) -> Window | None:
-    """Left, top, width and height of a part that holds the render border; None without one."""
+    """Left, top, width and height of a window that includes the render border; None without one."""
     if not render.use_border:
         return None
     left, bottom = border_corner(render, width, height)

@@ -1,4 +1,4 @@
-"""Render-only effects: camera settings that a render shows and a 3D view does not."""
+"""Render-only effects: camera settings that renders show and 3D views do not."""
 
 import bpy
 
@@ -6,11 +6,11 @@ from .shutter_lens import has_depth_of_field, has_motion_blur
 
 
 def renders_only(depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object | None) -> str:
-    """A sentence for a view in Rendered shading; empty where it shows what a render does.
+    """Status text with the effects that a view in Rendered shading lacks; empty: none.
 
     Args:
-        depsgraph: Of the view.
-        camera: Through which it looks; None: through none.
+        depsgraph: Depsgraph of the view.
+        camera: Camera of the view; None: no camera.
     """
     if camera is None or camera.type != "CAMERA":
         return ""

@@ -7,30 +7,30 @@ from typing import Generic, TypeVar
 import numpy as np
 
 _GOLDEN = (5**0.5 - 1) / 2
-"""Turns from one point to the next of a sunflower's (Vogel 1979), which no two points share."""
+"""Turns between consecutive points of a sunflower pattern (Vogel 1979)."""
 _PLASTIC = 0.7548776662466927
-"""Inverse of the plastic number: shares of it are spread as evenly, and otherwise."""
+"""Inverse of the plastic number: its multiples are spread as evenly, but in another order."""
 _STEPS = 256
-"""In which a shutter's curve is added up."""
+"""Steps of the integral of a shutter's curve."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """One of the pictures."""
+    """Lens point and time of one of the averaged pictures."""
 
     reach: float
-    """Distance from the lens's middle, 0 to 1 at its edge; equal areas are met equally often."""
+    """Distance from the lens's middle, 0 to 1 at its edge, uniform over the area."""
     turn: float
     """Direction from the middle, 0 to 1 around it."""
     moment: float
-    """How much of the light of the exposure came before, 0 to 1."""
+    """Share of the exposure's light before this sample, 0 to 1."""
 
 
 def samples(count: int) -> list[Sample]:
-    """As many as wanted, in the order of their moments, the same each time.
+    """Deterministic samples in order of their moments.
 
-    Moments follow each other evenly. On the lens points lie as in a sunflower, and are taken in an
-    order that has nothing to do with their place, so that early ones lie everywhere.
+    Moments are evenly spaced. Lens points form a sunflower pattern, in an order independent of
+    their position, so that any few consecutive samples cover the whole lens.
     """
     if count == 1:
         return [Sample(reach=0.0, turn=0.0, moment=0.5)]
@@ -46,26 +46,26 @@ def samples(count: int) -> list[Sample]:
 
 @dataclass(frozen=True, kw_only=True)
 class Aperture:
-    """The hole through which a camera's light falls, and what is in focus."""
+    """Aperture of a camera and its focus distance."""
 
     radius: float
     """World units."""
     distance: float
-    """Of what is in focus, along the camera's axis, world units."""
+    """Focus distance along the camera's axis, world units."""
     blades: int = 0
-    """Sides of the hole; fewer than three make a disk."""
+    """Number of blades; fewer than three make a disk."""
     rotation: float = 0.0
-    """Of the blades, radians."""
+    """Rotation of the blades, radians."""
     ratio: float = 1.0
-    """Height of the hole in relation to its width."""
+    """Height divided by width."""
 
     def point(self, sample: Sample) -> tuple[float, float]:
-        """Where a sample's light passes, x to the right and y up, world units from the axis."""
+        """The lens point of a sample, x to the right and y up, world units from the axis."""
         if self.blades < 3:
             angle = 2 * np.pi * sample.turn
             x, y = np.cos(angle), np.sin(angle)
         else:
-            # Evenly along the sides, so that areas are met evenly too.
+            # Evenly along the sides, so that samples are uniform over the area too.
             side, along = divmod(sample.turn * self.blades, 1)
             half = np.pi / self.blades
             ends = self.rotation + half * (2 * side + np.array([-1, 1]))
@@ -76,20 +76,20 @@ class Aperture:
 
 @dataclass(frozen=True, kw_only=True)
 class Shutter:
-    """When light falls onto the film."""
+    """Shutter times and curve of an exposure."""
 
     opens: float
-    """Frames after the one that is rendered."""
+    """Opening time, frames relative to the rendered one."""
     length: float
-    """Frames that it stays open."""
+    """Exposure time, frames."""
     curve: tuple[float, ...] = ()
-    """How open it is, at moments that follow each other evenly; empty: quite, all the time."""
+    """Openness at evenly spaced times; empty: fully open all the time."""
     row: float | None = None
-    """Share of the exposure in which a row of the picture gets its light, where rows get it one
-    after the other, from the top down; None: all of them all the time."""
+    """Rolling shutter: share of the exposure during which one row of the picture is exposed, rows
+    from top to bottom; None: all rows are exposed all the time."""
 
     def time(self, sample: Sample) -> float:
-        """When a sample is taken, in frames after the one that is rendered."""
+        """Time of a sample, in frames after the rendered one."""
         share = sample.moment
         if self.row is None:
             ends, light = self._light()
@@ -97,21 +97,21 @@ class Shutter:
         return self.opens + self.length * share
 
     def shares(self, count: int, rows: np.ndarray) -> np.ndarray | None:
-        """How much of the light of a row each sample is of, [count, R] float32; None: an even part.
+        """Weights of the samples in each row, [count, R] float32; None: equal weights.
 
         Args:
-            count: Of samples.
-            rows: [R], places of the rows, 0 at the picture's top and 1 at its bottom.
+            count: Number of samples.
+            rows: [R], positions of the rows, 0 at the picture's top and 1 at its bottom.
         """
         if self.row is None:
             return None
-        # As Cycles does it: the curve is that of a row.
+        # As in Cycles, the curve applies to each row.
         opens = (1 - self.row) * np.asarray(rows, np.float64)
         after = (np.linspace(0, 1, count + 1)[:, None] - opens) / max(self.row, 1e-6)
         return np.diff(np.interp(after, *self._light()), axis=0).astype(np.float32)
 
     def _light(self) -> tuple[np.ndarray, np.ndarray]:
-        """Shares of the exposure, and how much of its light has come until then."""
+        """Times as shares of the exposure, and the cumulative share of light at them."""
         ends = np.linspace(0, 1, _STEPS + 1)
         light = np.maximum(np.array(self.curve, np.float64), 0)
         if light.size < 2 or not light.any():
@@ -126,18 +126,18 @@ _Key = TypeVar("_Key", bound=Hashable)
 
 
 class Mean(Generic[_Key]):
-    """Of sets of pictures; one that a set lacks is black in it."""
+    """Mean of sets of pictures; a picture missing in a set counts as black."""
 
     def __init__(self) -> None:
         self._totals: dict[_Key, np.ndarray] = {}
         self._count = 0
 
     def add(self, pictures: Mapping[_Key, np.ndarray], shares: np.ndarray | None = None) -> None:
-        """Take one more set.
+        """Add a set.
 
         Args:
             pictures: [H, W, ...] by key.
-            shares: [H], how much of each row it is; None: as much as every other set.
+            shares: [H], weight of the set in each row; None: equal weights.
         """
         self._count += 1
         for key, values in pictures.items():
@@ -150,10 +150,10 @@ class Mean(Generic[_Key]):
         self._whole = shares is not None
 
     _whole = False
-    """Whether the shares make a whole."""
+    """Whether the weights of the sets add up to 1."""
 
     def result(self) -> dict[_Key, np.ndarray]:
-        """The means; nothing may be added any more."""
+        """The means; no set may be added afterwards."""
         for total in self._totals.values():
             if not self._whole:
                 total /= np.float32(self._count)

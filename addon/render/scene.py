@@ -20,28 +20,28 @@ NO_SPLATS = (
     "collection for renders."
 )
 NONE_IN_VIEW = (
-    "There are no splats to be seen: show the splat object and its collection in the viewport."
+    "There are no visible splats: show the splat object and its collection in the viewport."
 )
 _EDITED = threading.Lock()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """A splat object as a depsgraph places it; valid as long as the depsgraph is."""
+    """A splat object of a depsgraph with its placement; valid as long as the depsgraph is."""
 
     ob: bpy.types.Object
     """Evaluated."""
     matrix: np.ndarray
-    """[4, 4] float64 to the world."""
+    """[4, 4] float64, object to world."""
     shown_by: bpy.types.Object
-    """Evaluated object by which a viewport decides whether to show it: itself, or the one that
-    instances its collection."""
+    """Evaluated object that decides about visibility in viewports: itself, or the instancer of its
+    collection."""
     moment: Moment | None = None
-    """Which frame it shows, where it plays a sequence; else its own data are shown."""
+    """The shown frame of a sequence; None: its own data are shown."""
 
     @property
     def is_seen(self) -> bool:
-        """Whether the camera sees it, not only light that others throw."""
+        """Whether it is visible to camera rays."""
         return self.ob.visible_camera and compositing_scene.is_seen(
             self.shown_by.original, self._depsgraph
         )
@@ -55,24 +55,23 @@ class Source:
 
     @property
     def uid(self) -> int:
-        """Of what is shown, the original data or an object that plays; the same as long as Blender
-        runs."""
+        """Session uid of the original data, or of the object if it plays a sequence."""
         original = self.ob.original
         return (original.data if self.moment is None else original).session_uid
 
     @property
     def data(self) -> Any:
-        """The object's own data before its modifiers, as the depsgraph sees it."""
-        # A mesh's evaluated object shows what modifiers made of it; the display makes instances.
+        """The object's own evaluated data before its modifiers."""
+        # The evaluated object has the result of modifiers, which for displays is instances.
         return self.ob.original.data.evaluated_get(self._depsgraph)
 
     @property
     def is_edited(self) -> bool:
-        """Whether `data` are in Edit Mode, where their attributes are out of reach."""
+        """Whether `data` are in Edit Mode, where their attributes cannot be read."""
         return bool(getattr(self.ob.original.data, "is_editmode", False))
 
     def frozen(self) -> Frozen:
-        """A copy of all splat attributes, in Edit Mode too; of a sequence, its frame.
+        """A copy of all splat attributes, in Edit Mode too, or the frame of a sequence.
 
         Raises:
             ValueError: the frame cannot be read.
@@ -86,8 +85,8 @@ class Source:
         if not self.is_edited:
             return freeze(self.data, self.ob.name)
         original = self.ob.original
-        with _EDITED:  # an object has one such mesh, whoever asks for it
-            # In the program F12 draws in another thread, for which Blender has taken edits over.
+        with _EDITED:  # an object has only one temporary mesh
+            # F12 in a window runs in another thread, for which Blender has already flushed edits.
             if threading.current_thread() is threading.main_thread():
                 original.update_from_editmode()
             try:
@@ -96,8 +95,8 @@ class Source:
                 original.to_mesh_clear()
 
     def marks(self) -> np.ndarray | None:
-        """What is selected and hidden. Those of a mesh in Edit Mode are looked at in the editor: to
-        take them over into the mesh would count as a change of it."""
+        """Selection and visibility. In Edit Mode they are read from the BMesh, because flushing
+        them to the mesh would count as a change of it."""
         if not self.is_edited:
             return read_marks(self.data)
         verts = bmesh.from_edit_mesh(self.ob.original.data).verts
@@ -106,46 +105,45 @@ class Source:
         return marks if marks.any() else None
 
     _depsgraph: bpy.types.Depsgraph
-    """Gives `data`."""
+    """Evaluates `data`."""
 
 
 class Identity(NamedTuple):
-    """How mattes know an object."""
+    """Identity of an object in mattes."""
 
     name: str
     asset: str
-    """The name of the uppermost of its parents, or its own."""
+    """Name of its uppermost parent, or its own."""
     index: int
-    """Its Pass Index."""
+    """Pass Index."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """A splat object copied out of Blender: needs no bpy any more."""
+    """A splat object copied out of Blender, usable without bpy."""
 
     identity: Identity
     uid: int
-    """Of its original mesh, or of an object that plays a sequence; the same as long as Blender
-    runs."""
+    """Session uid of its original mesh, or of the object if it plays a sequence."""
     frozen: Frozen
     matrix: np.ndarray
-    """[4, 4] float64 to the world."""
+    """[4, 4] float64, object to world."""
     filters: Filters | None
-    """What is drawn of it; None: everything."""
+    """Filters of its splats; None: all are drawn."""
     antialias: bool
     edited: bool = False
-    """Whether it is in Edit Mode, where hidden points do not show."""
+    """Whether it is in Edit Mode, where hidden points are not drawn."""
     holdout: bool = False
-    """Whether it cuts a hole into the picture where it is."""
+    """Whether it cuts a hole into the picture."""
 
     @property
     def name(self) -> str:
-        """The object's."""
+        """Name of the object."""
         return self.identity.name
 
     @property
     def part(self) -> tuple[int, bytes]:
-        """The same for two objects of the same mesh and filters."""
+        """Key that is equal for objects with the same mesh and filters."""
         if self.filters is None:
             return self.uid, b""
         crop = b"" if self.filters.crop is None else self.filters.crop.tobytes()
@@ -153,9 +151,9 @@ class Placed:
 
 
 def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
-    """The splat objects that a depsgraph shows, those in collection instances too."""
+    """The visible splat objects of a depsgraph, including those in collection instances."""
     found = []
-    for ob in depsgraph.objects:  # leaves out what is hidden or excluded for the depsgraph's mode
+    for ob in depsgraph.objects:  # without objects hidden or excluded in the depsgraph's mode
         found += [_source(o, m, ob, depsgraph) for o, m in instances(ob, depsgraph, _may_show)]
     if depsgraph.mode == "RENDER":
         return [source for source in found if source.is_seen]
@@ -175,18 +173,18 @@ def _source(
         ob=ob,
         matrix=matrix,
         shown_by=shown_by,
-        moment=None if edited else moment,  # what is edited is the mesh
+        moment=None if edited else moment,  # Edit Mode shows the mesh
         _depsgraph=depsgraph,
     )
 
 
 def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool = False) -> Placed:
-    """Copy what is needed of an object.
+    """Copy the data of an object that rendering needs.
 
     Args:
         source: The object.
-        frozen: Its attributes, where they have been copied already.
-        always_filtered: Have its filters apply though it wants renders without them.
+        frozen: Its attributes, if they have been copied already.
+        always_filtered: Apply its filters even if they are off for renders.
 
     Raises:
         ValueError: attributes are missing; they are named.

@@ -14,21 +14,21 @@ from .scene import Placed
 
 
 class Tinted(Enum):
-    """The objects of which a view shows what is selected."""
+    """Objects whose selection a view shows."""
 
     NONE = 0
     EDITED = 1
-    """Those in Edit Mode."""
+    """Objects in Edit Mode."""
     ALL = 2
 
 
 def tinted_in(space: bpy.types.SpaceView3D, *, own: bool) -> Tinted:
-    """Of which objects a 3D view shows what is selected.
+    """The objects whose selection a 3D view shows.
 
     Args:
         space: The view.
-        own: Whether it is in the engine's Rendered shading, which is that of renders but for what
-            is edited, as other engines have it.
+        own: Whether it is in the engine's Rendered shading, which shows selections in Edit Mode
+            only, as with other engines.
     """
     if not space.overlay.show_overlays:
         return Tinted.NONE
@@ -36,11 +36,11 @@ def tinted_in(space: bpy.types.SpaceView3D, *, own: bool) -> Tinted:
 
 
 def marks_of(placed: Placed, tinted: Tinted) -> np.ndarray | None:
-    """[N] uint8 marks of the splats that are drawn of an object, or None where none has any.
+    """Marks of the drawn splats of an object, [N] uint8; None: no marks.
 
     Args:
-        placed: The object. Its hidden points count in Edit Mode alone, as those of meshes do.
-        tinted: Whether those that are selected count.
+        placed: The object. Its hidden points count in Edit Mode only, as for meshes.
+        tinted: Objects whose selection counts.
     """
     selected = tinted is Tinted.ALL or (tinted is Tinted.EDITED and placed.edited)
     wanted = SELECTED * selected | HIDDEN * placed.edited
@@ -53,12 +53,12 @@ def marks_of(placed: Placed, tinted: Tinted) -> np.ndarray | None:
 
 
 def marked(model: Model, placed: Sequence[Placed], tinted: Tinted) -> Model:
-    """A model without what is hidden, and with what is selected tinted, but for what cuts holes.
+    """A model without hidden splats, and with selected splats tinted, except in holdouts.
 
     Args:
-        model: Of all splats.
+        model: Model of all splats.
         placed: Its objects.
-        tinted: As `marks_of`.
+        tinted: As for `marks_of`.
     """
     found = [marks_of(one, Tinted.NONE if one.holdout else tinted) for one in placed]
     if all(marks is None for marks in found):

@@ -6,11 +6,12 @@ from .picture import AUTO, OFF, ON
 
 
 class RenderSettings(bpy.types.PropertyGroup):
-    """`Scene.gscore_render`: how the engine draws."""
+    """`Scene.gscore_render`: settings of the engine."""
 
     antialias: bpy.props.EnumProperty(
         name="Anti-Aliasing",
-        description="Reduce the opacity of splats smaller than a pixel, which are drawn wider",
+        description="Reduce the opacity of splats smaller than a pixel, because they are drawn "
+        "wider than they are",
         items=[
             (AUTO, "As Trained", "On for models trained with it, off for others"),
             (ON, "On", "For models trained with it (Mip-Splatting)"),
@@ -20,8 +21,8 @@ class RenderSettings(bpy.types.PropertyGroup):
     )
     blur_samples: bpy.props.IntProperty(
         name="Blur Samples",
-        description="Number of pictures averaged for depth of field or motion blur; more make "
-        "wide blur smoother",
+        description="Number of pictures averaged for depth of field or motion blur. Use more for "
+        "smoother wide blur",
         default=32,
         min=1,
         max=4096,
@@ -39,10 +40,10 @@ CLASSES = (RenderSettings,)
 
 
 def on_register() -> None:
-    """Give scenes their settings."""
+    """Add the settings to scenes."""
     bpy.types.Scene.gscore_render = bpy.props.PointerProperty(type=RenderSettings)
 
 
 def on_unregister() -> None:
-    """Take them back."""
+    """Remove them."""
     del bpy.types.Scene.gscore_render

@@ -30,14 +30,14 @@ class ShowSplats(BaseOperator, bpy.types.Operator):
     )
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The scene, and splats that are hidden."""
+        """The scene, and hidden splats."""
         ob = _wanted(context, trained=self.trained)
         return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
 
     def act(self, context: bpy.types.Context) -> str:
-        """Set all of it."""
+        """Apply all settings."""
         ob = _wanted(context, trained=self.trained)
-        framed.frame_of(ob)  # refuses what shows nothing, before anything is set
+        framed.frame_of(ob)  # raises for empty splats before anything is set
         if any(map(is_map, _of_run(context, ob))):
             show_map(ob, False)
         ob.hide_set(False)
@@ -46,14 +46,14 @@ class ShowSplats(BaseOperator, bpy.types.Operator):
         make_active(context, ob)
         use_engine(context.scene)
         photos.show(context.scene, False)
-        context.view_layer.update()  # what was hidden has no place yet
+        context.view_layer.update()  # to evaluate the matrix of hidden objects
         for space in framed.turn_views(context.scene, ob):
             space.shading.type = "RENDERED"
         return ""
 
 
 def _wanted(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:
-    """The splats of the training, if these are asked for, else those that panels are about."""
+    """The splats of the training if `trained`, else those that panels are about."""
     result = [context.scene.gscore.result] if trained else []
     for ob in (*result, in_question(context)):
         if is_splats(ob) and context.view_layer.objects.get(ob.name) == ob:
@@ -63,7 +63,7 @@ def _wanted(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:
 
 
 def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.Object]:
-    """The splats and maps of errors of an object's run, as far as the view layer has them."""
+    """The splats and error maps of an object's run that are in the view layer."""
     if not stored_paths.read(ob, stored_paths.RUN):
         return []
     splats, maps = siblings(ob)

@@ -24,15 +24,15 @@ from .scene import NO_SPLATS, Placed, Source, place, sources
 from .stereo import Eye, seen_by
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
-"""When the shutter opens, in lengths of the exposure after the frame, by Blender's names."""
+"""Opening time relative to the frame, in exposure times, by Blender's names."""
 _CURVE_POINTS = 65
 _NARROWEST = 1e-5
-"""Smallest f-stop, as Cycles has it."""
+"""Smallest f-stop, as in Cycles."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What one picture shows."""
+    """Content of one picture: model, camera and holdout meshes."""
 
     model: Model
     camera: RenderCamera | Panorama
@@ -41,12 +41,12 @@ class View:
 
     @cached_property
     def hidden(self) -> Hidden | None:
-        """What `held` hides; of panoramas each patch is looked at by itself."""
+        """The parts that `held` hides; None for panoramas, whose patches have their own."""
         flat = isinstance(self.camera, RenderCamera)
         return hidden(self.held, self.camera) if self.held and flat else None
 
     def same(self, other: "View") -> bool:
-        """Whether the other picture is this one."""
+        """Whether the other view gives the same picture."""
         return (
             self.model.splats is other.model.splats
             and self.model.owners == other.model.owners
@@ -57,15 +57,15 @@ class View:
 
 
 class Stage:
-    """Of one frame that is being rendered.
+    """The views of one rendered frame.
 
     Args:
-        depsgraph: Of the render.
-        camera: Through which it looks.
+        depsgraph: Depsgraph of the render.
+        camera: The camera.
         size: Width and height, pixels.
-        cache: Keeps decoded splats.
+        cache: Cache of decoded splats.
         frame_set: Evaluates the depsgraph at a frame and a fraction of one.
-        eye: Whose picture of a pair it is; None: there is one.
+        eye: The eye of a stereo pair; None: a single picture.
     """
 
     def __init__(
@@ -85,10 +85,10 @@ class Stage:
         self._shutter = shutter_of(depsgraph.scene) if opens else None
         self._frozen: dict[int, Frozen] = {}
         self._resting: list[Placed] | None = None
-        """Objects without motion blur, as they are at the frame itself; None: not yet known."""
-        self._resting_held: tuple[HoldoutMesh, ...] | None = None
+        """Objects without motion blur, as at the frame itself; None: not yet known."""
+        self._resting_holdouts: tuple[HoldoutMesh, ...] | None = None
         self._own_lens: tuple[RenderCamera | Panorama, Aperture | None] | None = None
-        """Of the frame itself, where the camera has no motion blur."""
+        """Camera and aperture at the frame itself, if the camera has no motion blur."""
 
     @property
     def blurs(self) -> bool:
@@ -97,22 +97,23 @@ class Stage:
         return self._shutter is not None or has_depth_of_field(camera)
 
     def view(self) -> View:
-        """What a pinhole in the middle of the lens shows at the frame itself.
+        """The view of a pinhole in the middle of the lens at the frame itself.
 
         Raises:
-            ValueError: there is nothing to draw, an object cannot be drawn, or the camera is none.
+            ValueError: there is nothing to draw, an object cannot be drawn, or the camera object
+                is not a camera.
         """
         view = self._view()
         if view is None:
             if main_scene(self._depsgraph.scene) is None:
                 raise ValueError(NO_SPLATS)
-            return self._empty()  # the meshes of the other scene show alone
+            return self._empty()  # only the meshes of the main scene show
         return view
 
     def views(self, count: int) -> Iterator[View]:
-        """What shows from as many places of the lens, at as many moments; errors as `view`.
+        """Views from `count` samples over lens and exposure; errors as `view`.
 
-        The scene is at its own frame again once all were taken or the iterator is closed.
+        The scene returns to its own frame when the iterator ends or is closed.
         """
         if self._shutter is None:
             yield from self._through(samples(count))
@@ -121,16 +122,16 @@ class Stage:
             yield from self._through(samples(count))
 
     def shares(self, count: int, rows: np.ndarray) -> np.ndarray | None:
-        """As `Shutter.shares`, of the views."""
+        """`Shutter.shares` of the views."""
         return None if self._shutter is None else self._shutter.shares(count, rows)
 
-    def _through(self, wanted: list[Sample]) -> Iterator[View]:
+    def _through(self, at: list[Sample]) -> Iterator[View]:
         still = None
         if self._shutter is None:
             still = self.view()
         elif self._resting is None:
-            self.view()  # of the frame itself, for what rests
-        for sample in wanted:
+            self.view()  # at the frame itself, for objects without motion blur
+        for sample in at:
             if self._shutter is not None:
                 self._go(self._frame + self._shutter.time(sample))
             view = still or self._view()
@@ -146,17 +147,17 @@ class Stage:
         placed = self._placed()
         if not placed:
             return None
-        return View(model=self._cache.model(placed), camera=camera, held=self._held())
+        return View(model=self._cache.model(placed), camera=camera, held=self._holdouts())
 
     def _placed(self) -> list[Placed]:
-        """What shows now, but objects without motion blur as they were when this was asked first:
-        at the frame itself."""
+        """The visible objects at the current time; objects without motion blur as at the first
+        call, which is at the frame itself."""
         found, moving, resting = sources(self._depsgraph), [], []
         for source in found:
             rests = self._shutter is not None and not _moves(source.ob, source.shown_by)
             if rests and self._resting is not None:
                 continue
-            # What a mesh holds is the same all the time; frames of a sequence are not.
+            # A mesh has the same splats during an exposure; a sequence has not.
             known = None if self._changes(source) else self._frozen.get(source.uid)
             one = place(source, known)
             if not self._changes(source):
@@ -166,23 +167,23 @@ class Stage:
             self._resting = resting
         return moving + self._resting
 
-    def _held(self) -> tuple[HoldoutMesh, ...]:
-        """What hides splats now; in the same way."""
+    def _holdouts(self) -> tuple[HoldoutMesh, ...]:
+        """The holdout meshes at the current time, in the same way."""
         if self._shutter is None:
             return HoldoutMeshes().of(self._depsgraph)
-        if self._resting_held is None:
-            self._resting_held = HoldoutMeshes().of(
+        if self._resting_holdouts is None:
+            self._resting_holdouts = HoldoutMeshes().of(
                 self._depsgraph, lambda *owners: not _moves(*owners)
             )
-        return HoldoutMeshes().of(self._depsgraph, _moves) + self._resting_held
+        return HoldoutMeshes().of(self._depsgraph, _moves) + self._resting_holdouts
 
     def _changes(self, source: Source) -> bool:
-        """Whether what an object shows may be something else at another moment of the exposure."""
+        """Whether an object may have other splats at another time of the exposure."""
         settings = getattr(source.ob, "cycles", None)
         return source.moment is not None and getattr(settings, "use_deform_motion", True)
 
     def _lens(self) -> tuple[RenderCamera | Panorama, Aperture | None]:
-        """The pinhole camera in the lens's middle, and the hole."""
+        """The pinhole camera in the lens's middle, and the aperture."""
         if self._own_lens is not None:
             return self._own_lens
         camera = self._camera.evaluated_get(self._depsgraph)
@@ -192,7 +193,7 @@ class Stage:
         return lens
 
     def _empty(self) -> View:
-        return View(model=_nothing(), camera=self._lens()[0], held=self._held())
+        return View(model=_nothing(), camera=self._lens()[0], held=self._holdouts())
 
     def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size
@@ -219,18 +220,18 @@ class Stage:
 
 
 def blurs(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
-    """Whether pictures of a scene by a camera are the mean of several."""
+    """Whether pictures of a scene are means of several, by depth of field or motion blur."""
     return has_motion_blur(scene.render) or has_depth_of_field(camera)
 
 
 def _moves(*owners: bpy.types.Object) -> bool:
-    """Whether evaluated objects all have motion blur, by the switches that Cycles keeps."""
+    """Whether evaluated objects all have motion blur, by the switches stored by Cycles."""
     settings = (getattr(ob, "cycles", None) for ob in owners)
     return all(getattr(one, "use_motion_blur", True) for one in settings)
 
 
 def shutter_of(scene: bpy.types.Scene) -> Shutter | None:
-    """When light falls in a frame of a scene; None without motion blur."""
+    """The shutter of a scene; None without motion blur."""
     render = scene.render
     if not has_motion_blur(render):
         return None
@@ -247,7 +248,7 @@ def shutter_of(scene: bpy.types.Scene) -> Shutter | None:
 
 
 def _row_of(scene: bpy.types.Scene) -> float | None:
-    """`Shutter.row` by Cycles' settings; of composites, where Cycles draws the meshes."""
+    """`Shutter.row` by Cycles' settings; in compositing only if Cycles renders the meshes."""
     main = main_scene(scene)
     settings = getattr(main or scene, "cycles", None)
     if settings is None or (main is not None and main.render.engine != "CYCLES"):
@@ -257,9 +258,9 @@ def _row_of(scene: bpy.types.Scene) -> float | None:
 
 
 def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Aperture | None:
-    """The hole of an evaluated camera, in Cycles' units: its lens is in thousandths of one.
+    """The aperture of an evaluated camera, as in Cycles: focal lengths are in 1/1000 world units.
 
-    None where everything is in focus.
+    None if everything is in focus.
     """
     if not has_depth_of_field(camera):
         return None
@@ -275,12 +276,12 @@ def aperture_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Ape
 
 
 def has_motion_blur(render: bpy.types.RenderSettings) -> bool:
-    """Whether light falls for a time in a scene's frames."""
+    """Whether the render has motion blur with an exposure time above 0."""
     return render.use_motion_blur and render.motion_blur_shutter > 0
 
 
 def has_depth_of_field(camera: bpy.types.Object) -> bool:
-    """Whether a camera has a lens that blurs what is out of focus; panoramas have none."""
+    """Whether a camera has depth of field; panoramas never have."""
     data = camera.data
     return getattr(data, "type", "") in {"PERSP", "ORTHO"} and data.dof.use_dof
 
@@ -301,19 +302,19 @@ def _focus_distance(
 
 
 def through(camera: RenderCamera, x: float, y: float, aperture: Aperture) -> RenderCamera:
-    """A camera whose light passes beside the lens's middle; what is in focus stays where it is.
+    """A camera at another point of the lens; points in focus keep their place in the picture.
 
     Args:
-        camera: Of the middle.
-        x: To the right, world units.
-        y: Up, world units.
-        aperture: Says what is in focus.
+        camera: Camera in the lens's middle.
+        x: Lens point to the right, world units.
+        y: Lens point up, world units.
+        aperture: Its focus distance is used.
     """
     moved = np.eye(4)
     moved[:2, 3] = -x, y  # camera axes are OpenCV's, whose y points down
     K = camera.K.copy()
     if camera.orthographic:
-        moved[:2, 2] = -moved[:2, 3] / aperture.distance  # rays stay parallel, and lean
+        moved[:2, 2] = -moved[:2, 3] / aperture.distance  # rays stay parallel, but are sheared
     else:
         K[:2, 2] -= K[[0, 1], [0, 1]] * moved[:2, 3] / aperture.distance
     return replace(camera, viewmat=moved @ camera.viewmat, K=K)

@@ -13,27 +13,27 @@ from .scene import NO_SPLATS, NONE_IN_VIEW, Placed, place, sources
 
 
 class Snapshot:
-    """Splats as they are when this is made, whatever is done to them meanwhile."""
+    """Splats at the time of construction, unaffected by later changes."""
 
     def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Take them.
+        """Take the snapshot.
 
         Raises:
             ValueError: there is nothing to draw, or attributes are missing.
         """
         self._placed: list[Placed] = []
         self._frozen: dict[int, Frozen] = {}
-        self._leaving: dict[int, tuple[str, ChunkedRead]] = {}
+        self._reads: dict[int, tuple[str, ChunkedRead]] = {}
         try:
             for source in sources(depsgraph):
                 self._placed.append(place(source, FrozenMesh(source.ob.name, 0)))
-                if source.uid in self._frozen or source.uid in self._leaving:
+                if source.uid in self._frozen or source.uid in self._reads:
                     continue
                 if source.moment is not None:
                     self._frozen[source.uid] = source.frozen()
                 else:
                     taken = ChunkedRead(source.ob.original)
-                    self._leaving[source.uid] = (source.ob.name, taken)
+                    self._reads[source.uid] = (source.ob.name, taken)
         except ValueError:
             self.drop()
             raise
@@ -41,8 +41,8 @@ class Snapshot:
             raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
 
     def read(self) -> Pieces[list[Placed]]:
-        """Copy them; errors as `ChunkedRead.read`."""
-        for uid, (name, taken) in self._leaving.items():
+        """Copy the splats; errors as `ChunkedRead.read`."""
+        for uid, (name, taken) in self._reads.items():
             columns = yield from taken.read()
             self._frozen[uid] = yield from run_in_thread(
                 partial(_frozen, name, columns), "Reading splats"
@@ -50,8 +50,8 @@ class Snapshot:
         return [replace(one, frozen=self._frozen[one.uid]) for one in self._placed]
 
     def drop(self) -> None:
-        """Leave no copy of a mesh."""
-        for _, taken in self._leaving.values():
+        """Remove the temporary copies of meshes."""
+        for _, taken in self._reads.values():
             taken.drop()
 
 

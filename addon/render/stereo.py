@@ -12,34 +12,34 @@ from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 
 Eye = Callable[[bpy.types.Object], tuple[np.ndarray, float]]
-"""Gives matrix to the world, [4, 4], and horizontal shift of an evaluated camera as an eye has
-them."""
+"""Function from an evaluated camera to the eye's matrix to the world, [4, 4], and horizontal
+shift."""
 
 
 def views_of(render: bpy.types.RenderSettings) -> list[str]:
-    """Names of the pictures of a frame; an empty one where there is but one picture."""
+    """Names of the pictures of a frame; one empty name without stereo."""
     eyes = [view.name for view in render.stereo_views if view.use]
     return eyes if render.use_multiview and eyes else [""]
 
 
 def refusal(scene: bpy.types.Scene, camera: bpy.types.Object | None) -> str:
-    """Why there are no such pictures of a scene; empty where there are, or none are wanted."""
+    """Why a scene cannot be rendered in stereo; empty if it can, or without stereo."""
     if not scene.render.use_multiview:
         return ""
     if scene.render.views_format != "STEREO_3D":
         return (
-            "Views of several cameras are not rendered: choose Stereo 3D, or turn off Stereoscopy, "
-            "in the output properties."
+            "Multi-View is not supported: choose Stereo 3D, or turn off Stereoscopy, in the output "
+            "properties."
         )
     if getattr(getattr(camera, "data", None), "type", "") == "PANO":
         return (
-            "Panoramas are not rendered in stereo: turn off Stereoscopy in the output properties."
+            "Panoramas are not supported in stereo: turn off Stereoscopy in the output properties."
         )
     return ""
 
 
 def eye_of(engine: bpy.types.RenderEngine, view: str) -> Eye | None:
-    """An eye, of which the next picture will be; None where there is but one picture."""
+    """Make a view active and return its eye; None without stereo."""
     if not view:
         return None
     engine.active_view_set(view)
@@ -52,13 +52,13 @@ def eye_of(engine: bpy.types.RenderEngine, view: str) -> Eye | None:
 def seen_by(
     eye: Eye, camera: RenderCamera, ob: bpy.types.Object, scene: bpy.types.Scene
 ) -> RenderCamera:
-    """A camera as an eye looks through it.
+    """The camera of an eye.
 
     Args:
-        eye: Which one.
-        camera: Between the eyes, or one of them.
-        ob: The same, evaluated.
-        scene: Gives the pixels' aspect.
+        eye: The eye.
+        camera: Camera between the eyes, or one of them.
+        ob: The same camera as evaluated object.
+        scene: Defines the pixels' aspect ratio.
     """
     matrix, shift = eye(ob)
     frame = frame_of(scene, camera.width, camera.height)

@@ -1,4 +1,4 @@
-"""Transparent bounces: the limit of splats along a ray in Cycles, too low by Blender's default."""
+"""Transparent bounces: Cycles' limit of splats along a ray, whose default is too low."""
 
 from typing import ClassVar
 
@@ -9,14 +9,14 @@ from ..interface.base_operator import OnScene
 from ..splats.objects import is_splats
 
 ENOUGH = 256
-"""Transparent bounces with which a capture is as bright as it gets. Mean of a picture of plush
-with 8, which Blender has, 32, 64, 128, 256 and 1024 of them: 30, 78, 107, 121, 124 and 124."""
+"""Transparent bounces above which a capture gets no brighter. Mean of a picture of plush with 8,
+Blender's default, 32, 64, 128, 256 and 1024 bounces: 30, 78, 107, 121, 124 and 124."""
 _SOFT = {"SOFT"} if compat.splat_cloud_type() else {"SOFT", "SPLATS"}
 """Displays that render as soft splats."""
 
 
 def ends_early(scene: bpy.types.Scene) -> bool:
-    """Whether soft splats come out dark, since rays of Cycles end among them."""
+    """Whether soft splats render too dark, because rays of Cycles end among them."""
     if scene.render.engine != "CYCLES" or not hasattr(scene, "cycles"):
         return False
     if scene.cycles.transparent_max_bounces >= ENOUGH:
@@ -36,7 +36,7 @@ class SeeThroughSplats(OnScene, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Cycles renders, and its rays end early."""
+        """Whether Cycles renders with too few bounces."""
         return ends_early(context.scene)
 
     def act(self, context: bpy.types.Context) -> str:

@@ -1,4 +1,4 @@
-"""Unsupported settings: one table of the Blender settings that the engine ignores."""
+"""Unsupported settings: table of the Blender settings that the engine ignores."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ from .stereo import refusal
 from .world import world_light, world_of
 
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
-"""Sentence on meshes that were held out after that."""
+"""Message about meshes that became holdouts after the set-up."""
 _DRAWN_BY_OTHERS = {
     *("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"),
     *("GPENCIL", "GREASEPENCIL"),
 }
-"""Types of objects that other engines draw."""
+"""Object types that only other engines draw."""
 _FILTER = bpy.types.RenderSettings.bl_rna.properties["filter_size"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """What is rendered."""
+    """Scene, view layer and camera of a render."""
 
     scene: bpy.types.Scene
     layer: bpy.types.ViewLayer
@@ -39,7 +39,7 @@ class Shown:
 
     @property
     def splats(self) -> list[bpy.types.Object]:
-        """The splat objects of the layer that are rendered."""
+        """The rendered splat objects of the layer."""
         return [ob for ob in self.layer.objects if is_splats(ob) and not ob.hide_render]
 
 
@@ -48,20 +48,20 @@ class Check:
     """One row of the table."""
 
     sentence: str
-    """What has no effect, and what to do; `{}` stands for what the test names."""
+    """Message; `{}` is replaced by the result of the test."""
     test: Callable[[Shown], str]
-    """Names what it concerns; empty where all is well."""
+    """Returns names of the objects or settings concerned; empty: none."""
     refused: bool = False
-    """Whether the render ends with an error instead."""
+    """Whether the render ends with an error."""
 
 
 def refused(shown: Shown) -> list[str]:
-    """Sentences on settings with which the engine draws nothing."""
+    """Messages about settings with which the engine does not render."""
     return [text for check, text in _found(shown) if check.refused]
 
 
 def without_effect(shown: Shown) -> list[str]:
-    """Sentences on settings that make no difference to the picture."""
+    """Messages about settings that have no effect on the picture."""
     return [text for check, text in _found(shown) if not check.refused]
 
 
@@ -90,7 +90,7 @@ def _sharp_panorama(shown: Shown) -> str:
 
 
 def _clip_end(shown: Shown) -> str:
-    """The camera's name where splats lie beyond its far clipping plane."""
+    """The camera's name if splats are beyond its far clipping plane."""
     camera = shown.camera
     if camera is None or camera.type != "CAMERA":
         return ""
@@ -106,18 +106,18 @@ def _clip_end(shown: Shown) -> str:
 
 
 def _passes(shown: Shown) -> str:
-    """Passes that are asked for and not made."""
-    wanted = []
+    """Requested passes that the engine does not make."""
+    missing = []
     for prop in shown.layer.bl_rna.properties:
         name = prop.identifier
-        asked = name.startswith("use_pass_") and prop.type == "BOOLEAN" and not prop.default
-        if asked and name not in SWITCHES and getattr(shown.layer, name):
-            wanted.append(prop.name)
-    return ", ".join(wanted)
+        switch = name.startswith("use_pass_") and prop.type == "BOOLEAN" and not prop.default
+        if switch and name not in SWITCHES and getattr(shown.layer, name):
+            missing.append(prop.name)
+    return ", ".join(missing)
 
 
 def _others(shown: Shown) -> str:
-    """The first objects that are for other engines."""
+    """The first objects that only other engines draw."""
     names = [
         ob.name
         for ob in shown.layer.objects
@@ -130,7 +130,7 @@ def _others(shown: Shown) -> str:
 
 
 def _catchers(shown: Shown) -> str:
-    """Objects of other engines that are to show shadows alone."""
+    """Shadow catchers, which only other engines draw."""
     return ", ".join(
         ob.name
         for ob in shown.layer.objects
@@ -141,12 +141,12 @@ def _catchers(shown: Shown) -> str:
 
 
 def _composited(shown: Shown) -> bool:
-    """Whether splats are set up to be composited with what is rendered."""
+    """Whether compositing of splats is set up in the rendered scene."""
     return isinstance(shown.scene.original.get(SPLAT_SCENE), bpy.types.Scene)
 
 
-def _held_without_faces(shown: Shown) -> str:
-    """Objects that are cut out and have no faces."""
+def _holdouts_without_faces(shown: Shown) -> str:
+    """Holdout objects without faces."""
     return ", ".join(
         ob.name
         for ob in shown.layer.objects
@@ -156,7 +156,7 @@ def _held_without_faces(shown: Shown) -> str:
 
 
 def _modified(shown: Shown) -> str:
-    """Splat objects that more than their display modifier would change."""
+    """Splat objects with modifiers other than their display, or with shape keys."""
     return ", ".join(ob.name for ob in shown.splats if _changes(ob))
 
 
@@ -166,8 +166,8 @@ def _changes(ob: bpy.types.Object) -> bool:
     return others or getattr(ob.data, "shape_keys", None) is not None
 
 
-def _behind(sentence: str) -> Callable[[Shown], str]:
-    """A test for the splat objects of which a sentence of `mending` is true."""
+def _with_problem(sentence: str) -> Callable[[Shown], str]:
+    """A test for splat objects with a given problem of `mending`."""
 
     def test(shown: Shown) -> str:
         return ", ".join(ob.name for ob in shown.splats if mending.problem(ob.original) == sentence)
@@ -182,8 +182,8 @@ def _world(shown: Shown) -> str:
 
 CHECKS = (
     Check(
-        "The camera is {}, and splats are rendered by perspective, orthographic, equirectangular "
-        "and fisheye ones (equidistant, equisolid): change its type.",
+        "The camera is {}: change its type. Splats are rendered by perspective, orthographic, "
+        "equirectangular and fisheye cameras (equidistant, equisolid).",
         _no_camera_type,
         refused=True,
     ),
@@ -199,18 +199,17 @@ CHECKS = (
         lambda s: "" if _composited(s) else _others(s),
     ),
     Check(
-        "{} is not drawn by this engine, with which compositing rests: Cycles and EEVEE render "
-        "both.",
+        "{} is not drawn by this engine, which disables compositing: Cycles and EEVEE render both.",
         lambda s: _others(s) if _composited(s) else "",
     ),
-    Check("Holdout of {} hides no splats: only faces do.", _held_without_faces),
+    Check("Holdout of {} hides no splats: only faces do.", _holdouts_without_faces),
     Check(
         NOT_TAKEN_OVER,
         lambda s: not_taken_over(main_scene(s.scene), s.scene),
     ),
-    Check("Modifiers and shape keys of {} have no effect: Export what they show.", _modified),
+    Check("Modifiers and shape keys of {} have no effect: only exports apply them.", _modified),
     *(
-        Check(f"{text} {button} under Result mends it.", _behind(text))
+        Check(f"{text} {button} under Result fixes it.", _with_problem(text))
         for text, button in (
             (mending.APPLIED, "Turn Shapes and Colors Along"),
             (mending.JOINED, "Turn Shapes and Colors Along"),
@@ -218,31 +217,31 @@ CHECKS = (
         )
     ),
     Check(
-        "Shadow Catcher of {} has no effect: light throws no shadows on splats.",
+        "Shadow Catcher of {} has no effect: splats receive no shadows.",
         lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),
     ),
     Check(
-        "Shadow Catcher {} is not drawn by this engine: Cycles lays its shadows over splats, with "
-        "Composite Splats with Meshes.",
+        "Shadow Catcher {} is not drawn by this engine: to get its shadows on splats, use Cycles "
+        "and Composite Splats with Meshes.",
         _catchers,
     ),
     Check(
-        "The Material Override {} has no effect: splats have colors of their own.",
+        "The Material Override {} has no effect: splats have no materials.",
         lambda s: getattr(s.layer.material_override, "name", ""),
     ),
     Check(
-        "The passes are picture, depth, object index, and Cryptomatte of objects and assets: there "
-        "is no {}.",
+        "This engine has no pass {}. Its passes are Combined, Depth, Object Index, and Cryptomatte "
+        "of objects and assets.",
         _passes,
     ),
     Check("Freestyle has no effect.", lambda s: _if(s.scene.render.use_freestyle)),
     Check("Simplify has no effect on splats.", lambda s: _if(s.scene.render.use_simplify)),
     Check(
-        "Threads has no effect on splats: all processors draw.",
+        "Threads has no effect on splats: all processors are used.",
         lambda s: _if(s.scene.render.threads_mode == "FIXED"),
     ),
     Check(
-        "The pixel filter's size has no effect: splats are filtered as in training.",
+        "The pixel filter size has no effect: splats are filtered as in training.",
         lambda s: _if(abs(s.scene.render.filter_size - _FILTER.default) > 1e-3),
     ),
 )

@@ -29,17 +29,17 @@ from .selections import Tinted, marked
 from .shutter_lens import View
 
 QUICK = 0.08
-"""Seconds a picture should take while the view turns; above, it is drawn smaller first."""
+"""Seconds a picture should take while the view moves; above, a smaller picture comes first."""
 PATIENCE = 2 * QUICK
-"""Seconds that a picture in full size may take before a newer wish drops it."""
+"""Seconds that a picture in full size may take before a newer request cancels it."""
 COARSEST = 8
-"""Largest factor by which it is drawn smaller."""
+"""Largest factor of the reduction of smaller pictures."""
 _POLL = 0.02
-"""Seconds between two looks whether a picture is ready."""
+"""Seconds between two checks for a finished picture."""
 
 
 class ViewRequest(Protocol):
-    """A picture that is wanted of a painter."""
+    """A picture requested from a painter."""
 
     @property
     def placed(self) -> list[Placed]:
@@ -48,30 +48,30 @@ class ViewRequest(Protocol):
 
     @property
     def camera(self) -> RenderCamera:
-        """Of the view."""
+        """The view's camera."""
         ...
 
     def same(self, other: Any) -> bool:
-        """Whether the other picture, or None, is this one."""
+        """Whether another request, or None, is for the same picture."""
         ...
 
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """[H, W, 4] float32, premultiplied, the bottom row first; errors as `picture.draw`.
+        """The picture, [H, W, 4] float32, premultiplied, the bottom row first.
 
         Args:
-            model: Of `placed`.
-            camera: The wish's, or one with fewer pixels.
-            stop: As `picture.draw`.
-            cancel: As `picture.draw`.
+            model: Model of `placed`.
+            camera: The request's, or one with fewer pixels.
+            stop: As for `picture.draw`, also for errors.
+            cancel: As for `picture.draw`.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A picture that is wanted in Rendered shading."""
+    """A picture requested for Rendered shading."""
 
     placed: list[Placed]
     held: tuple[HoldoutMesh, ...]
@@ -80,12 +80,12 @@ class Request:
     transparent: bool
     to_scene: np.ndarray
     over_view: bool = False
-    """As `Film`; whether it is laid over what Blender draws over views of the engine."""
+    """As in `Film`: whether it is drawn over Blender's overlays of the view."""
     tinted: Tinted = Tinted.NONE
-    """Of which objects what is selected is seen."""
+    """Objects whose selection is shown."""
 
     def same(self, other: "Request | None") -> bool:
-        """Whether the other picture is this one."""
+        """Whether another request is for the same picture."""
         return (
             other is not None
             and [(p.part, p.antialias, p.holdout, p.edited) for p in self.placed]
@@ -104,7 +104,7 @@ class Request:
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """As `ViewRequest`; scene-linear, if it is not to lie over the view."""
+        """As `ViewRequest`; scene-linear unless `over_view`."""
         options = self.options
         if options.window is not None:
             camera, window = _scaled(self.camera, options.window, camera)
@@ -115,67 +115,67 @@ class Request:
             to_scene=self.to_scene,
             over_view=self.over_view,
         )
-        seen = marked(model, self.placed, self.tinted)
-        view = View(model=seen, camera=camera, held=self.held)
+        visible = marked(model, self.placed, self.tinted)
+        view = View(model=visible, camera=camera, held=self.held)
         return film.shoot(view, stop, cancel)["Combined"]
 
 
 class ViewPainter:
-    """Draws the last picture that was asked for, smaller first; knows nothing of bpy."""
+    """Thread that draws the last requested picture, smaller first; without bpy."""
 
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
-        self._wish = threading.Condition()
+        self._changed = threading.Condition()
         self._request: ViewRequest | None = None
         self._cancel = CancelFlag()
         self._thread: threading.Thread | None = None
         self._factor = 1
         self.pixels: np.ndarray | None = None
-        """[H, W, 4] of the last finished picture, bottom row first."""
+        """The last finished picture, [H, W, 4], bottom row first."""
         self.made: ViewRequest | None = None
-        """What it was made of."""
+        """Its request."""
         self.problem = ""
-        """Why there is no picture."""
+        """Why there is no picture; empty: no problem."""
         self.fresh = False
-        """Whether something was finished since this was last set to False."""
+        """Whether a picture was finished since this was last set to False."""
         self.busy = False
-        """Whether something is being drawn."""
+        """Whether a picture is being drawn."""
         self._finished: ViewRequest | None = None
 
     def shows(self, request: ViewRequest) -> bool:
-        """Whether `pixels` are this picture in full size."""
+        """Whether `pixels` are the requested picture in full size."""
         return self.pixels is not None and request.same(self._finished)
 
     def ask(self, request: ViewRequest) -> None:
-        """Draw this from now on.
+        """Draw a picture, instead of earlier requests.
 
-        What is drawn for an older wish is dropped where it takes long, but for its small picture:
-        while a view turns, wishes come faster than pictures can be finished.
+        An earlier picture in full size is cancelled if it takes long. Its small picture is
+        finished, because requests of a moving view come faster than pictures are drawn.
         """
-        with self._wish:
+        with self._changed:
             if request.same(self._request):
                 return
             self._request, self.busy = request, True
             if self._thread is None:
                 self._thread = threads.start(self._run, "gscore-viewport", cancel=self.close)
-            self._wish.notify()
+            self._changed.notify()
 
     def close(self) -> None:
         """End the thread."""
-        with self._wish:
+        with self._changed:
             self._request, self._closed = None, True
             self._cancel.set()
-            self._wish.notify()
+            self._changed.notify()
 
     _closed = False
 
     def _run(self) -> None:
         done: ViewRequest | None = None
         while True:
-            with self._wish:
+            with self._changed:
                 self.busy = self._request is not None and self._request is not done
                 while self._request is done and not self._closed:
-                    self._wish.wait()
+                    self._changed.wait()
                 if self._closed:
                     return
                 request, self._cancel = self._request, CancelFlag()
@@ -189,7 +189,7 @@ class ViewPainter:
                 self.pixels, done, self.fresh = None, request, True
 
     def _paint(self, request: ViewRequest) -> None:
-        """Draw at a size that is quick, then at the full one."""
+        """Draw at a small, quick size, then at full size."""
         model = self._cache.model(request.placed)
         for factor in dict.fromkeys((self._factor, 1)):
             began = time.perf_counter()
@@ -207,15 +207,15 @@ class ViewPainter:
                 self._factor = min(COARSEST, factor + (took > 2 * QUICK))
                 return
         self._finished = request
-        wanted = (took / QUICK) ** 0.5  # the last one was full size
-        self._factor = min(COARSEST, max(1, int(np.ceil(wanted))))
+        factor = (took / QUICK) ** 0.5  # the last picture had full size
+        self._factor = min(COARSEST, max(1, int(np.ceil(factor))))
 
     def _is_old(self, request: ViewRequest) -> bool:
         return self._request is not request
 
 
 class Viewport:
-    """One 3D viewport in Rendered shading; used on the main thread only."""
+    """One 3D viewport in Rendered shading; main thread only."""
 
     def __init__(self, cache: SplatCache) -> None:
         self.painter = ViewPainter(cache)
@@ -223,22 +223,20 @@ class Viewport:
 
     @property
     def window(self) -> picture.Window | None:
-        """The part of the view that the painter's last picture is of; None: all of it."""
+        """The part of the view in the painter's last picture; None: all of it."""
         made = self.painter.made
         return made.options.window if isinstance(made, Request) else None
 
     def draw(
         self, pixels: np.ndarray, width: int, height: int, window: picture.Window | None = None
     ) -> None:
-        """Draw [H, W, 4] float32, premultiplied, over a region of width x height pixels.
-
-        They are taken to the graphics card when they are others than before.
+        """Draw a picture over a region, uploading it to the graphics card if it is new.
 
         Args:
-            pixels: What is drawn.
-            width: Of the region.
-            height: Of the region.
-            window: The part of it that they fill; None: all.
+            pixels: [H, W, 4] float32, premultiplied.
+            width: Width of the region, px.
+            height: Height of the region, px.
+            window: The part of it to fill; None: all.
         """
         left, top, wide, high = window or (0, 0, width, height)
         if self._texture is None or self._texture[0] is not pixels:
@@ -250,11 +248,11 @@ class Viewport:
         gpu.state.blend_set("NONE")
 
     def draw_over(self, pixels: np.ndarray, clip: picture.Window | None = None) -> None:
-        """The same over all that Blender has drawn of a view, while it draws it.
+        """Draw a picture over everything that Blender has drawn of a view, in a draw handler.
 
         Args:
-            pixels: What is drawn.
-            clip: The part of the view that gets any of it; None: all.
+            pixels: As for `draw`.
+            clip: The part of the view to draw to; None: all.
         """
         view = gpu.state.viewport_get()
         part = part_of(view, clip)
@@ -270,7 +268,7 @@ class Viewport:
 def part_of(
     view: tuple[int, int, int, int], window: picture.Window | None
 ) -> tuple[int, int, int, int]:
-    """Left, bottom, width and height of a window of a view that is given in the same way."""
+    """Left, bottom, width and height of a window of a view, which is given in the same order."""
     left, bottom, width, height = view
     own_left, top, wide, high = window or (0, 0, width, height)
     return left + own_left, bottom + height - top - high, wide, high
@@ -278,7 +276,7 @@ def part_of(
 
 @contextmanager
 def drawn_to(part: tuple[int, int, int, int]) -> Iterator[None]:
-    """Draw to a part of a target, as `part_of`, and to nothing beside it."""
+    """Limit drawing to a part of a target, as from `part_of`."""
     before = gpu.state.viewport_get()
     gpu.state.viewport_set(*part)
     try:
@@ -289,10 +287,10 @@ def drawn_to(part: tuple[int, int, int, int]) -> Iterator[None]:
 
 @contextmanager
 def bound(target: gpu.types.GPUFrameBuffer) -> Iterator[None]:
-    """Draw to another target, then to the same part of the present one as before.
+    """Draw to another target, then restore viewport and scissor of the current one.
 
-    OpenGL keeps the part with each target; Blender's Vulkan backend resets it to the whole target
-    each time one is bound, also when the inner `with` of two ends.
+    OpenGL stores them with each target; Blender's Vulkan backend resets them to the whole target
+    whenever one is bound, also when the inner `with` of two ends.
     """
     viewport, scissor = gpu.state.viewport_get(), gpu.state.scissor_get()
     try:
@@ -304,7 +302,7 @@ def bound(target: gpu.types.GPUFrameBuffer) -> Iterator[None]:
 
 
 def _from(left: int, bottom: int, width: int, height: int) -> Matrix:
-    """The projection of pixels in which a part of them fills what is drawn to."""
+    """The projection from pixels in which a part fills the target."""
     right, up = 2 / width, 2 / height
     return Matrix(
         (
@@ -317,36 +315,37 @@ def _from(left: int, bottom: int, width: int, height: int) -> Matrix:
 
 
 class StandIn(Protocol):
-    """Draws splats over views whose picture is not ready."""
+    """Draws splats over views whose picture is not ready (live drawing)."""
 
     def stands_in(self, context: bpy.types.Context) -> bool:
         """Whether it draws the view of a context."""
 
     def moves(self, context: bpy.types.Context) -> bool:
-        """Whether the view of a context is on the move, so that no picture will be of use."""
+        """Whether the view of a context is moving, so that a picture would be outdated."""
 
     def stays(self, context: bpy.types.Context) -> bool:
-        """Whether it draws the view of a context as long as nothing there is held out, so that no
-        picture is wanted."""
+        """Whether it always draws the view of a context, unless there are holdouts, so that no
+        picture is needed."""
 
     def lays_over(self, context: bpy.types.Context) -> bool:
-        """Whether it draws what `OVER` has of the view of a context over what Blender draws."""
+        """Whether it draws the picture in `OVER` of a context's view over Blender's drawing."""
 
 
 STAND_INS: list[StandIn] = []
-"""What was registered."""
+"""Registered live drawing."""
 EXACT: set[int] = set()
-"""Pointers of the regions that show a finished picture of what they show now."""
+"""Pointers of regions that show a finished, current picture."""
 OVER: WeakValueDictionary[int, Viewport] = WeakValueDictionary()
-"""Whose last picture is to be laid over what Blender draws, by the pointer of its region."""
+"""Viewports whose last picture is drawn over Blender's drawing, by the pointer of the region."""
 
 
 def view_camera(
     view: np.ndarray, window: np.ndarray, width: int, height: int, *, perspective: bool
 ) -> RenderCamera:
-    """The camera of a 3D view from its matrices, both [4, 4] float64 as Blender has them.
+    """The camera of a 3D view from Blender's matrices, both [4, 4] float64.
 
-    Orthographic views see behind their own origin; they are moved back so that all is in front.
+    Orthographic views show points behind their origin; they are moved back so that all are in
+    front.
     """
     viewmat = FLIP @ view
     K = np.eye(3)
@@ -373,7 +372,7 @@ def view_camera(
 
 
 def smaller(camera: RenderCamera, factor: int) -> RenderCamera:
-    """The same view with that many times fewer pixels a side."""
+    """The view with each side reduced by a factor."""
     width, height = max(1, camera.width // factor), max(1, camera.height // factor)
     K = camera.K.copy()
     K[0] *= width / camera.width
@@ -384,15 +383,15 @@ def smaller(camera: RenderCamera, factor: int) -> RenderCamera:
 def _scaled(
     view: RenderCamera, window: picture.Window, small: RenderCamera
 ) -> tuple[RenderCamera, picture.Window]:
-    """The whole view in about as many pixels as `small` has, and a window of it in whole ones.
+    """The whole view at about the size of `small`, and a window of it in whole pixels.
 
-    The camera stays that of the whole view: how large a splat near its edges is drawn depends on
-    where they are, so a camera of the window alone would show another picture.
+    The camera stays that of the whole view, because the drawn size of splats near its edges depends
+    on the edges: a camera of the window alone would give another picture.
 
     Args:
         view: The whole view.
         window: In pixels of the view.
-        small: The view with as many pixels or fewer.
+        small: The view at the same or a smaller size.
     """
     whole, part = (view.width, view.height), (small.width, small.height)
     K, places, sizes, ends = view.K.copy(), [], [], []
@@ -408,7 +407,7 @@ def _scaled(
 
 
 def redraw_when_ready(painter: ViewPainter) -> None:
-    """Have 3D views drawn again once the painter has something new."""
+    """Redraw 3D views as soon as the painter has a new picture."""
 
     def poll() -> float | None:
         if painter.fresh:

@@ -8,12 +8,12 @@ from ..srgb import encode
 
 
 def world_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
-    """The world that a view layer shows; None where it shows none."""
+    """The world that a view layer shows; None: none."""
     return (layer.world_override or scene.world) if layer.use_sky else None
 
 
 def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
-    """Scene-linear colour of the background [3], and a sentence where the world is not that."""
+    """Scene-linear colour of the background [3], and a warning if the world is not uniform."""
     if world is None:
         return np.zeros(3), ""
     tree = world_nodes(world)
@@ -24,8 +24,8 @@ def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
         return np.array(node.inputs[0].default_value[:3]) * node.inputs[1].default_value, ""
     return (
         np.array(world.color),
-        f"World {world.name} is not one colour, which is all that splats are rendered over: its "
-        f"viewport colour is used. Turn on Transparent and composite the splats over the world.",
+        f"World {world.name} is not one uniform color: its viewport color is used. To render "
+        f"splats over the world, turn on Transparent and composite them.",
     )
 
 

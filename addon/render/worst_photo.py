@@ -12,31 +12,31 @@ from ..capture.figures import figures
 
 @dataclass(frozen=True, kw_only=True)
 class Worst:
-    """What `worst_of` found."""
+    """The worst photo of a run."""
 
     camera: bpy.types.Object
     psnr: float
-    """dB, as it was measured."""
+    """dB, as measured after the training."""
     among: int
-    """How many photos were measured whose cameras are there."""
+    """Number of measured photos with a camera in the scene."""
 
 
 def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
     """The camera of the worst measured photo of the run that splats come from.
 
     Args:
-        scene: Has the cameras, where the splats are under no capture.
+        scene: Scene of the cameras, if the splats have no capture as parent.
         ob: The splats.
 
     Raises:
         ValueError: the splats come from no run, its evaluation cannot be read, or none of its
-            photos has a camera here.
+            photos has a camera in the scene.
     """
     folder = stored_paths.read(ob, stored_paths.RUN)
     if not folder:
-        raise ValueError(f"{ob.name} comes from no training here, which would know its photos.")
-    told = figures(Path(folder))
-    found = dict(told.ranked)
+        raise ValueError(f"{ob.name} was not trained with this add-on: its photos are not known.")
+    run = figures(Path(folder))
+    found = dict(run.ranked)
     root = root_of(ob)
     cameras = cameras_of(root) if root is not None else filter(is_camera, scene.objects)
     known = [
@@ -44,8 +44,8 @@ def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
     ]
     if not known:
         raise ValueError(
-            f"None of the photos that {told.path} tells of has a camera here: import the cameras "
-            "of that capture."
+            f"None of the photos in {run.path} has a camera here: import the cameras of that "
+            "capture."
         )
     psnr, camera = min(known, key=lambda pair: pair[0])
     return Worst(camera=camera, psnr=psnr, among=len(known))

@@ -26,11 +26,11 @@ def new_sequence(
     """Arguments that start a sequence: those of a training of each frame, and its own.
 
     Args:
-        settings: Of the scene.
-        own: Of the scene's sequence.
+        settings: Settings of the scene.
+        own: Settings of the scene's sequence.
         source: Folder of the sequence.
         output: Folder for the results.
-        machine: Of the preferences.
+        machine: Settings of the preferences.
         overwrite: Replace another sequence in `output`.
     """
     arguments = new_run(
@@ -45,12 +45,12 @@ def new_sequence(
 
 
 def resumed_sequence(own: OwnSettings, *, output: Path, machine: Machine) -> list[str]:
-    """Arguments that resume a sequence, with other frames if they are chosen.
+    """Arguments that resume a sequence, with other frames if chosen.
 
     Args:
-        own: Of the scene's sequence.
+        own: Settings of the scene's sequence.
         output: Folder of the results.
-        machine: Of the preferences.
+        machine: Settings of the preferences.
     """
     arguments = resumed_run(source=None, output=output, machine=machine)
     more = ["--frames", own.frames.strip()] if own.frames.strip() else []

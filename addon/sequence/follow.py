@@ -2,19 +2,19 @@
 
 from ..process import poll_timer
 from ..training.launch import following_verb
-from . import registry
+from . import job_registry
 
-_LOOKUPS = poll_timer.Poller(registry.collect, registry.busy)
-_FOLLOWING = following_verb(registry.JOBS, registry.trained.expire)
+_LOOKUPS = poll_timer.Poller(job_registry.collect, job_registry.busy)
+_FOLLOWING = following_verb(job_registry.JOBS, job_registry.trained.expire)
 
 
 def on_register() -> None:
-    """Follow them."""
+    """Start to poll jobs and lookups."""
     _FOLLOWING.on_register()
     poll_timer.POLLERS.append(_LOOKUPS)
 
 
 def on_unregister() -> None:
-    """Let go of them."""
+    """Stop polling."""
     poll_timer.POLLERS.remove(_LOOKUPS)
     _FOLLOWING.on_unregister()

@@ -29,7 +29,7 @@ def arguments(
     Args:
         scene: Its guide collections, and the timeline frame of the first frame.
         frames: Returns the trained frames, ascending; not called without guides.
-        output: Of the sequence.
+        output: Output folder of the sequence.
 
     Raises:
         ValueError: the cameras of the first frame are not in the scene, or a collection shows no
@@ -43,9 +43,8 @@ def arguments(
     root = root_from(scene, trained[0].data.source)
     if root is None:
         raise ValueError(
-            f"The meshes of {roles[0][1].name} guide a training by where they stand among the "
-            f"photos: import the cameras of frame {trained[0].number} first, in whose world all "
-            "frames are trained."
+            f"The meshes of {roles[0][1].name} must be aligned with the photos: import the cameras "
+            f"of frame {trained[0].number} first, because all frames are trained in its world."
         )
     files = {role: _Files(output / GUIDES, role) for role, _ in roles}
     start = scene.gscore_train_sequence.guide_start
@@ -57,7 +56,7 @@ def arguments(
             for done, (frame, place) in enumerate(zip(trained, places, strict=True)):
                 scene.frame_set(place)
                 for role, collection in roles:
-                    found = _gathered(scene, collection, root, frame, place)
+                    found = _meshes_at(scene, collection, root, frame, place)
                     files[role].add(frame.number, found)
                 manager.progress_update(done)
     finally:
@@ -73,7 +72,7 @@ def arguments(
     return line, replace
 
 
-def _gathered(
+def _meshes_at(
     scene: bpy.types.Scene,
     collection: bpy.types.Collection,
     root: bpy.types.Object,
@@ -128,7 +127,7 @@ class _Files:
         for path in self._folder.iterdir():
             match = GUIDE_FILE.fullmatch(path.name)
             if match and match["role"] == self._role and path not in self._kept:
-                with suppress(OSError):  # the trainer runs already, and needs none of them
+                with suppress(OSError):  # the trainer is already running without them
                     path.unlink(missing_ok=True)
 
     def _path(self, number: int) -> Path:

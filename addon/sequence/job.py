@@ -7,14 +7,14 @@ from ..core import Event, FrameStarted, Progress, SequenceDone, headline_psnr
 from ..training.verb_job import STOPPING, VerbJob
 
 FINISHED = "finished"
-"""Reason of a sequence that came to its end."""
+"""Reason of a sequence that was completed."""
 
 
 class SequenceJob(VerbJob):
     """The training of one sequence."""
 
     kept = "Stopped; complete frames are kept, and Resume continues from there."
-    less = "choose fewer splats or smaller photos, then go on"
+    less = "choose fewer splats or smaller photos, then press Resume"
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class SequenceJob(VerbJob):
             source: The sequence.
             output: Folder of the results.
             begun: Called when the trainer has passed its checks and begins, or has nothing left
-                to do; never if it refuses.
+                to do; never if a check fails.
 
         Raises:
             OSError: `python` cannot be run.
@@ -52,8 +52,8 @@ class SequenceJob(VerbJob):
         """Progress, 0 to 1, by frames and the steps of the current frame."""
         if self.frame is None or self.frame.frames < 1:
             return 0.0
-        told = self.progress
-        within = told.step / told.iterations if told is not None and told.iterations > 0 else 0.0
+        now = self.progress
+        within = now.step / now.iterations if now is not None and now.iterations > 0 else 0.0
         return min((self.frame.place - 1 + min(within, 1.0)) / self.frame.frames, 1.0)
 
     def take(self, event: Event) -> None:
@@ -74,6 +74,6 @@ class SequenceJob(VerbJob):
         if done is None or (done.reason != FINISHED and self.status == STOPPING):
             return ""
         psnr = headline_psnr(done.metrics)
-        quality = "" if psnr is None else f", PSNR {psnr:.2f} dB in the mean"
+        quality = "" if psnr is None else f", mean PSNR {psnr:.2f} dB"
         ended = "" if done.reason == FINISHED else f" It ended early: {done.reason}."
         return f"{done.frames:,} frames are complete{quality}.{ended}"

@@ -14,8 +14,8 @@ from .job import SequenceJob
 
 
 class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
-    """Train the frames of a multi-view video, or of a folder of captures, one after the other in
-    the background, each from the splats of the one before"""
+    """Train the frames of a multi-view video, or of a folder of captures, in the background. Each
+    frame starts from the splats of the previous one"""
 
     bl_idname = "gscore.train_sequence"
     bl_label = "Train Sequence"
@@ -39,11 +39,11 @@ class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """List what is overwritten, and what the training would not use."""
+        """List overwritten frames, and parts of the scene that the training would not use."""
         output = train_sequence.output_of(context.scene)
         lines = []
         if self.overwrite and train_sequence.is_started(output):
-            lines = [f"The frames in {output} are replaced for good."]
+            lines = [f"The frames in {output} are replaced. This cannot be undone."]
         self.confirm = "Start Over" if lines else "Train Without"
         return lines if self.resume else lines + train_sequence.not_seen(context.scene)
 

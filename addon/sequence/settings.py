@@ -7,7 +7,7 @@ from ..training.declared import declared
 
 
 class TrainSequenceSettings(bpy.types.PropertyGroup):
-    """Options of a sequence, besides those of its frames."""
+    """Options of a sequence in addition to those of its frames."""
 
     frames: declared(
         SequenceOptions(),
@@ -20,8 +20,8 @@ class TrainSequenceSettings(bpy.types.PropertyGroup):
     warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
     guide_start: bpy.props.IntProperty(
         name="Guides Start",
-        description="Frame of the timeline at which the guide meshes match the first "
-        "frame that is trained; later frames of the sequence take later ones",
+        description="Frame of the timeline at which the guide meshes match the first trained "
+        "frame. Later frames of the sequence use later ones",
         default=1,
     )
 
@@ -30,10 +30,10 @@ CLASSES = (TrainSequenceSettings,)
 
 
 def on_register() -> None:
-    """Make the settings a property of scenes."""
+    """Add the settings to scenes."""
     bpy.types.Scene.gscore_train_sequence = bpy.props.PointerProperty(type=TrainSequenceSettings)
 
 
 def on_unregister() -> None:
-    """Take the property back."""
+    """Remove the settings."""
     del bpy.types.Scene.gscore_train_sequence

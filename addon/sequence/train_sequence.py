@@ -19,9 +19,9 @@ from ..process import poll_timer
 from ..training import start_training
 from ..training.guides import left_out
 from ..training.launch import follow, launch
-from . import arguments, guides, registry
+from . import arguments, guides, job_registry
 from .job import SequenceJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 ONLY_WITHIN = "Only Within ({}) is for single trainings: frames of a sequence are trained whole."
 
@@ -51,18 +51,20 @@ def train_sequence(
         raise ValueError(f"The frames of {source} are being trained already.")
     if is_started(output) and not (resume or overwrite):
         raise ValueError(
-            f"{output} holds a sequence; press Resume to continue it, or Start Over to replace it."
+            f"{output} has a sequence; press Resume to continue it, or Start Over to replace it."
         )
     own, machine = scene.gscore_train_sequence, start_training.machine()
     if resume:
         line = arguments.resumed_sequence(own, output=output, machine=machine)
-        told, replace_guides = [], lambda: None
+        guide_options, replace_guides = [], lambda: None
     else:
         line = arguments.new_sequence(
             scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
         )
-        told, replace_guides = guides.arguments(scene, lambda: chosen_frames(scene), output)
-    line += told
+        guide_options, replace_guides = guides.arguments(
+            scene, lambda: chosen_frames(scene), output
+        )
+    line += guide_options
     places = {"source": source, "output": output}
     job = launch(lambda program: SequenceJob(program, line, **places, begun=replace_guides), python)
     JOBS.add(job)
@@ -80,25 +82,25 @@ def job_of(scene: bpy.types.Scene) -> SequenceJob | None:
 
 
 def source_of(scene: bpy.types.Scene) -> Path:
-    """The scene's capture, whose path may hold `{frame:06d}`.
+    """The scene's capture; its path may contain `{frame:06d}`.
 
     Raises:
         ValueError: none is chosen, or it does not exist.
     """
     source = absolute(scene.gscore.capture_path, "Capture")
     if "{" not in str(source) and not source.is_dir():
-        raise ValueError(f"There is no folder {source}; choose the one that holds the frames.")
+        raise ValueError(f"There is no folder {source}; choose the folder of the frames.")
     return source
 
 
 def output_of(scene: bpy.types.Scene) -> Path:
-    """The folder of the frames' results, beside that of a training.
+    """The folder of the frames' results, next to the output folder of a training.
 
     Raises:
         ValueError: it cannot be derived from the settings.
     """
-    beside = output_folder(scene, preferences.get().output_folder)
-    return beside.with_name(f"{beside.name}_sequence")
+    folder = output_folder(scene, preferences.get().output_folder)
+    return folder.with_name(f"{folder.name}_sequence")
 
 
 def is_started(output: Path) -> bool:
@@ -129,13 +131,13 @@ def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
         source = source_of(scene)
     except ValueError as error:
         return None, error_words(error)
-    answer = registry.frames.get((str(source), scene.gscore.images))
+    answer = job_registry.frames.get((str(source), scene.gscore.images))
     poll_timer.ensure()
     return answer
 
 
 def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
     """The cached index of an output folder, or the reason why it cannot be read."""
-    answer = registry.trained.get(output)
+    answer = job_registry.trained.get(output)
     poll_timer.ensure()
     return answer

@@ -20,7 +20,7 @@ from ..process.incremental_tasks import Pieces, TaskRunner
 from ..training import facts, lookups, options
 from ..training.launch import follow, launch
 from .job import SearchJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 
 @dataclass(frozen=True, kw_only=True)

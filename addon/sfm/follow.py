@@ -4,7 +4,7 @@ from ..training import lookups
 from ..training.launch import following_verb
 from . import find_cameras
 from .job import SearchJob
-from .registry import JOBS
+from .job_registry import JOBS
 
 
 def _wanted(job: SearchJob) -> bool:

@@ -14,8 +14,8 @@ from .importing import let_play
 
 
 class SequenceComing:
-    """One import of a sequence: the frames are found and the first is read in a thread, then handed
-    to Blender bit by bit."""
+    """Import of a sequence: a thread finds the frames and reads the first, which is then written to
+    Blender in chunks."""
 
     def __init__(
         self,

@@ -73,7 +73,7 @@ class Moment:
         found, problem = None, self.problem
         if self.files:
             found, problem = LIBRARY.frame(self.files[0], wait=True)
-            LIBRARY.want(self.owner, self.files)  # those to come, while this one is drawn
+            LIBRARY.want(self.owner, self.files)  # read the next ones while this one is drawn
         if found is None:
             raise ValueError(f"{self.name}: {problem}")
         return found
@@ -87,7 +87,7 @@ def moment_of(ob: bpy.types.Object, frame: float, *, wait: bool = False) -> Mome
         frame: Timeline frame, with subframe.
         wait: List the files synchronously.
     """
-    ob = ob.original  # a handler's changes are in no evaluated copy yet
+    ob = ob.original  # evaluated copies do not have changes by handlers yet
     if not plays(ob):
         return None
     series, problem = series_of(ob, wait=wait)
@@ -128,8 +128,8 @@ def folder_of(ob: bpy.types.Object) -> Folder:
     text, library = ob.gscore_sequence.folder.strip(), ob.library
     if text.startswith("//") and library is None and not bpy.data.filepath:
         raise ValueError(
-            f"The folder of the frames {text} lies beside the .blend file, which is not saved: "
-            "save it, or choose a folder with its whole path."
+            f"The frame folder {text} is relative to the .blend file, which is not saved: save it, "
+            "or choose a folder with its full path."
         )
     path = os.path.normpath(bpy.path.abspath(text, library=library))
     return Path(path), ob.gscore_sequence.files.strip()

@@ -1,7 +1,7 @@
 """Frame sync: keeps the meshes of sequence objects on their current frame, and detects edits.
 
-Scripts and renders of other engines get the right frame at once. Where Blender has a window the
-mesh follows in short steps while nothing plays; until then only our renderers show the frame.
+Scripts and renders of other engines get the right frame immediately. In a window the mesh follows
+in short steps while nothing plays; until then only the add-on's renderers show the frame.
 """
 
 import logging
@@ -51,7 +51,7 @@ class _State:
     coming: _Coming | None = None
     refused: str = ""
     """`FrameFile.label` of the last frame that could not be written to a mesh."""
-    told: set[str] = field(default_factory=set)
+    logged: set[str] = field(default_factory=set)
     """Errors already printed to the console."""
     problems: dict[int, str] = field(default_factory=dict)
     """Sync errors by session uid of the object."""
@@ -73,7 +73,7 @@ def bring(scene: bpy.types.Scene) -> None:
         try:
             _bring_one(ob, scene)
         except (GsError, ValueError) as error:
-            _tell(ob, error_words(error))
+            _report(ob, error_words(error))
 
 
 def catch_up(ob: bpy.types.Object) -> None:
@@ -145,10 +145,10 @@ def _is_there(ob: bpy.types.Object, moment: Moment) -> bool:
     return mesh.holds(ob) == moment.holds
 
 
-def _tell(ob: bpy.types.Object, problem: str) -> None:
+def _report(ob: bpy.types.Object, problem: str) -> None:
     _state.problems[ob.session_uid] = problem
-    if problem not in _state.told:
-        _state.told.add(problem)
+    if problem not in _state.logged:
+        _state.logged.add(problem)
         _log.warning("%s", problem)
 
 
@@ -244,7 +244,7 @@ def _go_on() -> bool:
     except ValueError as error:
         bpy.data.meshes.remove(made)
         _state.refused = coming.frame.file.label
-        _tell(ob, error_words(error))
+        _report(ob, error_words(error))
         return True
     _state.problems.pop(ob.session_uid, None)
     return True
@@ -305,7 +305,7 @@ def _undone(*_: object) -> None:
 @persistent
 def _file_loaded(*_: object) -> None:
     _state.coming, _state.refused = None, ""
-    _state.told.clear()
+    _state.logged.clear()
     _state.problems.clear()
     LIBRARY.clear()
     if any(_players(scene) for scene in bpy.data.scenes):
@@ -330,7 +330,7 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Follow no more, and let go of all frames."""
+    """Stop the sync, and drop all frames."""
     poll_timer.POLLERS.remove(_FOLLOWER)
     objects.CATCH_UP.remove(catch_up)
     settings.CHANGED.remove(settings_changed)

@@ -26,11 +26,12 @@ _DIGITS = re.compile(r"\d+")
 _ITERATION = re.compile(r"iteration_(\d+)")
 _ENDINGS = tuple(ending for ending in SPLAT_ENDINGS if not ending.endswith(".json"))
 _MOSTLY_GAPS = 10
-"""Numbers for each file above which numbers are no count of frames, as the times of a clock."""
+"""Ratio of the range of numbers to files above which numbers are not frame counts, but for example
+clock times."""
 _NAMED = 5
 """Number of missing frames listed in a sentence."""
 _ROUNDED = 6
-"""Decimals of a speed; Blender keeps it in single precision."""
+"""Decimals of a speed, which Blender stores in single precision."""
 _SLACK = 1e-6
 """Rounding tolerance of a time, frames."""
 
@@ -43,7 +44,7 @@ class FrameFile:
     """Number in the name."""
     path: Path
     stamp: tuple[int, int]
-    """Time of its last change, nanoseconds, and its size, bytes: another file has others."""
+    """Modification time, nanoseconds, and size, bytes, which identify the content."""
 
     @property
     def label(self) -> str:
@@ -52,14 +53,14 @@ class FrameFile:
 
 
 def stride_of(numbers: Sequence[int]) -> int:
-    """Between neighbours of rising numbers; 0 where they are no count of frames."""
+    """Stride of increasing numbers; 0 if they are not frame counts."""
     found = math.gcd(*(b - a for a, b in pairwise(numbers))) or 1
     whole = (numbers[-1] - numbers[0]) // found + 1
     return found if whole <= _MOSTLY_GAPS * len(numbers) else 0
 
 
 def slots_of(numbers: Sequence[int]) -> list[int]:
-    """Slot of each of the rising numbers, from 0; gaps count as slots."""
+    """Slot of each of the increasing numbers, from 0; gaps count as slots."""
     stride = stride_of(numbers)
     return [(n - numbers[0]) // stride if stride else i for i, n in enumerate(numbers)]
 
@@ -69,18 +70,18 @@ class Series:
     """The frames of a sequence."""
 
     files: tuple[FrameFile, ...]
-    """At least one, by number; no number twice."""
+    """At least one, sorted by number, without duplicates."""
     name: str
     """Name pattern of the files, `#` for the number."""
 
     @cached_property
     def stride(self) -> int:
-        """Between the numbers of neighbours; 0 where numbers are no count of frames."""
+        """Stride of the numbers; 0 if they are not frame counts."""
         return stride_of([file.number for file in self.files])
 
     @property
     def slots(self) -> int:
-        """Frames from the first to the last, gaps among them."""
+        """Number of frames from the first to the last, including gaps."""
         if not self.stride:
             return len(self.files)
         return (self.files[-1].number - self.files[0].number) // self.stride + 1
@@ -93,7 +94,7 @@ class Series:
         return {(file.number - first) // self.stride: file for file in self.files}
 
     def at(self, slot: int) -> FrameFile:
-        """The file of a slot, or the last one before it where there is a gap."""
+        """The file of a slot, or for a gap the last one before it."""
         while slot not in self._by_slot:
             slot -= 1
         return self._by_slot[slot]
@@ -123,20 +124,20 @@ class Timing:
     start: int = 1
     """Frame of the timeline that shows the first one."""
     offset: int = 0
-    """Frames of the sequence that are left out at its beginning."""
+    """Number of frames to skip at the beginning of the sequence."""
     speed: float = 1.0
-    """Frames of the sequence for each frame of the timeline; below 0 it runs backwards."""
+    """Frames of the sequence per frame of the timeline; below 0 it plays backwards."""
     step: int = 1
     """Show every n-th frame only, for the duration of the skipped ones too."""
     beyond: str = HOLD
     """LOOP, HOLD or HIDE."""
 
     def slot(self, frame: float, slots: int) -> int | None:
-        """The slot, from 0, that a frame of the timeline shows; None: nothing is shown.
+        """The slot, from 0, at a frame of the timeline; None: nothing is shown.
 
         Args:
-            frame: Of the timeline, with its fraction.
-            slots: Of the sequence.
+            frame: Frame of the timeline, with its fraction.
+            slots: Number of slots of the sequence.
         """
         first = min(max(self.offset, 0), slots - 1)
         count, speed = slots - first, round(self.speed, _ROUNDED)
@@ -151,11 +152,11 @@ class Timing:
 
     def ahead(self, frame: float, slots: int, count: int) -> Iterator[int]:
         """Unique slots of a timeline frame and of the `count` frames after it."""
-        seen = set()
+        known = set()
         for further in range(count + 1):
             slot = self.slot(frame + further, slots)
-            if slot is not None and slot not in seen:
-                seen.add(slot)
+            if slot is not None and slot not in known:
+                known.add(slot)
                 yield slot
 
 
@@ -163,12 +164,11 @@ def find_series(folder: Path, chosen: str = "") -> Series:
     """The frames in a folder.
 
     Args:
-        folder: Of `gscore sequence`, or any with numbered files or folders.
-        chosen: What the files are called, as `Series.name`, where there are several; empty: those
-            of which there are most.
+        folder: Output of `gscore sequence`, or a folder with numbered files or folders.
+        chosen: Name pattern of the files, as `Series.name`; empty: the most frequent pattern.
 
     Raises:
-        ValueError: there is no folder, or it holds no frames.
+        ValueError: the folder does not exist, or has no frames.
     """
     try:
         trained = _of_training(folder)
@@ -179,15 +179,15 @@ def find_series(folder: Path, chosen: str = "") -> Series:
         raise ValueError(error_words(error)) from error
     except OSError as error:
         raise ValueError(
-            f"The folder of the frames {folder} cannot be read ({error.strerror or error}): choose "
-            "where it is now."
+            f"The frame folder {folder} cannot be read ({error.strerror or error}): choose where "
+            "it is now."
         ) from error
     if chosen and not files:
-        raise ValueError(f"{folder} holds no files called {chosen}: choose the folder again.")
+        raise ValueError(f"{folder} has no files named {chosen}: choose the folder again.")
     if not files:
         raise ValueError(
-            f"{folder} holds no frames: choose the folder that gscore sequence wrote, or one with "
-            f"numbered files of splats ({', '.join(_ENDINGS[:4])} ...)."
+            f"{folder} has no frames: choose the output folder of gscore sequence, or a folder "
+            f"with numbered splat files ({', '.join(_ENDINGS[:4])} ...)."
         )
     return Series(files=tuple(files), name=name)
 
@@ -196,7 +196,7 @@ def name_of_file(path: Path) -> tuple[Path, str]:
     """Folder and name pattern of the sequence of a chosen file.
 
     Raises:
-        ValueError: it is no numbered file of splats.
+        ValueError: it is not a numbered splat file.
     """
     folder = path.parent
     if _ITERATION.fullmatch(folder.name):

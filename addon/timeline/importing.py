@@ -27,8 +27,8 @@ def import_sequence(
     """Make a splat object that plays the frames in a folder.
 
     Args:
-        context: Its collection gets the object.
-        folder: Absolute; as `find_series` takes it.
+        context: The object is linked to its collection.
+        folder: Absolute; as for `find_series`.
         called: Name pattern of the frames, if the folder has several.
         start: Frame of the timeline that shows the first one.
         parent: The empty of the capture that the splats were trained from.
@@ -64,7 +64,7 @@ def let_play(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> 
     LIBRARY.forget((folder, called))
     own = ob.gscore_sequence
     own.start, own.files = start, called
-    own.folder = relative(folder)  # the last: from then on it plays
+    own.folder = relative(folder)  # last, because setting it starts playback
 
 
 def play_again(ob: bpy.types.Object) -> None:

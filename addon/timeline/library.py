@@ -31,7 +31,7 @@ Folder = tuple[Path, str]
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The splats of a file, as renderers take them in place of a mesh's."""
+    """The splats of a file, with the interface that renderers expect of a mesh copy."""
 
     file: FrameFile
     splats: Splats
@@ -61,7 +61,7 @@ class Frame:
         return self.splats
 
     def kept(self, filters: Filters) -> np.ndarray:
-        """[N] bool: splats that pass the filters."""
+        """Splats that pass the filters, [N] bool."""
         splats = self.splats
         opacities = 1 / (1 + np.exp(-np.clip(splats.opacities.astype(np.float64), -500, 500)))
         return mask(splats.means, np.exp(splats.scales), opacities.astype(np.float32), filters)
@@ -97,14 +97,14 @@ class _Known:
 
 
 class Library:
-    """All frames of this Blender session. May be used from any thread."""
+    """All frames of this Blender session. Thread-safe."""
 
     def __init__(
         self,
         read: Callable[[Path], Splats] = lambda path: read_splat_file(path).splats,
         find: Callable[[Path, str], Series] = find_series,
     ) -> None:
-        """The thread begins with the first wish.
+        """Prepare; the thread starts with the first request.
 
         Args:
             read: Reads a file.
@@ -124,7 +124,7 @@ class Library:
         self._thread: threading.Thread | None = None
         self._closed = False
         self.most = _GB
-        """Bytes that frames take at most; the ones that are shown have room in any case."""
+        """Memory limit of frames, bytes; the current frames are kept in any case."""
         self.fresh = False
         """True if something was loaded since the last `take_news`."""
         self.reads = 0
@@ -149,12 +149,11 @@ class Library:
             return len(self._frames), sum(frame.bytes for frame in self._frames.values())
 
     def series(self, folder: Folder, *, wait: bool = False) -> tuple[Series | None, str]:
-        """The frames of a folder, as far as is known: (series, ""), (None, why not), or while it is
-        looked for (None, "").
+        """The frames of a folder: (series, ""), (None, error), or (None, "") while it is scanned.
 
         Args:
-            folder: Absolute, and what its frames are called.
-            wait: Look at once, in this thread, where the folder was not looked at lately.
+            folder: Absolute folder, and the name pattern of its frames.
+            wait: Scan in this thread if the last result is older than `MAX_AGE`.
         """
         with self._changed:
             known = self._series.get(folder)
@@ -171,12 +170,11 @@ class Library:
         return (None, "") if known is None else (known.answer, known.problem)
 
     def frame(self, file: FrameFile, *, wait: bool = False) -> tuple[Frame | None, str]:
-        """A frame, if it is there: (frame, ""), (None, why not), or while it is still to be read
-        (None, "").
+        """A frame: (frame, ""), (None, error), or (None, "") if it is not read yet.
 
         Args:
-            file: Of a series.
-            wait: Read it at once, in this thread.
+            file: File of a series.
+            wait: Read it in this thread.
         """
         with self._changed:
             if wait and self._under_way == file:
@@ -190,12 +188,12 @@ class Library:
         return self._load(file)
 
     def want(self, owner: Hashable, files: Sequence[FrameFile]) -> None:
-        """Read these, in this order, as far as there is room; what the owner wanted before is
-        wanted no more.
+        """Request files in this order, as far as memory permits, instead of the owner's earlier
+        request.
 
         Args:
-            owner: Any object's name for itself.
-            files: The one that is shown, then those that come.
+            owner: Any key of the requesting object.
+            files: The current frame, then the next ones.
         """
         with self._changed:
             self._wanted[owner] = _Wanted(tuple(files))
@@ -203,7 +201,7 @@ class Library:
                 self._wake()
 
     def forget(self, folder: Folder) -> None:
-        """Look at a folder anew when it is asked for next, and at its files that were damaged."""
+        """Scan a folder again at its next request, and read its unreadable files again."""
         with self._changed:
             self._series.pop(folder, None)
             for file in [f for f in self._problems if folder[0] in f.path.parents]:
@@ -273,8 +271,8 @@ class Library:
                 file = queue[place] if place < len(queue) else None
                 if file is None or file in chosen:
                     continue
-                held = self._frames.get(file)
-                taken += self._typical if held is None else held.bytes
+                known = self._frames.get(file)
+                taken += self._typical if known is None else known.bytes
                 if place and taken > self.most:
                     return list(chosen)
                 chosen[file] = None
@@ -300,11 +298,11 @@ class Library:
     def _make_room(self, new: FrameFile) -> None:
         """Evict frames without requests, least recently used first."""
         wanted = {new, *self._in_order()}
-        held = sum(frame.bytes for frame in self._frames.values())
+        total = sum(frame.bytes for frame in self._frames.values())
         for file in [f for f in self._frames if f not in wanted]:
-            if held <= self.most:
+            if total <= self.most:
                 return
-            held -= self._frames.pop(file).bytes
+            total -= self._frames.pop(file).bytes
 
     def _look(self, folder: Folder) -> _Known:
         era = self._era
@@ -321,7 +319,7 @@ def _tried(act: Callable[[], AnswerT], what: str) -> tuple[AnswerT | None, str]:
     try:
         return act(), ""
     except MemoryError:
-        return None, f"{what} does not fit into memory: close programs, or lower the frame memory."
+        return None, f"{what} does not fit into memory: close programs, or reduce the frame memory."
     except (GsError, ValueError, OSError) as error:
         return None, error_words(error) or f"{what} cannot be read ({type(error).__name__})."
 

@@ -1,7 +1,7 @@
 """Sequence mesh: the mesh of an object that plays a sequence, its current frame and edited state.
 
-Our own renderers take frames from memory. The mesh is for everything else: EEVEE and Cycles, the
-node displays, Edit Mode, counts, exports.
+The add-on's renderers take frames from memory. The mesh is for everything else: EEVEE and Cycles,
+the node displays, Edit Mode, counts, exports.
 """
 
 import zlib
@@ -17,15 +17,15 @@ from .frames import FrameFile
 from .library import Frame
 
 _HOLDS, _MARK = "gs_frame", "gs_frame_mark"
-"""Custom properties of a mesh: the frame that it holds, and its `_signature` as it came."""
-_LOOKED_AT = (attributes.POSITION, attributes.BASE)
+"""Custom properties of a mesh: label of its frame, and `mark_of` the unedited frame."""
+_COMPARED = (attributes.POSITION, attributes.BASE)
 """Attributes compared to detect edits; all of them would take five times as long."""
 _KEYS = {"FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4), "FLOAT4": ("vector", 4)}
 """Key for foreach_get and width in floats, by data type."""
 
 
 def holds(ob: bpy.types.Object) -> str:
-    """`FrameFile.label` of the frame in an object's mesh; empty where none is known."""
+    """`FrameFile.label` of the frame in an object's mesh; empty if unknown."""
     return str(ob.data.get(_HOLDS, ""))
 
 
@@ -36,7 +36,7 @@ def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
         ValueError: as `objects.refresh`.
     """
     objects.check_refreshable(ob)
-    if _is_shared(ob.data):  # others show other moments
+    if _is_shared(ob.data):  # other objects may show other frames
         ob.data = ob.data.copy()
     objects.refresh(ob, frame.splats)
     note(ob.data, frame.file)
@@ -46,26 +46,26 @@ def note(mesh: bpy.types.Mesh, file: FrameFile, mark: str = "") -> None:
     """Store the frame label and mark of a mesh.
 
     Args:
-        mesh: Was just filled.
-        file: The frame's.
-        mark: `mark_of` its columns, where that is known; else the mesh is read.
+        mesh: A mesh that was just filled.
+        file: File of the frame.
+        mark: `mark_of` its columns if known; empty: the mesh is read.
     """
     mesh[_HOLDS], mesh[_MARK] = file.label, mark or _mark_now(mesh)
 
 
 def mark_of(columns: Sequence[tuple[str, str, np.ndarray]]) -> str:
-    """Tells whether splats were deleted, added, moved or coloured since they came.
+    """Checksum that changes if splats are deleted, added, moved or coloured.
 
     Args:
-        columns: As `attributes.columns`.
+        columns: As from `attributes.columns`.
     """
     by_name = {name: (kind, values) for name, kind, values in columns if len(values)}
-    found = [by_name.get(name, ("", np.empty(0, np.float32))) for name in _LOOKED_AT]
+    found = [by_name.get(name, ("", np.empty(0, np.float32))) for name in _COMPARED]
     return " ".join(f"{kind}:{len(values)}:{zlib.crc32(values):08x}" for kind, values in found)
 
 
 def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-    """Let a mesh take the place of an object's own; others that share that keep it.
+    """Replace an object's mesh; other users of the old one keep it.
 
     Raises:
         ValueError: as `write_chunked.replace`.
@@ -93,14 +93,14 @@ def was_edited(ob: bpy.types.Object) -> bool:
 
 
 def _is_shared(mesh: bpy.types.Mesh) -> bool:
-    """Whether several objects show it; what keeps an asset from going is none."""
+    """Whether a mesh has several users, not counting a fake user."""
     return mesh.users - mesh.use_fake_user > 1
 
 
 def _mark_now(mesh: bpy.types.Mesh) -> str:
     """`mark_of` a mesh's current data; 2 ms for 100,000 splats."""
     columns = []
-    for name in _LOOKED_AT:
+    for name in _COMPARED:
         found = mesh.attributes.get(name)
         key, width = _KEYS.get(found.data_type, ("", 0)) if found is not None else ("", 0)
         values = np.empty(len(found.data) * width if key else 0, np.float32)

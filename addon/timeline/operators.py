@@ -40,8 +40,8 @@ class OnSequence(BaseOperator):
 
 
 class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
-    """Import a folder of frames, of gscore sequence or with numbered files of splats, as one object
-    that plays on the timeline"""
+    """Import a folder of numbered splat files, or the output of gscore sequence, as one object that
+    plays on the timeline"""
 
     bl_idname = "gscore.import_sequence"
     bl_label = "Import Splat Sequence"
@@ -49,7 +49,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
 
     filepath: StringProperty(
         name="Frame",
-        description="One of the frames, where the folder has several kinds of files",
+        description="One of the frames, if the folder has several kinds of files",
         subtype="FILE_PATH",
         options={"SKIP_SAVE"},
     )
@@ -64,7 +64,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
     )
     capture: StringProperty(
         name="Capture",
-        description="Name of the capture's empty to put the splats under; empty: as below",
+        description="Name of the capture's empty to parent the splats to; empty: as below",
         options={"HIDDEN", "SKIP_SAVE"},
     )
     start: IntProperty(
@@ -74,7 +74,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
     )
     set_range: BoolProperty(
         name="Set Scene Range",
-        description="Let the scene begin and end with the sequence",
+        description="Set the start and end frame of the scene to those of the sequence",
         default=False,
     )
     up: EnumProperty(
@@ -82,13 +82,13 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
     )
     under_capture: BoolProperty(
         name="Under the Active Capture",
-        description="Put the splats under the capture that the active object belongs to, so that "
-        "they stand where its photos were taken; the up axis is then the capture's",
+        description="Parent the splats to the capture of the active object, to align them with its "
+        "cameras. The up axis is then the capture's",
         default=True,
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder, or a file in it, unless one is named."""
+        """Open the file browser, unless a folder or file is given."""
         if self.directory or self.filepath:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
@@ -102,7 +102,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         return self._settle(context, made[0], coming.series, coming.warnings)
 
     def act(self, context: bpy.types.Context) -> str:
-        """Import at once."""
+        """Import synchronously."""
         folder, options = self._options(context)
         with collected_warnings() as warnings:
             ob, series = importing.import_sequence(context, folder, **options)
@@ -124,7 +124,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         self.warn(warnings)
         if series.gaps:
             self.warn([series.gap_words()])
-        free = context.mode == "OBJECT"  # asked first, it has the view layer know the new object
+        free = context.mode == "OBJECT"  # reading the mode first updates the view layer
         if free and ob.name in context.view_layer.objects:
             make_active(context, ob)
         if (root := root_of(ob)) is not None:
@@ -148,17 +148,17 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
             return name_of_file(path)
         folder = Path(bpy.path.abspath(self.directory)) if self.directory else path
         if folder is None:
-            raise ValueError("No folder is chosen: choose the one that holds the frames.")
+            raise ValueError("No folder is chosen: choose the folder of the frames.")
         if folder.name == "sequence.json" or not (folder.suffix == "" or folder.is_dir()):
             folder = folder.parent
         return Path(folder.absolute()), ""
 
 
 class PlayAgain(OnSequence, bpy.types.Operator):
-    """Let the object play again; the edits of the frame that it stands still with are dropped"""
+    """Discard the edits of the current frame and resume playback"""
 
     bl_idname = "gscore.play_again"
-    bl_label = "Drop Edits and Play"
+    bl_label = "Discard Edits and Play"
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """Its points and playback state."""
@@ -166,20 +166,20 @@ class PlayAgain(OnSequence, bpy.types.Operator):
         return ob.data, ob
 
     def act(self, context: bpy.types.Context) -> str:
-        """Play."""
+        """Resume playback."""
         importing.play_again(meant(context))
         frame_sync.settings_changed(meant(context))
         return ""
 
 
 class KeepFrame(OnSequence, bpy.types.Operator):
-    """Make an object of its own of the frame that shows now, to edit or export it"""
+    """Make a separate object from the current frame, for editing or export"""
 
     bl_idname = "gscore.keep_frame"
     bl_label = "Keep This Frame"
 
     def act(self, context: bpy.types.Context) -> str:
-        """Keep it."""
+        """Make the object."""
         ob, scene = meant(context), context.scene
         frame_sync.bring(scene)
         if problem := frame_sync.problem_of(ob):
@@ -190,18 +190,18 @@ class KeepFrame(OnSequence, bpy.types.Operator):
         number = moment.files[0].number if moment is not None else scene.frame_current
         kept = importing.keep_frame(ob, number)
         make_active(context, kept)
-        return f"{kept.name} holds {len(kept.data.vertices):,} splats."
+        return f"{kept.name} has {len(kept.data.vertices):,} splats."
 
 
 class RescanFrames(OnSequence, bpy.types.Operator):
-    """Look at the folder of the frames again, and at files that could not be read"""
+    """Scan the folder of the frames again, and retry files that could not be read"""
 
     bl_idname = "gscore.look_at_frames_again"
-    bl_label = "Look Again"
+    bl_label = "Rescan Frames"
     bl_options: ClassVar = {"REGISTER"}
 
     def act(self, context: bpy.types.Context) -> str:
-        """Look."""
+        """Scan."""
         LIBRARY.forget(folder_of(meant(context)))
         frame_sync.settings_changed(meant(context))
         return ""
@@ -225,5 +225,5 @@ def on_register() -> None:
 
 
 def on_unregister() -> None:
-    """Take it back."""
+    """Remove it."""
     bpy.types.TOPBAR_MT_file_import.remove(_draw_import)

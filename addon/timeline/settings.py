@@ -9,17 +9,17 @@ from .. import compat
 from .frames import HIDE, HOLD, LOOP, Timing
 
 _BEYOND = [
-    (HOLD, "Hold", "The first frame shows before the sequence, the last one after it"),
-    (LOOP, "Loop", "The sequence begins anew at its end, and has been running before its start"),
-    (HIDE, "Hide", "Nothing shows before the first frame and after the last one"),
+    (HOLD, "Hold", "Show the first frame before the sequence, and the last one after it"),
+    (LOOP, "Loop", "Repeat the sequence, also before its start"),
+    (HIDE, "Hide", "Show nothing before the first frame and after the last one"),
 ]
 CHANGED: list[Callable[[bpy.types.Object], None]] = []
 """Callbacks for an object whose settings a user has changed."""
 
 
 def _update(self: "SequenceSettings", context: bpy.types.Context) -> None:
-    for told in CHANGED:
-        told(self.id_data)
+    for callback in CHANGED:
+        callback(self.id_data)
 
 
 class SequenceSettings(bpy.types.PropertyGroup):
@@ -27,15 +27,15 @@ class SequenceSettings(bpy.types.PropertyGroup):
 
     folder: StringProperty(
         name="Folder",
-        description="Folder of the frames; empty: the object plays no sequence",
+        description="Folder of the frames; empty: no sequence",
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
         update=_update,
     )
     files: StringProperty(
         name="Files",
-        description="What the files of the frames are called, # for their number, where the folder "
-        "has several kinds; empty: those of which there are most",
+        description="File name pattern of the frames with # for the number; empty: the most "
+        "frequent pattern in the folder",
         update=_update,
     )
     start: IntProperty(
@@ -46,15 +46,15 @@ class SequenceSettings(bpy.types.PropertyGroup):
     )
     offset: IntProperty(
         name="Offset",
-        description="Frames of the sequence that are left out at its beginning",
+        description="Number of frames to skip at the beginning of the sequence",
         default=0,
         min=0,
         update=_update,
     )
     speed: FloatProperty(
         name="Speed",
-        description="Frames of the sequence for each frame of the timeline: 0.5 shows each twice, "
-        "-1 plays backwards",
+        description="Frames of the sequence per frame of the timeline: 0.5 shows each twice, -1 "
+        "plays backwards",
         default=1.0,
         soft_min=-4.0,
         soft_max=4.0,
@@ -62,7 +62,7 @@ class SequenceSettings(bpy.types.PropertyGroup):
     )
     step: IntProperty(
         name="Step",
-        description="Show only every so many-th frame, for as long as those between would show",
+        description="Show every n-th frame only, also for the duration of the skipped ones",
         default=1,
         min=1,
         soft_max=10,
@@ -70,13 +70,13 @@ class SequenceSettings(bpy.types.PropertyGroup):
     )
     beyond: EnumProperty(
         name="Beyond the Ends",
-        description="What shows before the first frame and after the last one",
+        description="Frames to show before the first frame and after the last one",
         items=_BEYOND,
         update=_update,
     )
     edited: BoolProperty(
         name="Edited",
-        description="The splats were edited, so the object stands still and shows them",
+        description="The splats were edited: playback is paused to show them",
         options={"HIDDEN"},
     )
 
@@ -104,10 +104,10 @@ CLASSES = (SequenceSettings,)
 
 
 def on_register() -> None:
-    """Make the settings a property of objects."""
+    """Add the settings to objects."""
     bpy.types.Object.gscore_sequence = bpy.props.PointerProperty(type=SequenceSettings)
 
 
 def on_unregister() -> None:
-    """Take the property back."""
+    """Remove the settings."""
     del bpy.types.Object.gscore_sequence

@@ -95,7 +95,7 @@ def find(task: BackgroundTask, *, chosen: str = "", private: Path | None = None)
         return check(chosen_python(chosen), task)
     verdicts = []
     for python in candidates(private=private):
-        task.tell(f"Looking at {python}")
+        task.tell(f"Checking {python}")
         verdict = check(python, task)
         if verdict.good:
             return verdict
@@ -117,7 +117,7 @@ def _candidates(chosen: str, private: Path | None) -> Iterator[Path]:
     if private is not None:
         yield python_in(private)
     if command := shutil.which("gscore"):
-        # The command lies beside the Python of its environment; links lead to that place.
+        # The command is next to the Python of its environment, or a link to there.
         for folder in (Path(command).resolve().parent, Path(command).parent):
             yield from (folder / name for name in _program_names(("python", "python3")))
     for variable in ("VIRTUAL_ENV", "CONDA_PREFIX"):
@@ -143,7 +143,7 @@ def _verdict(python: Path, output: list[str], stderr: list[str]) -> Verdict:
                 python,
                 f"{python} has no gscore; press Make Environment, or choose another Python.",
             )
-        last = next((line for line in reversed(stderr) if line.strip()), "it said nothing")
+        last = next((line for line in reversed(stderr) if line.strip()), "without a message")
         return _bad(python, f"{python} cannot run gscore ({last[:160]}); choose another Python.")
     if facts["can_train"]:
         native, packages = facts.get("native") or {}, facts.get("packages") or {}
@@ -171,7 +171,7 @@ def _bad(python: Path, sentence: str) -> Verdict:
 
 
 def _facts(line: str) -> dict[str, Any] | None:
-    """The object that `gscore doctor --json` printed, if the line is that."""
+    """The JSON object of `gscore doctor --json`; None if the line is anything else."""
     try:
         facts = json.loads(line)
     except (ValueError, RecursionError):

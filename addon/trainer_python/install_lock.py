@@ -1,4 +1,4 @@
-"""Install lock: one Blender at a time installs, and removes what a killed one left; no bpy."""
+"""Install lock: one Blender at a time installs, and removes leftovers of a killed one; no bpy."""
 
 import os
 import re
@@ -38,24 +38,24 @@ def turn(target: Path) -> Iterator[None]:
             "is done, then press Check."
         ) from error
     try:
-        _mend(target)
+        _clean_up(target)
         yield
     finally:
         lock.release()
 
 
 def partial(target: Path) -> Path:
-    """A name for an environment that is not complete yet."""
+    """A name for an incomplete environment."""
     return target.with_name(f"{target.name}.{secrets.token_hex(4)}.{_NEW}")
 
 
 def rename_away(target: Path) -> Path:
-    """A name for the earlier one until the new one is in its place."""
+    """A name for the earlier environment until the new one is in its place."""
     return target.with_name(f"{target.name}.{secrets.token_hex(4)}.{_OLD}")
 
 
 def rename(old: Path, new: Path) -> None:
-    """Virus scanners of Windows hold new files for a moment."""
+    """Rename with retries, because virus scanners of Windows lock new files for a moment."""
     for left in range(_RENAME_TRIES - 1, -1, -1):
         try:
             os.replace(old, new)  # noqa: PTH105 - also of folders
@@ -66,7 +66,7 @@ def rename(old: Path, new: Path) -> None:
             time.sleep(0.5)
 
 
-def _mend(target: Path) -> None:
+def _clean_up(target: Path) -> None:
     name = re.compile(rf"{re.escape(target.name)}\.[0-9a-f]{{8}}\.({_NEW}|{_OLD})")
     left = [path for path in target.parent.iterdir() if name.fullmatch(path.name)]
     earlier = [path for path in left if path.suffix == f".{_OLD}"]
@@ -75,9 +75,9 @@ def _mend(target: Path) -> None:
             rename(max(earlier, key=_age), target)
         except OSError as error:
             raise GsError(
-                f"The earlier environment in {target.parent} cannot be put back "
-                f"({error.strerror}); rename its folder to {target.name} yourself, then press "
-                "Make Environment again."
+                f"The earlier environment in {target.parent} cannot be restored "
+                f"({error.strerror}); rename its folder to {target.name}, then press Make "
+                "Environment again."
             ) from error
     for path in left:
         shutil.rmtree(path, ignore_errors=True)

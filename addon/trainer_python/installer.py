@@ -23,7 +23,7 @@ from . import install_lock, pins
 from .environment import check, python_in
 
 NEEDED_BYTES = 3_000_000_000
-"""Free space wanted: torch and its company unpacked, and the downloads meanwhile."""
+"""Required free space: torch with its dependencies unpacked, and the downloads."""
 OFFLINE = (
     "Blender does not allow add-ons to go online; switch on Preferences > System > Network > Allow "
     "Online Access, then press Make Environment again."
@@ -45,26 +45,26 @@ def make(
     base: Path | None = None,
     cpu: bool = True,
 ) -> Path:
-    """Make the environment `target` with gscore from `wheel` and all that training needs.
+    """Make the environment `target` with gscore from `wheel` and all dependencies of training.
 
-    What is installed is what `pins` lists, to the version and, but for torch without CUDA, to the
-    byte.
+    Installs the packages that `pins` lists, in exact versions and, except for torch without CUDA,
+    with checked hashes.
 
     Args:
-        target: Folder of the environment; replaced if it is there.
+        target: Folder of the environment; replaced if it exists.
         wheel: gscore for this system.
         task: Receives the progress; may cancel.
         online: Whether Blender allows add-ons to go online.
-        base: The Python to build on; None: Blender's own, or one that is installed.
+        base: The Python to build on; None: Blender's own, or an installed one.
         cpu: Prefer torch without CUDA.
 
     Returns:
         The environment's Python.
 
     Raises:
-        SetupError: no network, no space, no venv, a package that does not install, or another
+        SetupError: no network, no space, no venv, a package cannot be installed, or another
             Blender is installing.
-        Cancelled: as the task was asked to.
+        Cancelled: the task was cancelled.
     """
     if not online:
         raise SetupError(OFFLINE)
@@ -110,9 +110,9 @@ class Step:
 def steps(python: Path, wheel: Path, *, cpu: bool) -> list[Step]:
     """The calls of pip that fill an environment, in order.
 
-    None resolves anything: each list is complete. A package comes from one place alone. With
-    hashes that place is pip's own setting, the registry or a mirror of it, for a hash says what it
-    may be. Without, it is the one index of the list, whatever pip was set up for.
+    No call resolves dependencies, because each list is complete. A package comes from one source
+    only: with hashes, the registry or mirror of pip's own settings; without, the index of the
+    list, whatever pip's settings.
     """
     lists = [
         ("Updating pip", pins.pip(), []),
@@ -128,7 +128,7 @@ def _install(python: Path, words: str, pinned: pins.Pins, more: list[str]) -> St
     what = [*more, "--no-deps", "--only-binary", ":all:", "-r", str(pinned.file)]
     if pinned.hashed:
         return Step(words, [*_pip(python), "--require-hashes", *what])
-    # Neither files nor variables that set pip up may add a second place.
+    # Neither configuration files nor variables of pip may add a second source.
     alone = {"PIP_CONFIG_FILE": os.devnull}
     return Step(words, [*_pip(python, "--isolated"), "--index-url", pinned.index, *what], alone)
 
@@ -148,12 +148,12 @@ def contents(wheel: Path, target: Path, *, cpu: bool) -> list[str]:
     size = f"about {torch.megabytes} MB, " if torch.megabytes else ""
     registry = f"{pins.REGISTRY}, or the mirror that pip is set up for"
     others = ", ".join(rest.packages)
-    checked = "each file checked against the hash that this extension brings"
-    how = checked if torch.hashed else "that index alone, which gives the hash"
+    checked = "each file checked against a hash in this extension"
+    how = checked if torch.hashed else "that index only, with its hash"
     where = registry if torch.index == pins.REGISTRY else torch.index
     return [
         f"A Python environment is made in {target}; an earlier one there is replaced at the end. "
-        f"It takes {NEEDED_BYTES / 1e9:.0f} GB of the disk meanwhile.",
+        f"The installation needs {NEEDED_BYTES / 1e9:.0f} GB of disk space.",
         f"gscore, from this extension: {wheel.name}.",
         f"{', '.join(torch.packages)}: {size}from {where}, {how}.",
         f"About {rest.megabytes + pins.pip().megabytes} MB from {registry}, {checked}: "
@@ -234,19 +234,19 @@ def _run(
         process = Process([str(a) for a in arguments], variables=variables)
     except OSError as error:
         raise SetupError(f"{arguments[0]} cannot be run: {error.strerror or error}.") from error
-    said: list[str] = []
+    printed: list[str] = []
     try:
         while not process.ended:
             task.check()
             for line in process.lines(0.05):
-                said.append(line)
+                printed.append(line)
                 if shown := _readable(line):
                     task.tell(shown)
             time.sleep(0.05)
     finally:
         process.kill(wait=5.0)
     if process.returncode:
-        raise SetupError(_reason([*said, *process.stderr_tail]))
+        raise SetupError(_reason([*printed, *process.stderr_tail]))
 
 
 def _readable(line: str) -> str:
@@ -273,9 +273,8 @@ def _reason(lines: list[str]) -> str:
         )
     if "DO NOT MATCH THE HASHES" in text:
         return (
-            "A downloaded package is not the one that this extension was made with (its hash "
-            "differs), so nothing was installed; try again on another network, and report it if "
-            "that does not help."
+            "A downloaded package differs from the one of this extension (another hash), so "
+            "nothing was installed; try another network, and report it if that does not help."
         )
     errors = [line.strip() for line in lines if "ERROR" in line or line.startswith("Error")]
     last = errors[-1] if errors else next((x for x in reversed(lines) if x.strip()), "no reason")
@@ -285,22 +284,22 @@ def _reason(lines: list[str]) -> str:
 def _put_in_place(partial: Path, target: Path) -> None:
     """Rename, with the earlier environment kept under another name until the new one is complete.
 
-    Only the scripts of a virtual environment contain its path, and those are not used: its
-    Python finds the rest by itself.
+    Only the scripts of a virtual environment contain its path, and they are not used: its Python
+    finds everything else relative to itself.
     """
-    aside = install_lock.rename_away(target)
+    earlier = install_lock.rename_away(target)
     try:
         if target.exists():
-            install_lock.rename(target, aside)
+            install_lock.rename(target, earlier)
         try:
             install_lock.rename(partial, target)
         except OSError:
-            if aside.exists():
-                install_lock.rename(aside, target)
+            if earlier.exists():
+                install_lock.rename(earlier, target)
             raise
     except OSError as error:
         raise SetupError(
             f"{target} cannot be replaced ({error.strerror}); stop trainings that use it, then "
             "press Make Environment again."
         ) from error
-    shutil.rmtree(aside, ignore_errors=True)
+    shutil.rmtree(earlier, ignore_errors=True)

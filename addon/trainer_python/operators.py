@@ -57,7 +57,7 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
     confirm = "Download and Install"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name what will be installed."""
+        """List the packages to install."""
         wheel = Path(self.wheel) if self.wheel else None
         return contents(preferences.get(), wheel=wheel)
 
@@ -80,7 +80,7 @@ class CancelSetup(BaseOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A check or installation is running."""
+        """Whether a check or installation is running."""
         return CURRENT.busy()
 
     def act(self, context: bpy.types.Context) -> str:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent / "pinned"
 REGISTRY = "https://pypi.org/simple"
-"""Where packages with hashes come from, unless pip was set up to ask a mirror of it."""
+"""Source of packages with hashes, unless pip is configured to use a mirror of it."""
 TORCH_INDEX = "https://download.pytorch.org/whl/cpu"
-"""Where torch without CUDA for Linux lies; elsewhere the registry's own has none."""
+"""Index of torch without CUDA for Linux; on other systems torch of the registry has no CUDA."""
 
 _PIN = re.compile(r"^([A-Za-z0-9][A-Za-z0-9._-]*)==([^\s;\\]+)", re.MULTILINE)
 _SIZES = re.compile(r"^# megabytes: (.+)$", re.MULTILINE)
@@ -22,7 +22,7 @@ _SIZES = re.compile(r"^# megabytes: (.+)$", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Pins:
-    """One list, installed by one call of pip from one place."""
+    """One list, installed by one call of pip from one source."""
 
     file: Path
     index: str
@@ -64,10 +64,10 @@ def pip() -> Pins:
 
 
 def torch(*, cpu: bool) -> Pins:
-    """torch, and on Linux the CUDA that the usual one needs.
+    """torch, on Linux with CUDA unless `cpu`.
 
     Args:
-        cpu: Prefer the one without CUDA.
+        cpu: Prefer torch without CUDA.
     """
     if cpu and sys.platform.startswith("linux"):
         return Pins(FOLDER / "torch-cpu.txt", TORCH_INDEX)

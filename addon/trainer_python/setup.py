@@ -52,7 +52,7 @@ def contents(prefs: Any, *, wheel: Path | None = None) -> list[str]:
     """Sentences on what `start_make` installs: packages, size and source.
 
     Raises:
-        ValueError: as `start_make`, or nothing is made for this system.
+        ValueError: as `start_make`, or there are no packages for this system.
     """
     wheel = _wheel(wheel)
     if not bpy.app.online_access:
@@ -67,7 +67,7 @@ def _wheel(chosen: Path | None) -> Path:
     wheel = chosen or bundled_wheel()
     if wheel is None:
         raise ValueError(
-            f"This copy of the add-on holds no gscore {__version__} for this system; install the "
+            f"This copy of the add-on has no gscore {__version__} for this system; install the "
             "extension from its zip file, or choose a Python that has gscore."
         )
     return wheel
@@ -100,8 +100,8 @@ class Setup:
         return self._checking
 
     def chosen(self, prefs: Any) -> None:
-        """Forget what was found of another Python. A user is told of the one that is chosen now; a
-        script calls `check` where it wants to know."""
+        """Drop the result of another Python, and check the chosen one, except in background mode,
+        where scripts call `check`."""
         self.verdict = None
         if prefs.python_path.strip() and not bpy.app.background:
             self.start_check(prefs)
@@ -146,7 +146,7 @@ class Setup:
         """As `start_make`, and wait; returns the environment's Python.
 
         Raises:
-            ValueError: as `start_make`, or it could not be made; the message says why.
+            ValueError: as `start_make`, or it could not be made, with the reason.
         """
         task = self.start_make(prefs, wheel=wheel)
         while not task.wait(3600):
@@ -204,7 +204,7 @@ class Setup:
 
 
 CURRENT = Setup()
-"""That of this Blender session."""
+"""Setup of this Blender session."""
 _FOLLOWER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURRENT.busy)
 
 

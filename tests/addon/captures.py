@@ -45,7 +45,7 @@ def write_capture(
         rng: Source of everything random.
         cameras: Model, width, height and parameters by id; None: ODD_CAMERAS.
         images: Number of images, named sub/v000.png and so on, over all cameras in turn.
-        points: Number of points, each seen in two images.
+        points: Number of points, each observed in two images.
         photos: Write a small PNG for each image too.
     """
     table = {

@@ -1,4 +1,4 @@
-"""Fixtures of the add-on's tests: a real Blender with a profile of its own, and empty scenes.
+"""Fixtures of the add-on's tests: a real Blender with a separate profile, and empty scenes.
 
 The folder is skipped where Python has no bpy. Blender enables the add-on once per session, as a
 user would, and disables it at the end: a class that is still registered when the interpreter exits
@@ -80,7 +80,7 @@ def enabled() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def writes() -> "Writes":
-    """What the add-on has written since the test began; the watch cannot be taken off again."""
+    """Files that the add-on has written since the test began; the audit hook cannot be removed."""
     from tests.addon.writes import Writes
 
     return Writes()
@@ -90,7 +90,7 @@ def writes() -> "Writes":
 def writes_where_it_may(
     writes: "Writes", tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[None]:
-    """The add-on writes into folders that a test chose, as a user would, and into Blender's own."""
+    """The add-on writes only to folders chosen by a test, as by a user, and to Blender's own."""
     yield
     own = Path(bpy.utils.resource_path("USER")), Path(bpy.app.tempdir)
     outside = writes.outside(tmp_path_factory.getbasetemp(), *own)
@@ -153,7 +153,7 @@ def run_blender(tmp_path: Path) -> Callable[..., str]:
 
 @pytest.fixture
 def make_splats() -> "Callable[..., Splats]":
-    """Random splats with unit quaternions and the spread of trained ones, the same every time."""
+    """Deterministic random splats with unit quaternions and the spread of trained ones."""
     import numpy as np
 
     from addon.core import Splats

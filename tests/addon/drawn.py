@@ -1,4 +1,4 @@
-"""A layout that notes what panels put into it, for Blenders without a window."""
+"""A layout that records the content of panels, for Blenders without a window."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -7,7 +7,7 @@ import bpy
 
 
 class Layout:
-    """Takes the calls of a UILayout that the add-on makes, and checks names as Blender does."""
+    """Records the add-on's calls of a UILayout, and checks names as Blender does."""
 
     def __init__(self, notes: list[str] | None = None, fields: list[str] | None = None) -> None:
         self.notes: list[str] = [] if notes is None else notes
@@ -23,27 +23,27 @@ class Layout:
     row = column = box = split = _part
 
     def label(self, *, text: str = "", icon: str = "NONE", icon_value: int = 0) -> None:
-        """Note a text."""
+        """Record a text."""
         self.notes.append(text)
 
     def progress(self, *, factor: float, text: str) -> None:
-        """Note a bar."""
+        """Record a progress bar."""
         assert 0 <= factor <= 1
         self.notes.append(f"[{factor:.0%}] {text}")
 
     def template_icon(self, icon_value: int, *, scale: float) -> None:
-        """Note a picture."""
+        """Record a picture."""
         assert icon_value > 0 and scale > 0
         self.notes.append("[picture]")
 
     def prop(self, owner: Any, name: str, *, text: str | None = None, **_: Any) -> None:
-        """Note a property."""
+        """Record a property."""
         assert name in owner.bl_rna.properties, name
         self.fields += [] if text is None else [text]
         self.notes.append(f"<{name}>")
 
     def prop_enum(self, owner: Any, name: str, value: str, *, text: str) -> None:
-        """Note a button that sets a choice."""
+        """Record a button that sets a choice."""
         assert value in owner.bl_rna.properties[name].enum_items, value
         self.notes.append(f"({text})")
 
@@ -58,19 +58,19 @@ class Layout:
         *,
         rows: int,
     ) -> None:
-        """Note a list."""
+        """Record a list."""
         assert hasattr(bpy.types, kind) and rows > 0
         assert items in owner.bl_rna.properties and active in active_owner.bl_rna.properties
         self.notes.append(f"[list: {len(getattr(owner, items))}]")
 
     def menu(self, name: str, *, text: str, icon: str) -> None:
-        """Note a menu with what it offers."""
+        """Record a menu with its items."""
         offered = Layout()
         getattr(bpy.types, name).draw(SimpleNamespace(layout=offered), bpy.context)
         self.notes.append(f"[menu: {' '.join(offered.notes)}]")
 
     def operator(self, name: str, *, text: str | None = None, **_: Any) -> SimpleNamespace:
-        """Note a button."""
+        """Record a button."""
         room, verb = name.split(".")
         kind = getattr(getattr(bpy.ops, room), verb).get_rna_type()
         self.notes.append(f"({text if text is not None else kind.name})")
@@ -78,17 +78,17 @@ class Layout:
 
     @property
     def text(self) -> str:
-        """All notes, with wrapped sentences in one piece."""
+        """All recorded text, with wrapped sentences joined."""
         return " ".join(self.notes)
 
 
 def drawn(panel: type) -> str:
-    """What a panel shows of the current scene; empty where it does not show."""
+    """Text of a panel for the current scene; empty if it is not shown."""
     return _layout(panel).text
 
 
 def labels(panel: type) -> list[str]:
-    """What stands in the fields of a panel that call properties otherwise than their own name."""
+    """Labels of the fields of a panel that differ from the properties' own names."""
     return _layout(panel).fields
 
 

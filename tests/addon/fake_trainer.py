@@ -1,19 +1,19 @@
-"""A program that talks like `gscore train --events jsonl`, following a script.
+"""A program with the protocol of `gscore train --events jsonl` that plays a script.
 
 `fake_trainer.py SCRIPT.json` where the script is a list of steps:
     {"say": EVENT}         print an event as a line of JSON
     {"raw": TEXT}          print a text as it is
     {"stderr": TEXT}       print to the error output
     {"huge": N}            print a line of N bytes
-    {"sleep": SECONDS}     say nothing for a while
+    {"sleep": SECONDS}     print nothing for a while
     {"write": [PATH, TEXT]} write a file
-    {"loop": [N, STEPS]}   do STEPS N times; "$i" in events stands for the number of the round
-    {"await": COMMAND}     wait for a line on stdin and print what came as a warning event
+    {"loop": [N, STEPS]}   do STEPS N times; "$i" in events is the number of the round
+    {"await": COMMAND}     wait for a line on stdin and print it as a warning event
     {"follow": SECONDS}    act on stdin like the trainer: progress, pause, resume, snapshot, stop
     {"exit": CODE}         end with this code
     {"signal": NUMBER}     end by this signal
-Used instead of a Python that has gscore: the arguments `-u -m gscore ...` that the add-on gives are
-kept in the file `SCRIPT.args`.
+Used instead of a Python that has gscore: the add-on's arguments `-u -m gscore ...` are written to
+the file `SCRIPT.args`.
 """
 
 import json
@@ -54,12 +54,12 @@ def step(number: int | str, **changes: object) -> dict:
 
 
 def finish(path: str = "$out/point_cloud.ply") -> dict:
-    """A step of a script: the last event of a run that went well."""
+    """A step of a script: the last event of a successful run."""
     return {"say": done(100, "finished", path) | {"splats": 1234}}
 
 
 def fake_python(folder: Path, script: list[dict]) -> Path:
-    """A program that takes the place of a Python with gscore and plays `script`."""
+    """A program that plays `script` in place of a Python with gscore."""
     path, program = folder / "script.json", folder / "fake-python"
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(script))
@@ -71,7 +71,7 @@ def fake_python(folder: Path, script: list[dict]) -> Path:
 
 
 def say(text: str) -> None:
-    """One line of output; nobody may be there to read it, as the real trainer knows too."""
+    """Print a line; like the real trainer, ignore that the reader may be gone."""
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
@@ -109,7 +109,7 @@ def done(step: int, reason: str, path: str) -> dict:
 
 
 class Player:
-    """Does the steps of a script."""
+    """Plays the steps of a script."""
 
     def __init__(self, output: Path) -> None:
         self.output = output

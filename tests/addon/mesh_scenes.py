@@ -30,7 +30,7 @@ def plane(scene, z: float, color, left: float, right: float, name: str) -> bpy.t
 
 
 def glass(scene, z: float, color, alpha: float) -> bpy.types.Object:
-    """A plane that fills the picture, and lets through what its alpha leaves."""
+    """A plane that fills the picture, transparent by its alpha."""
     ob = plane(scene, z, color, -9.0, 9.0, "glass")
     ob.scale.y = 20.0
     tree = ob.data.materials[0].node_tree
@@ -45,7 +45,7 @@ def glass(scene, z: float, color, alpha: float) -> bpy.types.Object:
 
 
 def paint_world(scene: bpy.types.Scene, *color: float) -> None:
-    """A world of one color, seen behind the meshes."""
+    """A world of one color behind the meshes."""
     if scene.world is None:
         scene.world = bpy.data.worlds.new("World")
     if compat.world_nodes(scene.world) is None:

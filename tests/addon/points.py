@@ -1,4 +1,4 @@
-"""Points of meshes deleted, as Edit Mode and other add-ons do it, for tests."""
+"""Deletion of mesh points as in Edit Mode and other add-ons, for tests."""
 
 import bpy
 import numpy as np

@@ -32,14 +32,14 @@ def blob(
 
 
 def veil(count: int = 500) -> Splats:
-    """Large faint splats: every pixel needs all of them, so that big pictures take seconds."""
+    """Large faint splats: every pixel blends all of them, so that big pictures take seconds."""
     splats = blob(count)
     fields = {n: getattr(splats, n) for n in ("means", "quats", "sh0", "shN")}
     return Splats(**fields, scales=splats.scales + 3, opacities=splats.opacities * 0 - 4)
 
 
 def beads(rest: int) -> Splats:
-    """Nine opaque balls apart from one another, whose colours change much with the view."""
+    """Nine separate opaque balls with strongly view-dependent colours."""
     rng = np.random.default_rng(rest)
     x, y = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
     means = np.stack([x.ravel(), y.ravel(), rng.uniform(-0.3, 0.3, 9)], axis=1)
@@ -72,7 +72,8 @@ def wall(z: float, color: tuple[float, float, float], *, half: float = 1.0) -> S
 def prepare(
     scene: bpy.types.Scene, size: tuple[int, int] = (90, 70), light: float = 0.0
 ) -> bpy.types.Object:
-    """Engine, a grey world, and a camera 4 units up the z axis that looks down; the camera."""
+    """Set the engine, a grey world, and a camera 4 units up the z axis that looks down; return
+    it."""
     scene.render.engine = "GSCORE_SPLATS"
     scene.view_settings.view_transform = "Standard"
     scene.render.dither_intensity = 0.0
@@ -92,17 +93,17 @@ def prepare(
 
 
 def add(scene: bpy.types.Scene, splats: Splats, name: str = "splats") -> bpy.types.Object:
-    """A splat object in the scene."""
+    """Add a splat object to the scene."""
     return objects.create(splats, name, collection=scene.collection)
 
 
 def model_of(depsgraph: bpy.types.Depsgraph) -> Model:
-    """All splats that a depsgraph shows, decoded as for a picture."""
+    """Model of all visible splats of a depsgraph."""
     return final_cache.model([place(source) for source in sources(depsgraph)])
 
 
 def moving(ob: bpy.types.Object, pace: float) -> None:
-    """So far along x in each frame, through its own place at frame 5."""
+    """Animate an object along x, with its own position at frame 5."""
     middle = ob.location.x
     for frame in (0, 10):
         ob.location.x = middle + pace * (frame - 5)
@@ -113,8 +114,8 @@ def moving(ob: bpy.types.Object, pace: float) -> None:
 
 
 def curves(ob: bpy.types.Object) -> list:
-    """The curves of an object's action, which since 4.4 lie in its layers: `fcurves` then are those
-    of its first user alone."""
+    """The F-curves of an object's action. Since 4.4 they are in layers, and `fcurves` has only
+    those of the first user."""
     action = ob.animation_data.action
     if not hasattr(action, "layers"):
         return list(action.fcurves)
@@ -122,7 +123,7 @@ def curves(ob: bpy.types.Object) -> list:
 
 
 def truth(camera: bpy.types.Object, splats: Splats, size: tuple[int, int], **options) -> Rendered:
-    """gscore's own picture for a perspective camera without shift, by the textbook."""
+    """Picture by gscore.render for a perspective camera without shift, with K by the textbook."""
     width, height = size
     data = camera.data
     focal = data.lens / data.sensor_width * max(size)
@@ -140,7 +141,7 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """[H, W, C] float32 of a picture file, the top row first, values as they are stored."""
+    """Stored values of a picture file, [H, W, C] float32, the top row first."""
     image = bpy.data.images.load(str(path), check_existing=False)
     pixels = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
@@ -150,7 +151,7 @@ def read_image(path: Path) -> np.ndarray:
 
 
 def render_file(path: Path, kind: str = "PNG", mode: str = "RGB") -> np.ndarray:
-    """F12 into a file, and its pixels."""
+    """Render to a file, and return its pixels."""
     render_settings = bpy.context.scene.render
     settings = render_settings.image_settings
     settings.file_format, settings.color_mode = kind, mode
@@ -161,12 +162,12 @@ def render_file(path: Path, kind: str = "PNG", mode: str = "RGB") -> np.ndarray:
 
 
 def render_exr(folder: Path, name: str = "a") -> np.ndarray:
-    """F12 as scene-linear float32 RGBA."""
+    """Render as scene-linear float32 RGBA."""
     return render_file(folder / f"{name}.exr", "OPEN_EXR", "RGBA")
 
 
 def render_pass(scene: bpy.types.Scene, folder: Path, name: str) -> np.ndarray:
-    """A pass by way of the compositor, [H, W]."""
+    """A pass via the compositor, [H, W]."""
     tree = compat.make_compositor_tree(scene)
     layers = next(n for n in tree.nodes if n.type == "R_LAYERS")
     tree.links.new(layers.outputs[name], compat.compositor_result(tree))
@@ -175,7 +176,7 @@ def render_pass(scene: bpy.types.Scene, folder: Path, name: str) -> np.ndarray:
 
 
 def error_of(action: Callable[[], object]) -> str:
-    """The message of a render or operator that must fail."""
+    """Message of a render or operator that must fail."""
     try:
         action()
     except RuntimeError as error:

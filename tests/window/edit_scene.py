@@ -20,7 +20,7 @@ from mathutils import Vector  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.render import copies  # noqa: E402
+from addon.render import viewport_copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
 
@@ -125,7 +125,7 @@ def story() -> Iterator[object]:
     screenshot("splats_upper")
     bpy.ops.object.mode_set(mode="OBJECT")
     yield from drawn_around(wall)
-    copies.EDITED_AT_ONCE = 1000  # fewer than the wall has
+    viewport_copies.EDITED_AT_ONCE = 1000  # fewer than the wall has
     choose(wall, upper=True, lower=False)
     yield 1.5
     invert()

@@ -23,7 +23,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.live import handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
-from addon.render import copies  # noqa: E402
+from addon.render import viewport_copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import (  # noqa: E402
     Teller,
@@ -233,13 +233,14 @@ def story() -> Iterator[object]:
     seen["display"] = wall.gscore.display
     yield at_rest
     yield 1.0
-    budget, copies.COPY_BUDGET = copies.COPY_BUDGET, 0.0  # an attribute a redraw, as of a million
-    copies.SHARED.clear()
+    # One attribute per redraw, as for a million splats.
+    budget, viewport_copies.COPY_BUDGET = viewport_copies.COPY_BUDGET, 0.0
+    viewport_copies.SHARED.clear()
     area().tag_redraw()
     yield 3.0  # in which nobody touches anything
     found = handler.sources(bpy.context.evaluated_depsgraph_get())
-    seen["by_itself"] = copies.SHARED.copied(found)[1]
-    copies.COPY_BUDGET = budget
+    seen["by_itself"] = viewport_copies.SHARED.copied(found)[1]
+    viewport_copies.COPY_BUDGET = budget
     yield 1.0
     shown = region()
     seen["middle"] = [shown.x + shown.width // 2, shown.y + shown.height // 2]

@@ -27,7 +27,7 @@ def look_at(center: np.ndarray, target: np.ndarray, roll: float = 0.0) -> np.nda
 def orbit(
     rng: np.random.Generator, *, arc: float = 2 * np.pi, count: int = 40, roll: float = 0.0
 ) -> np.ndarray:
-    """Cameras 2 to 5 units high around the z axis, held with 2 degrees of unsteadiness."""
+    """Cameras 2 to 5 units high around the z axis, with 2 degrees of random tilt."""
     angles = np.linspace(0, arc, count, endpoint=False)
     heights = rng.uniform(2, 5, count)
     centers = np.stack([6 * np.cos(angles), 6 * np.sin(angles), heights], axis=1)
@@ -48,7 +48,7 @@ def room(rng: np.random.Generator) -> np.ndarray:
 def turned(
     viewmats: np.ndarray, points: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same capture in another world, and where the old one's up lies there."""
+    """The same capture in another world, and the old up direction in it."""
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     q *= np.linalg.det(q)
     shift = rng.uniform(-20, 20, 3)
@@ -65,7 +65,8 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("arc", [2 * np.pi, np.pi, 0.8])
 def test_up_of_an_orbit(arc: float, seed: int) -> None:
-    """Oracle: the known up, although all cameras look down; 2 degrees of roll leave some doubt."""
+    """Oracle: the known up, although all cameras look down; 2 degrees of roll limit the
+    accuracy."""
     rng = np.random.default_rng(seed)
     viewmats, _, up = turned(orbit(rng, arc=arc), np.zeros((0, 3)), rng)
     assert angle(find_up(viewmats), up) < (2 if arc > 3 else 6)
@@ -116,7 +117,7 @@ def test_ground_among_other_points(seed: int) -> None:
 
 
 def test_a_shelf_is_no_ground() -> None:
-    """Oracle: a dense plane above the floor with much below it is passed over."""
+    """Oracle: a dense plane above the floor with many points below it is ignored."""
     rng = np.random.default_rng(0)
     shelf = rng.uniform([-2, -2, 1.5], [2, 2, 1.51], (900, 3))
     floor = rng.uniform([-5, -5, -0.01], [5, 5, 0.01], (600, 3))
@@ -142,7 +143,7 @@ def test_without_ground() -> None:
 
 
 def test_given_up_wins() -> None:
-    """Oracle: upside down on request, exactly where no ground says otherwise."""
+    """Oracle: upside down on request, exactly if no ground contradicts it."""
     viewmats = orbit(np.random.default_rng(0))
     found = align(viewmats, np.zeros((0, 3)), up=np.array([0, 0, -2.0]))
     np.testing.assert_allclose(found.matrix[2, :3], [0, 0, -1], atol=1e-12)

@@ -1,4 +1,4 @@
-"""Animated cameras written out and read back: what the file says projects as Blender does."""
+"""Animated cameras written and read back; the cameras of a file project as Blender's."""
 
 import json
 import subprocess
@@ -29,7 +29,7 @@ POINTS = [(0.0, 0.0, 0.0), (0.7, -0.4, 1.0), (-0.5, 0.8, 0.3)]
 
 @pytest.fixture
 def camera(scene) -> bpy.types.Object:
-    """The scene camera, whose place, turn, lens and shift change over six frames."""
+    """The scene camera with an animated position, rotation, lens and shift over six frames."""
     data = bpy.data.cameras.new("moving")
     ob = bpy.data.objects.new("moving", data)
     scene.collection.objects.link(ob)
@@ -103,7 +103,7 @@ def seen(scene, camera) -> list[np.ndarray]:
 
 
 def capture_with(camera) -> bpy.types.Object:
-    """A capture that stands turned, moved and scaled in the scene."""
+    """A capture that is rotated, moved and scaled in the scene."""
     made = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
     capture_transform.set_root_matrix(made.root, made_matrix())
     bpy.context.view_layer.update()
@@ -144,7 +144,7 @@ def test_a_path_comes_back(scene, camera, tmp_path: Path, kind, world, step) -> 
 
 
 def without_shift(camera) -> None:
-    """Take the lens's shift and its keys away."""
+    """Remove the lens's shift and its keyframes."""
     for curve in lab.curves(camera.data):
         if curve.data_path == "shift_x":
             for key in curve.keyframe_points:
@@ -154,8 +154,8 @@ def without_shift(camera) -> None:
 
 @pytest.mark.parametrize("world", ["BLENDER", "CAPTURE"])
 def test_a_path_for_nerfstudio(scene, camera, tmp_path: Path, world) -> None:
-    """Oracles: Blender's projection at each frame, by nerfstudio's formulas from the file and by
-    the camera that comes back; its size, pace and times."""
+    """Oracles: Blender's projection at each frame, compared with nerfstudio's formulas on the file
+    and with the imported camera; its size, frame rate and times."""
     if world == "CAPTURE":
         capture_with(camera)
     scene.camera = camera
@@ -209,7 +209,7 @@ def test_nerfstudio_has_no_such_lens(scene, camera, tmp_path: Path, what) -> Non
 
 
 def test_transforms_have_times(scene, camera, tmp_path: Path) -> None:
-    """Oracle: from 0 to 1 over the frames that are rendered; the pace comes back."""
+    """Oracle: 0 to 1 over the rendered frames; the frame rate is restored."""
     scene.render.fps = 50
     file = tmp_path / "p.json"
     export = bpy.ops.gscore.export_camera_path
@@ -229,7 +229,7 @@ def test_a_step_keeps_the_time_that_a_path_takes(
     scene, camera, tmp_path: Path, kind, numbered
 ) -> None:
     """Oracle: Blender's timeline: seconds between the first and the last picture, in the file, by
-    gscore's reader and by the camera that comes back."""
+    gscore's reader and in the imported camera."""
     without_shift(camera)
     scene.render.fps, scene.render.fps_base, scene.frame_step = 50, 1.001, 2
     wanted = 4 * 1.001 / 50  # of frames 3, 5 and 7
@@ -253,7 +253,7 @@ def test_a_step_keeps_the_time_that_a_path_takes(
 
 
 def test_a_path_of_one_camera_keeps_its_pace(scene, camera, tmp_path: Path) -> None:
-    """Oracle: the scene's pace, which no second picture could tell."""
+    """Oracle: the scene's frame rate, which cannot be derived from a single picture."""
     scene.render.fps, scene.frame_end = 50, 3
     file = tmp_path / "p.json"
     bpy.ops.gscore.export_camera_path(filepath=str(file), world="BLENDER", kind="TRANSFORMS")
@@ -267,7 +267,10 @@ def test_cameras_of_alembic_files(scene, camera, tmp_path: Path) -> None:
     """Oracle: the path of the camera that Blender itself wrote to Alembic and read again."""
     bpy.ops.object.select_all(action="DESELECT")
     camera.select_set(True)
-    if bpy.app.version < (5, 2):  # of which 4.2 and 5.0 read an animated lens as its first frame
+    if bpy.app.version < (
+        5,
+        2,
+    ):  # of an animated lens, Blender 4.2 and 5.0 read the first frame only
         camera.data.animation_data_clear()
     file, paths = str(tmp_path / "walk.abc"), [tmp_path / "before.json", tmp_path / "after.json"]
     bpy.ops.gscore.export_camera_path(filepath=str(paths[0]), world="BLENDER", kind="TRANSFORMS")
@@ -285,7 +288,8 @@ def test_cameras_of_alembic_files(scene, camera, tmp_path: Path) -> None:
 
 
 def test_the_path_of_nerfstudios_viewer(scene, tmp_path: Path) -> None:
-    """Oracle: points projected by hand, with the vertical field of view; its size and pace."""
+    """Oracle: points projected by hand, with the vertical field of view; its size and frame
+    rate."""
     pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
     entries = [
         {"camera_to_world": np.ravel(pose).tolist(), "fov": fov, "aspect": 1} for fov in (90, 40)
@@ -353,7 +357,7 @@ def test_the_other_half_of_a_turn(scene, tmp_path: Path) -> None:
     file.write_text(json.dumps(entries))
     bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
     forward = []
-    for number in range(25):  # every second one lies between two cameras of the file
+    for number in range(25):  # every second one is between two cameras of the file
         scene.frame_set(number)
         forward.append(np.array(scene.camera.matrix_world)[:3, 2])
     cosines = [np.clip(a @ b, -1, 1) for a, b in pairwise(forward)]
@@ -363,14 +367,14 @@ def test_the_other_half_of_a_turn(scene, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS", "NERFSTUDIO"])
 def test_gscore_render_draws_what_f12_does(scene, camera, tmp_path: Path, kind) -> None:
-    """Oracle: F12 at each frame; the splats hang from a capture that is turned and scaled."""
+    """Oracle: F12 at each frame; the splats are children of a rotated, scaled capture."""
     root = capture_with(camera)
     splats = lab.blob(3000, size=1.2)
     objects.create(splats, "s", collection=scene.collection, parent=root)
     write_splats(tmp_path / "s.ply", splats)
     lab.prepare(scene, (320, 180))
     scene.camera, scene.frame_step = camera, 5
-    # Where the blob is seen, in the capture's place.
+    # The visible position of the blob, in the capture's space.
     camera.parent = root
     names = {3: "frame_000003", 8: "frame_000008"}
     if kind == "NERFSTUDIO":  # which has no names and no shift
@@ -390,8 +394,8 @@ def test_gscore_render_draws_what_f12_does(scene, camera, tmp_path: Path, kind) 
 
 
 def test_a_camera_of_a_straightened_photo(scene, tmp_path: Path) -> None:
-    """Oracle: the pinhole camera that it is in Blender, whose size its photo has there, with its
-    lens as it is animated."""
+    """Oracle: its pinhole camera in Blender, with the size of the undistorted photo and the
+    animated lens."""
     write_capture(tmp_path / "c", np.random.default_rng(0))
     made = captures.import_capture(scene, tmp_path / "c")
     ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")

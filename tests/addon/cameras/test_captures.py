@@ -28,7 +28,7 @@ PIXELS = 1e-3
 
 
 def by_blender(ob, scene, points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """[P, 2] pixels that Blender's own view of world points [P, 3] gives."""
+    """Pixels [P, 2] of world points [P, 3] by Blender's own projection."""
     views = np.array([tuple(world_to_camera_view(scene, ob, Vector(p))) for p in points])
     return np.stack([views[:, 0] * size[0], (1 - views[:, 1]) * size[1]], axis=1)
 
@@ -42,7 +42,7 @@ def in_view(render: RenderCamera, rng: np.random.Generator, count: int = 30) -> 
     local *= depths if not render.orthographic else [1, 1, 0]
     local[:, 2:] = depths
     points = (local - render.viewmat[:3, 3]) @ np.linalg.inv(render.viewmat[:3, :3]).T
-    return points.astype(np.float32).astype(np.float64)  # Blender's vectors hold no more
+    return points.astype(np.float32).astype(np.float64)  # Blender's vectors are float32
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def _compare(ob, scene, rng: np.random.Generator) -> None:
 
 
 def test_cameras_that_are_refused(scene) -> None:
-    """Oracle: the sentence names the camera and what it is."""
+    """Oracle: the message names the camera and its type."""
     data = bpy.data.cameras.new("c")
     ob = bpy.data.objects.new("Eye", data)
     scene.collection.objects.link(ob)
@@ -164,7 +164,7 @@ def test_another_size(scene) -> None:
 
 
 def test_what_an_import_makes(scene) -> None:
-    """Oracle: the model: names, sizes, float64 kept to the last bit, photos not decoded."""
+    """Oracle: the model: names, sizes, float64 values to the last bit, photos not decoded."""
     made = captures.import_capture(bpy.context.scene, STUDIO / "sparse" / "0")
     model = read_colmap(STUDIO)
     assert made.root["gs_kind"] == "capture" and made.root["gs_source"] == str(STUDIO)
@@ -223,7 +223,7 @@ def test_use_camera(scene) -> None:
 
 
 def test_pixel_aspect_is_said(scene, capture: Path) -> None:
-    """Oracle: fy / fx of the model, in the scene and in the sentence."""
+    """Oracle: fy / fx of the model, in the scene and in the message."""
     made = captures.import_capture(bpy.context.scene, capture)
     assert any("fx and fy differ" in warning for warning in made.warnings)
     assert any("differ in size" in warning for warning in made.warnings)
@@ -247,8 +247,8 @@ def test_distorted_cameras_come_as_trainings_see_them(scene, capture: Path) -> N
 
 
 def test_a_lens_that_cannot_be_straightened_is_said(scene, tmp_path: Path) -> None:
-    """Oracle: r (1 - 1.5 r^2) turns back at 0.47, within the photo: the camera is the pinhole part
-    of the lens, and its photo comes as it is."""
+    """Oracle: r (1 - 1.5 r^2) is not monotonic beyond 0.47, inside the photo: the camera is the
+    pinhole part of the lens, and its photo is not undistorted."""
     bent = {1: ("SIMPLE_RADIAL", 640, 480, (400.0, 320.0, 240.0, -1.5))}
     write_capture(tmp_path / "x", np.random.default_rng(0), cameras=bent, photos=True)
     made = captures.import_capture(bpy.context.scene, tmp_path / "x")
@@ -260,7 +260,8 @@ def test_a_lens_that_cannot_be_straightened_is_said(scene, tmp_path: Path) -> No
 
 
 def test_photos_that_are_missing(scene, tmp_path: Path) -> None:
-    """Oracle: cameras come without; the warning counts; using one says where it should be."""
+    """Oracle: cameras without photos; the warning counts them; using one reports the expected
+    path."""
     shutil.copytree(STUDIO / "sparse", tmp_path / "c" / "sparse")
     (tmp_path / "c" / "images").mkdir()
     shutil.copy(STUDIO / "images" / "view_000.jpg", tmp_path / "c" / "images")
@@ -273,7 +274,7 @@ def test_photos_that_are_missing(scene, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["missing", "empty", "photos", "broken", "panoramas"])
 def test_bad_captures_leave_the_scene_alone(scene, tmp_path: Path, kind: str) -> None:
-    """Oracle: the counts of all data before; a sentence about the folder."""
+    """Oracle: the counts of all data before; a message about the folder."""
     folder = tmp_path / "x"
     if kind != "missing":
         folder.mkdir()
@@ -299,7 +300,7 @@ def _counts() -> dict[str, int]:
 
 
 def test_save_and_load(scene, tmp_path: Path) -> None:
-    """Oracle: what the model states, read from the .blend to the last bit."""
+    """Oracle: the model's values, read from the .blend file to the last bit."""
     captures.import_capture(bpy.context.scene, STUDIO)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -318,8 +319,8 @@ def test_save_and_load(scene, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("held", [(3,) * 8, (6,) * 8, (8, 1) * 4, (4,) * 8, (7,) * 8])
 def test_up_by_the_orientation_of_photos(scene, tmp_path: Path, held: tuple[int, ...]) -> None:
-    """Oracle: the vertical of the world in which the photos were held upright, stored as their EXIF
-    orientation says; 12 degrees is what a ground may lean."""
+    """Oracle: the vertical of the world in which the photos were taken upright, stored according to
+    their EXIF orientation; a ground may be tilted by up to 12 degrees."""
     up = held_capture(tmp_path / "walk", held)
     root = captures.import_capture(bpy.context.scene, tmp_path / "walk").root
     for how in ("", "CAMERAS", "CAPTURE"):
@@ -329,8 +330,8 @@ def test_up_by_the_orientation_of_photos(scene, tmp_path: Path, held: tuple[int,
 
 
 def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
-    """Oracle: the stated direction, far from what the photos have in common, stands on end, as long
-    as nothing else is asked for; the cameras' own is another."""
+    """Oracle: the stated direction, far from the photos' common one, points up by default; that of
+    the cameras differs."""
     shutil.copytree(STUDIO / "sparse", tmp_path / "studio" / "sparse")
     model = read_colmap(tmp_path / "studio")
     root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
@@ -340,7 +341,7 @@ def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
     write_colmap(replace(model, up=stated), tmp_path / "studio" / "sparse" / "0")
     root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
     turned = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
-    assert turned[2] > np.cos(np.radians(12.1))  # by so much a ground may lean
+    assert turned[2] > np.cos(np.radians(12.1))  # largest tilt of a ground
     bpy.ops.gscore.align_capture(capture=root.name, up="CAMERAS")
     np.testing.assert_allclose(matrix_to_numpy(root.matrix_basis), own, atol=1e-5)
     bpy.ops.gscore.align_capture(capture=root.name, up="CAPTURE")
@@ -349,7 +350,8 @@ def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
 
 
 def test_another_machine(scene, tmp_path: Path) -> None:
-    """Oracle: cameras as before; a sentence about the photo; found again where it is now."""
+    """Oracle: cameras as before; a message about the photo, which is found again at its new
+    path."""
     shutil.copytree(STUDIO, tmp_path / "here" / "studio")
     made = captures.import_capture(bpy.context.scene, tmp_path / "here" / "studio")
     (tmp_path / "here").rename(tmp_path / "there")
@@ -418,7 +420,7 @@ def test_a_property_that_is_gone(scene) -> None:
 
 
 def test_operators(scene) -> None:
-    """Oracle: what the functions do; errors of both kinds are reports."""
+    """Oracle: the results of the functions; errors of both kinds are reports."""
     with pytest.raises(RuntimeError, match="No capture is imported"):
         bpy.ops.gscore.use_camera(index=0)
     with pytest.raises(RuntimeError, match="Capture is empty"):
@@ -526,5 +528,5 @@ def test_one_switch_shows_all_photos_of_the_capture(scene, tmp_path: Path) -> No
         (False, 0.5)
     }
     assert own.data.show_background_images and own.data.background_images[0].alpha == 0.25
-    data[0].show_background_images = True  # by hand; the switch then says so
+    data[0].show_background_images = True  # by hand; the switch shows that
     assert photos.shown

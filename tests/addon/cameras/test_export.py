@@ -1,4 +1,4 @@
-"""Cameras written back: the capture's own files to the last bit where nobody touched anything."""
+"""Camera export: the capture's own files to the last bit if nothing was changed."""
 
 import json
 import shutil
@@ -46,7 +46,7 @@ def graph() -> bpy.types.Depsgraph:
 
 
 def test_untouched_is_bit_for_bit(made, scene, capture: Path, tmp_path: Path) -> None:
-    """Oracle: the files that were imported, byte for byte, in spite of alignment and scale."""
+    """Oracle: the imported files, byte for byte, in spite of alignment and scale."""
     done = export_colmap(tmp_path / "out", made.cameras, scene, root=made.root, depsgraph=graph())
     assert (done.views, done.moved, done.points, done.warnings) == (14, 0, 300, ())
     for name in FILES:
@@ -115,7 +115,7 @@ def test_a_moved_camera(made, scene, capture: Path, tmp_path: Path) -> None:
 
 
 def test_a_zoomed_camera(made, scene, tmp_path: Path) -> None:
-    """Oracle: twice the lens is twice the focal length; a new intrinsics of its own."""
+    """Oracle: twice the lens is twice the focal length, in new intrinsics."""
     ob = made.cameras[0]
     ob.data.lens *= 2
     export_colmap(tmp_path, made.cameras, scene, root=made.root, depsgraph=graph())
@@ -123,7 +123,7 @@ def test_a_zoomed_camera(made, scene, tmp_path: Path) -> None:
     image = next(i for i in model.images if i.name == ob["gs_image"])
     camera = model.cameras[image.camera_id]
     assert image.camera_id == 8 and camera.model == "PINHOLE"
-    assert len(image.xys) == 0  # they were seen through another lens
+    assert len(image.xys) == 0  # they were observed through another lens
     np.testing.assert_allclose(camera.params, [3400, 3400, 960, 540], rtol=1e-6)
     assert len(model.cameras) == 8
 
@@ -132,7 +132,7 @@ def test_a_zoomed_camera(made, scene, tmp_path: Path) -> None:
 def test_a_zoomed_camera_of_a_bent_photo(
     made, scene, capture: Path, tmp_path: Path, kind: str
 ) -> None:
-    """Oracle: the capture's own files, for the photo fits no other lens; a warning names it."""
+    """Oracle: the capture's own files, because the photo fits no other lens; a warning names it."""
     bent = [ob for ob in made.cameras if "gs_photo_size" in ob]
     for ob in bent:
         ob.data.lens *= 2
@@ -172,7 +172,7 @@ def test_an_animated_camera(made, scene, tmp_path: Path) -> None:
 
 
 def test_deleted_cameras_and_points(made, scene, capture: Path, tmp_path: Path) -> None:
-    """Oracle: what is left of the model: exact rows, ids, and tracks of what is left."""
+    """Oracle: the rest of the model: exact rows, ids, and tracks."""
     gone = made.cameras[0]["gs_image"]
     bpy.data.objects.remove(made.cameras[0])
     mesh = made.points.data
@@ -207,7 +207,7 @@ def _delete(ob, chosen: np.ndarray) -> None:
 
 
 def test_duplicated_points_are_new_ones(made, scene, capture: Path, tmp_path: Path) -> None:
-    """Oracle: the copy has an id of its own, no track and no error."""
+    """Oracle: the copy has a new id, no track and no error."""
     bpy.context.view_layer.objects.active = made.points
     chosen = np.arange(300) == 17
     made.points.data.vertices.foreach_set("select", chosen)
@@ -223,7 +223,7 @@ def test_duplicated_points_are_new_ones(made, scene, capture: Path, tmp_path: Pa
 
 
 def test_cameras_of_ones_own(made, scene, tmp_path: Path) -> None:
-    """Oracle: imported again, they stand in Blender where they stood, with the same picture."""
+    """Oracle: the same place and picture in Blender after another import."""
     data = bpy.data.cameras.new("Dolly")
     ob = bpy.data.objects.new("Dolly/1", data)
     scene.collection.objects.link(ob)
@@ -247,7 +247,7 @@ def test_cameras_of_ones_own(made, scene, tmp_path: Path) -> None:
 
 
 def test_blenders_world(made, scene, tmp_path: Path) -> None:
-    """Oracle: matrix_world; no points, which are the capture's."""
+    """Oracle: matrix_world; no points, because they belong to the capture."""
     done = export_colmap(tmp_path, made.cameras[:3], scene, depsgraph=graph())
     assert (done.moved, done.points) == (3, 0)
     for image, ob in zip(read_colmap(tmp_path).images, made.cameras, strict=False):
@@ -256,7 +256,7 @@ def test_blenders_world(made, scene, tmp_path: Path) -> None:
 
 
 def test_operator_without_a_capture(scene, tmp_path: Path) -> None:
-    """Oracle: Blender's own projection of what was written; a sentence without a capture."""
+    """Oracle: Blender's own projection of the export; an error without a capture."""
     for i in range(3):
         ob = bpy.data.objects.new(f"Shot {i}", bpy.data.cameras.new("c"))
         scene.collection.objects.link(ob)
@@ -279,7 +279,7 @@ def test_operator_without_a_capture(scene, tmp_path: Path) -> None:
 
 
 def test_without_the_source(made, scene, capture: Path, tmp_path: Path) -> None:
-    """Oracle: poses and intrinsics of the model to the last bit; points as floats; said."""
+    """Oracle: poses and intrinsics of the model to the last bit; points as floats; a warning."""
     model = read_colmap(capture)
     shutil.rmtree(capture)
     done = export_colmap(tmp_path / "o", made.cameras, scene, root=made.root, depsgraph=graph())
@@ -297,7 +297,8 @@ def test_without_the_source(made, scene, capture: Path, tmp_path: Path) -> None:
 
 
 def test_a_source_that_was_made_anew(made, scene, capture: Path, tmp_path: Path) -> None:
-    """Oracle: the imported poses win over another reconstruction's, and it is said."""
+    """Oracle: the imported poses take precedence over those of another reconstruction; a
+    warning."""
     imported = {ob["gs_image"]: co.stated(ob).viewmat for ob in made.cameras}
     write_capture(capture, np.random.default_rng(7))
     done = export_colmap(tmp_path / "o", made.cameras, scene, root=made.root, depsgraph=graph())
@@ -308,7 +309,7 @@ def test_a_source_that_was_made_anew(made, scene, capture: Path, tmp_path: Path)
 
 
 def test_copies_get_names_of_their_own(made, scene, tmp_path: Path) -> None:
-    """Oracle: COLMAP wants different names."""
+    """Oracle: COLMAP requires unique names."""
     copy = made.cameras[0].copy()
     bpy.context.scene.collection.objects.link(copy)
     listed = [*made.cameras, copy]
@@ -342,7 +343,7 @@ def test_transforms_file(made, scene, tmp_path: Path) -> None:
 
 
 def test_refusals(made, scene, capture: Path, tmp_path: Path) -> None:
-    """Oracle: a sentence; no file is written and the capture's own are as before."""
+    """Oracle: an error; no file is written and the capture's own are as before."""
     before = {p: p.read_bytes() for p in capture.rglob("*.bin")}
     root = made.root
     with pytest.raises(ValueError, match="own model"):
@@ -391,7 +392,7 @@ def test_other_captures_of_the_file_stay(made, scene, tmp_path: Path) -> None:
 
 
 def test_a_fisheye_has_no_transforms(scene, tmp_path: Path) -> None:
-    """Oracle: the sentence names photo and model."""
+    """Oracle: the message names photo and model."""
     bent = {1: ("THIN_PRISM_FISHEYE", 640, 480, (400.0, 400.0, 320.0, 240.0, *8 * (0.01,)))}
     write_capture(tmp_path / "c", np.random.default_rng(0), cameras=bent)
     made = captures.import_capture(bpy.context.scene, tmp_path / "c")

@@ -1,4 +1,4 @@
-"""Cameras that are exported bit by bit. Oracle: the same export at once, and the folder."""
+"""Incremental camera export. Oracle: the same export in one call, and the folder."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,12 +29,12 @@ def made(scene: bpy.types.Scene) -> ImportedCapture:
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One camera a piece."""
+    """One camera per step."""
     monkeypatch.setattr(export_views, "BUDGET", 0.0)
 
 
 def going(folder: Path, **settings: Any) -> TaskRunner:
-    """The operator in a window, nothing done."""
+    """The operator in a window, before its first step."""
     work = stand_in("export_cameras", directory=str(folder), **settings)
     return TaskRunner(work.pieces(bpy.context))
 
@@ -50,7 +50,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_bit_by_bit_as_at_once(
     made: ImportedCapture, tmp_path: Path, kind: str, world: str
 ) -> None:
-    """To the byte; and pieces tell how far it is."""
+    """Equal to the byte; steps report the progress."""
     bpy.ops.gscore.export_cameras(directory=str(tmp_path / "a"), kind=kind, world=world)
     work = going(tmp_path / "b", kind=kind, world=world)
     assert not until(work, lambda: work.sentence == "Reading cameras: 30 of 60")
@@ -85,7 +85,7 @@ def _add_points(made: ImportedCapture) -> None:
 def test_what_changes_meanwhile_is_refused(
     made: ImportedCapture, tmp_path: Path, act: Callable, when: str, says: str
 ) -> None:
-    """Oracle: a sentence; nothing is written."""
+    """Oracle: an error; nothing is written."""
     work, told = going(tmp_path / "b"), []
 
     def comes() -> bool:
@@ -100,7 +100,7 @@ def test_what_changes_meanwhile_is_refused(
 
 
 def test_undo_meanwhile(made: ImportedCapture, tmp_path: Path) -> None:
-    """Oracle: the export at once; undo replaces objects."""
+    """Oracle: the export in one call; undo replaces objects."""
     bpy.ops.ed.undo_push(message="start")
     bpy.context.scene.frame_end = 77
     bpy.ops.ed.undo_push(message="a frame")
@@ -113,7 +113,7 @@ def test_undo_meanwhile(made: ImportedCapture, tmp_path: Path) -> None:
 
 
 def test_files_belong_together(tmp_path: Path) -> None:
-    """Oracle: none of two files where it was given up before the first, else both."""
+    """Oracle: no file if it was cancelled before the first of two, else both."""
     given_up = np.array([False])
 
     def check() -> None:

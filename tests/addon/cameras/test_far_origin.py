@@ -1,5 +1,5 @@
-"""Georeferenced captures in Blender: near its origin, the local origin noted, files where they
-were."""
+"""Georeferenced captures in Blender: imported near its origin, with the local origin stored, and
+exported to the original coordinates."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +36,7 @@ def far(tmp_path: Path) -> Path:
 
 
 def splats_in(made: captures.ImportedCapture, make_splats, path: Path, about: np.ndarray) -> Splats:
-    """A file of splats about a local origin, which lie about the capture's own."""
+    """A splat file with a local origin, with splats around the capture's own."""
     splats = make_splats(50)
     shift = capture_transform.origin_of(made.root) - about
     write_splat_file(
@@ -55,8 +55,8 @@ def centers(views) -> np.ndarray:
 def test_cameras_and_splats_land_in_one_frame_near_the_origin(
     scene, far: Path, make_splats, tmp_path: Path
 ) -> None:
-    """Oracle: poses of the files less the local origin, in float64; splats about that origin, about
-    another one, and with none stated lie where the file has them, to 1e-4 of the capture."""
+    """Oracle: poses of the files minus the local origin, in float64; splats relative to that
+    origin, to another one, and without one are at the file's positions, to 1e-4 of the capture."""
     made = captures.import_capture(scene, far, align=False)
     origin = capture_transform.origin_of(made.root)
     assert origin is not None and (np.abs(origin - UTM) < 10).all()
@@ -98,7 +98,7 @@ def test_splats_without_a_capture_keep_their_origin(scene, make_splats, tmp_path
 
 
 def test_exports_are_in_the_coordinates_of_the_capture(scene, far: Path, tmp_path: Path) -> None:
-    """Oracle: the files that were imported; 3e-9 is the rounding of float64 there."""
+    """Oracle: the imported files; 3e-9 is the rounding of float64 at these coordinates."""
     made = captures.import_capture(scene, far)
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
@@ -126,7 +126,7 @@ def test_exports_are_in_the_coordinates_of_the_capture(scene, far: Path, tmp_pat
 
 @pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS", NERFSTUDIO])
 def test_camera_paths_go_out_and_come_back(scene, far: Path, tmp_path: Path, kind: str) -> None:
-    """Oracle: where the camera stands in Blender, plus the local origin."""
+    """Oracle: the camera's position in Blender, plus the local origin."""
     made = captures.import_capture(scene, far, align=False)
     data = bpy.data.cameras.new("moving")
     ob = bpy.data.objects.new("moving", data)
@@ -151,8 +151,8 @@ def test_camera_paths_go_out_and_come_back(scene, far: Path, tmp_path: Path, kin
 def test_an_import_anew_keeps_the_origin_and_another_capture_is_told(
     scene, far: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the origin of the first import, though a moved model would be given another one; a
-    sentence that names both captures."""
+    """Oracle: the origin of the first import, although a moved model would get another one; a
+    warning that names both captures."""
     made = captures.import_capture(scene, far)
     origin = capture_transform.origin_of(made.root)
     model = read_colmap(far)

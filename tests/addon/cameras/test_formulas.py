@@ -1,4 +1,4 @@
-"""Oracle: closed forms written out by hand, and the way forth and back in float64."""
+"""Oracle: closed forms by hand, and round trips in float64."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_landscape_by_hand() -> None:
 
 
 def test_portrait_by_hand() -> None:
-    """Oracle: AUTO takes the sensor's width for the longer side, VERTICAL the sensor's height."""
+    """Oracle: AUTO uses the sensor's width for the longer side, VERTICAL the sensor's height."""
     frame = Frame(width=1080, height=1920)
     auto = intrinsics(Lens(lens=50.0, sensor_width=36.0, sensor_height=24.0), frame)
     assert auto[0, 0] == pytest.approx(50 / 36 * 1920)

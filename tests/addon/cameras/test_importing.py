@@ -1,4 +1,5 @@
-"""Cameras that come bit by bit, and anew. Oracle: the files, and the same import at once."""
+"""Incremental import of cameras, and repeated imports. Oracle: the files, and the same import in
+one call."""
 
 import gc
 import shutil
@@ -30,7 +31,7 @@ KINDS = ("objects", "cameras", "meshes", "collections", "images", "scenes")
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One camera a piece."""
+    """One camera per step."""
     monkeypatch.setattr(importing, "BUDGET", 0.0)
 
 
@@ -42,12 +43,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 def counts() -> dict[str, int]:
-    """How many datablocks there are."""
+    """Number of datablocks."""
     return {kind: len(getattr(bpy.data, kind)) for kind in KINDS}
 
 
 def state() -> dict[str, Any]:
-    """All that an import makes, and what else stands in the scene."""
+    """All data made by an import, and the other objects of the scene."""
     found: dict[str, Any] = {}
     for ob in bpy.context.scene.objects:
         props = {k: v.to_list() if hasattr(v, "to_list") else v for k, v in ob.items()}
@@ -66,12 +67,12 @@ def state() -> dict[str, Any]:
 
 
 def going(**settings: Any) -> TaskRunner:
-    """The operator in a window, nothing done."""
+    """The operator in a window, before its first step."""
     return TaskRunner(stand_in("import_cameras", **settings).pieces(bpy.context))
 
 
 def until(work: TaskRunner, ends: Callable[[], bool]) -> bool:
-    """Go on until something holds, or all is done; whether that is so."""
+    """Run steps until a condition is true, or all are done; return whether it is true."""
     for _ in range(10_000):
         if ends():
             return False
@@ -82,12 +83,12 @@ def until(work: TaskRunner, ends: Callable[[], bool]) -> bool:
 
 
 def half() -> bool:
-    """Whether some of the cameras are made."""
+    """Whether some, but not all, of the cameras are made."""
     return len(bpy.data.cameras) > 30
 
 
 def test_bit_by_bit_as_at_once(scene, folder: Path) -> None:
-    """To the bit; the scene shows nothing of it meanwhile, and pieces tell how far it is."""
+    """Equal to the bit; the scene shows nothing of it meanwhile, and steps report the progress."""
     captures.import_capture(scene, folder)
     at_once = state()
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -130,7 +131,7 @@ def _points_come() -> bool:
 
 
 def test_what_undo_takes_comes_again(scene, folder: Path) -> None:
-    """Oracle: the import at once."""
+    """Oracle: the import in one call."""
     captures.import_capture(scene, folder)
     at_once = state()
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -151,7 +152,7 @@ def test_what_undo_takes_comes_again(scene, folder: Path) -> None:
 
 
 def test_redo_of_what_was_there_meanwhile(scene, folder: Path) -> None:
-    """Oracle: nothing of ours, where a step that was made meanwhile comes back."""
+    """Oracle: no data of the import after the redo of a step made meanwhile."""
     bpy.ops.ed.undo_push(message="start")
     work = going(directory=str(folder))
     until(work, half)
@@ -174,7 +175,7 @@ def test_a_file_that_is_saved_meanwhile(scene, folder: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("ends", ["saved", "closed", "imported", "undone"])
 def test_what_is_done_right_after_esc(scene, folder: Path, tmp_path: Path, ends: str) -> None:
-    """What is removed bit by bit: Oracle: nothing of it is in the file, nor in a name's way."""
+    """Incremental removal. Oracle: none of it is in the file, or blocks a name."""
     bpy.ops.ed.undo_push(message="start")
     work = going(directory=str(folder))
     until(work, half)
@@ -201,8 +202,8 @@ def test_what_is_done_right_after_esc(scene, folder: Path, tmp_path: Path, ends:
 def test_photos_that_are_gone_leave_bit_by_bit(
     scene, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: cameras that are not in the scene any more, then not in the file; undo brings them
-    back, and redo takes them."""
+    """Oracle: cameras removed from the scene, then from the file; undo restores them, and redo
+    removes them."""
     monkeypatch.setattr(temporary_data, "BUDGET", 0.0)
     made = captures.import_capture(scene, folder)
     child = bpy.data.objects.new("child", None)
@@ -240,8 +241,8 @@ def test_a_scene_that_is_gone(scene, folder: Path) -> None:
 
 
 def test_anew(scene, folder: Path) -> None:
-    """Oracle: what the files say now. What is the user's stays: the empty with its alignment, what
-    hangs from it, names, collections, and what looks at a camera."""
+    """Oracle: the current files. The user's data stay: the empty with its alignment and children,
+    names, collections, and users of a camera."""
     made = captures.import_capture(scene, folder, align=False)
     capture_transform.set_extent(made.root, 12.5)
     model, listed = read_colmap(folder), made.cameras
@@ -292,7 +293,7 @@ def test_anew(scene, folder: Path) -> None:
 
 
 def test_a_capture_that_is_removed_meanwhile(scene, folder: Path) -> None:
-    """Or its empty alone, or none was there and one came. Oracle: the import at once."""
+    """Or only its empty, or there was none and one was added. Oracle: the import in one call."""
     made = captures.import_capture(scene, folder)
     at_once = state()
     work = going(directory=str(folder))
@@ -332,7 +333,7 @@ def test_another_mesh_is_edited_meanwhile(scene, folder: Path) -> None:
 
 
 def test_a_collection_that_is_left_out(scene, folder: Path) -> None:
-    """Oracle: the camera is brought up to date, and what was selected stays so."""
+    """Oracle: the camera is updated, and the selection stays."""
     made = captures.import_capture(scene, folder)
     other = bpy.data.objects.new("other", None)
     scene.collection.objects.link(other)
@@ -346,7 +347,7 @@ def test_a_collection_that_is_left_out(scene, folder: Path) -> None:
 
 
 def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
-    """Oracle: new cameras are in the scene that asked, and only there."""
+    """Oracle: new cameras are only in the scene of the import."""
     made = captures.import_capture(scene, folder)
     other = bpy.data.scenes.new("Other")
     shared = bpy.data.collections.new("a")  # before those of the capture
@@ -368,7 +369,8 @@ def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
 
 
 def test_what_else_moves_cameras(scene, folder: Path) -> None:
-    """Deltas go; keyframes and constraints stay, and are told. Oracle: Blender's own matrices."""
+    """Deltas are removed; keyframes and constraints stay, with a warning. Oracle: Blender's own
+    matrices."""
     listed = captures.import_capture(scene, folder).cameras
     bpy.context.view_layer.update()
     before = [matrix_to_numpy(ob.matrix_world) for ob in listed]
@@ -397,7 +399,7 @@ def test_what_else_moves_cameras(scene, folder: Path) -> None:
 
 
 def test_what_is_written_anew(scene, folder: Path) -> None:
-    """Whatever a camera has otherwise, and nothing else. Oracle: the scene as it was."""
+    """Every changed property of a camera, and no other. Oracle: the scene before."""
     listed = captures.import_capture(scene, folder).cameras
     before = state()
     listed[0].rotation_mode, listed[0].location.x = "XYZ", 5.0
@@ -415,7 +417,7 @@ def test_what_is_written_anew(scene, folder: Path) -> None:
 
 
 def test_a_camera_that_is_renamed_meanwhile(scene, folder: Path) -> None:
-    """It is not found when it is compared. Oracle: it becomes what the files say all the same."""
+    """It is not found during the comparison. Oracle: it is updated to the files nevertheless."""
     captures.import_capture(scene, folder)
     work = going(directory=str(folder))
     until(work, _begun)
@@ -429,7 +431,7 @@ def test_a_camera_that_is_renamed_meanwhile(scene, folder: Path) -> None:
 def test_a_camera_that_is_changed_after_it_was_compared(
     scene, folder: Path, monkeypatch, what: str
 ) -> None:
-    """Oracle: the import at once: all is as the files say, whoever moved it or stands there now."""
+    """Oracle: the import in one call: all data match the files, whatever was moved meanwhile."""
     camera = captures.import_capture(scene, folder).cameras[0]
     before = state()
     camera.data.lens += 3
@@ -458,7 +460,7 @@ def test_a_camera_that_is_changed_after_it_was_compared(
 
 
 def test_points_that_another_object_shows_too(scene, folder: Path) -> None:
-    """Oracle: it keeps those of before, also when all is removed that is no longer needed."""
+    """Oracle: it keeps the earlier points, also after the removal of unused data."""
     made = captures.import_capture(scene, folder)
     twin = made.points.copy()
     scene.collection.objects.link(twin)
@@ -470,7 +472,7 @@ def test_points_that_another_object_shows_too(scene, folder: Path) -> None:
 
 @pytest.mark.parametrize("ends", ["done", "esc", "fails"])
 def test_python_searches_for_garbage_again(scene, folder: Path, ends: str) -> None:
-    """Not while cameras come, when it takes long. Oracle: the threshold of the whole search."""
+    """Not during the import, when it takes long. Oracle: the threshold of full collections."""
     before = gc.get_threshold()
     work = going(directory=str(folder))
     assert not until(work, half) and gc.get_threshold()[2] > before[2]
@@ -488,7 +490,7 @@ def test_python_searches_for_garbage_again(scene, folder: Path, ends: str) -> No
 
 
 def test_points_that_are_edited(scene, folder: Path) -> None:
-    """Oracle: a sentence; nothing is changed."""
+    """Oracle: an error; nothing is changed."""
     made = captures.import_capture(scene, folder)
     bpy.context.view_layer.objects.active = made.points
     bpy.ops.object.mode_set(mode="EDIT")
@@ -513,7 +515,7 @@ def test_anew_is_one_undo_step(scene, folder: Path) -> None:
 
 
 def test_the_button_stays(scene, folder: Path, tmp_path: Path) -> None:
-    """Oracle: what the panel draws; one set of cameras, also where the capture has moved."""
+    """Oracle: the drawn panel; one set of cameras, also if the capture was moved."""
     scene.gscore.capture_path = str(folder)
     bpy.ops.gscore.import_cameras()
     assert "(Import Cameras Again)" in drawn(CamerasPanel)
@@ -527,7 +529,7 @@ def test_the_button_stays(scene, folder: Path, tmp_path: Path) -> None:
 
 
 def test_file_import_has_it(scene) -> None:
-    """Oracle: the entry of Blender's menu asks for a folder."""
+    """Oracle: the entry of Blender's menu opens the file browser for a folder."""
     from types import SimpleNamespace
 
     from addon.cameras import operators

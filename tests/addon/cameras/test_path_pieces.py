@@ -1,5 +1,5 @@
-"""Camera paths that are exported and imported bit by bit. Oracle: the same at once, and what was
-there before."""
+"""Incremental export and import of camera paths. Oracle: the same in one call, and the data
+before."""
 
 import gc
 from collections.abc import Callable
@@ -25,7 +25,7 @@ KINDS = ("objects", "cameras", "collections", "actions")
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame or a curve a piece."""
+    """One frame or curve per step."""
     for module in (camera_path, camera_path_import):
         monkeypatch.setattr(module, "BUDGET", 0.0)
 
@@ -37,7 +37,7 @@ def going(name: str, file: Path, **settings: Any) -> TaskRunner:
 
 
 def exporting(file: Path, **settings: Any) -> TaskRunner:
-    """Of the export."""
+    """The export operator."""
     return going("export_camera_path", file, **settings)
 
 
@@ -47,14 +47,14 @@ def half(work: TaskRunner) -> Callable[[], bool]:
 
 
 def counts() -> dict[str, int]:
-    """How many datablocks there are."""
+    """Number of datablocks."""
     return {kind: len(getattr(bpy.data, kind)) for kind in KINDS}
 
 
 @pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS", "NERFSTUDIO"])
 @pytest.mark.parametrize("world", ["BLENDER", "CAPTURE"])
 def test_export_as_at_once(scene, camera, tmp_path: Path, kind: str, world: str) -> None:  # noqa: F811
-    """To the byte, while the user moves along the timeline and renames the camera."""
+    """Equal to the byte, while the user changes the frame and renames the camera."""
     captures.import_capture(scene, STUDIO, photos=False, points=False)
     scene.camera = camera
     if kind == "NERFSTUDIO":
@@ -146,7 +146,7 @@ def test_what_changes_meanwhile(
     act: Callable[[bpy.types.Scene], None],
     says: str,
 ) -> None:
-    """Oracle: a sentence, and no file; a scene that is still there stands at the user's frame."""
+    """Oracle: an error, and no file; an existing scene is at the user's frame."""
     captures.import_capture(scene, STUDIO, photos=False, points=False)
     scene.camera = camera
     bpy.data.scenes.new("other")
@@ -161,8 +161,8 @@ def test_what_changes_meanwhile(
 
 
 def test_export_of_a_scene_that_is_left(scene, camera, tmp_path: Path) -> None:  # noqa: F811
-    """Oracle: the export at once, where the window shows another scene meanwhile; one that no
-    window has shown has its animated lens too."""
+    """Oracle: the export in one call, while the window shows another scene; a scene that no window
+    has shown exports its animated lens too."""
     export_path(tmp_path / "a", camera, scene)
     work = exporting(tmp_path / "b")
     assert not until(work, half(work))
@@ -181,7 +181,7 @@ def test_export_of_a_scene_that_is_left(scene, camera, tmp_path: Path) -> None: 
 
 
 def keys(ob: bpy.types.Object) -> dict[tuple[str, int], list[tuple]]:
-    """All that keyframes of a camera say."""
+    """All keyframes of a camera."""
     return {
         (curve.data_path, curve.array_index): [
             (
@@ -240,17 +240,17 @@ def test_keyframes_as_blender_inserts_them(file: Path) -> None:
 
 
 def importing(file: Path, **settings: Any) -> TaskRunner:
-    """Of the import."""
+    """The import operator."""
     return going("import_camera_path", file, **settings)
 
 
 def at_curve(work: TaskRunner, number: int) -> Callable[[], bool]:
-    """Whether so many curves are made."""
+    """Whether a number of curves is made."""
     return lambda: work.sentence == f"Importing keyframes: curve {number} of 9"
 
 
 def state() -> dict[str, Any]:
-    """What an import makes."""
+    """Data made by an import."""
     scene = bpy.context.scene
     ob = scene.camera
     return {
@@ -267,7 +267,7 @@ def state() -> dict[str, Any]:
 
 
 def test_import_as_at_once(file: Path) -> None:
-    """To the bit; the scene has nothing of it meanwhile."""
+    """Equal to the bit; the scene has nothing of it meanwhile."""
     bpy.ops.gscore.import_camera_path(filepath=str(file), world="BLENDER")
     bpy.context.view_layer.update()
     at_once = state()
@@ -294,7 +294,7 @@ def test_import_given_up(file: Path, number: int) -> None:
 
 @pytest.mark.parametrize("what", ["scene", "capture"])
 def test_import_into_what_is_gone(file: Path, what: str) -> None:
-    """Oracle: a sentence; nothing is left."""
+    """Oracle: an error; nothing is left."""
     scene = bpy.context.scene
     captures.import_capture(scene, STUDIO, photos=False, points=False)
     bpy.data.scenes.new("other")
@@ -310,7 +310,7 @@ def test_import_into_what_is_gone(file: Path, what: str) -> None:
 
 
 def test_import_below_a_capture_meanwhile_renamed(file: Path) -> None:
-    """Oracle: the camera hangs from it, in its collection, and sees as far as its cameras."""
+    """Oracle: the camera is its child, in its collection, with the clip end of its cameras."""
     made = captures.import_capture(bpy.context.scene, STUDIO, photos=False, points=False)
     work = importing(file, world="CAPTURE")
     assert not until(work, at_curve(work, 3))
@@ -324,7 +324,7 @@ def test_import_below_a_capture_meanwhile_renamed(file: Path) -> None:
 
 
 def test_undo_takes_it(file: Path) -> None:
-    """Oracle: what is undone meanwhile comes again; once it is there it is one step."""
+    """Oracle: undone data are made again; the finished import is one undo step."""
     bpy.ops.ed.undo_push(message="start")
     bpy.context.scene.frame_end = 77
     bpy.ops.ed.undo_push(message="a frame")

@@ -1,5 +1,5 @@
-"""The queue of photos to straighten, with stand-ins for the program. Oracle: what these were told,
-which they write down."""
+"""Queue of photos to undistort, with fakes of the program. Oracle: the requests that the fakes
+write to a file."""
 
 import sys
 import time
@@ -29,7 +29,7 @@ Run = Callable[[str], Callable[[], tuple[list[str], dict[str, str]]]]
 
 @pytest.fixture
 def told(tmp_path: Path) -> Path:
-    """Where programs write down what they are told."""
+    """The file to which fakes write their requests."""
     return tmp_path / "told"
 
 
@@ -40,12 +40,12 @@ def run(told: Path) -> Run:
 
 
 def tasks(*copies: str) -> list[dict[str, str]]:
-    """One for each copy."""
+    """One task per copy."""
     return [{"copy": copy} for copy in copies]
 
 
 def poll_until(queue: UndistortQueue, program: object, done: Callable[[list[str]], bool]) -> list:
-    """The copies that were made until something holds of them."""
+    """Poll until a condition on the finished copies is true; return them."""
     made, until = [], time.monotonic() + 20
     while not done(made):
         assert time.monotonic() < until, (made, queue.problems)
@@ -71,7 +71,7 @@ def test_what_is_asked_for_while_the_program_ends_is_made(run: Run, told: Path) 
 
 
 def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
-    """Every photo is told why; later ones are tried again."""
+    """Every photo gets the reason; later ones are tried again."""
     queue, program = UndistortQueue(), run(BEGINS + "sys.exit('no display')")
     for _ in range(2):
         queue.ask(tasks("a", "b", "c"))
@@ -84,7 +84,7 @@ def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
 
 
 def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None:
-    """The others are made by another one."""
+    """Another process makes the others."""
     queue, program = UndistortQueue(), run(BEGINS + ANSWERS)
     queue.ask(tasks("a", "crash", "b"))
     assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "b"]
@@ -94,7 +94,7 @@ def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None
 
 
 def test_what_is_asked_for_last_comes_first(run: Run, told: Path) -> None:
-    """But for the copy that is being made; nothing is made twice."""
+    """Except for the copy in progress; no copy is made twice."""
     slow = ANSWERS.replace("    if copy", "    time.sleep(0.3)\n    if copy")
     queue, program = UndistortQueue(), run(BEGINS + slow)
     queue.ask(tasks("a", "b", "c"))

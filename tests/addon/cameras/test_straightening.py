@@ -1,5 +1,5 @@
-"""Backgrounds of lenses that bend lines. Oracle: a chessboard, photographed by the formulas of the
-lenses, and where Blender's own projection has its corners."""
+"""Backgrounds of photos with lens distortion. Oracle: a chessboard, photographed by the formulas of
+the lenses, and its corners by Blender's own projection."""
 
 import os
 import shutil
@@ -42,7 +42,7 @@ FIELD, FAR = 0.25, 2.0
 
 
 def copy_needed(ob: bpy.types.Object) -> Path | None:
-    """The copy that a camera's background lacks, if it shows a straightened photo."""
+    """The missing copy of a camera's background, if it shows an undistorted photo."""
     found = straight_background(ob)
     return None if found is None else found.lacks()
 
@@ -67,7 +67,7 @@ def bend(model: str, rays: np.ndarray) -> np.ndarray:
 
 
 def rays_of(model: str, places: np.ndarray) -> np.ndarray:
-    """The way back, by steps that shrink the difference."""
+    """The inverse, by fixed-point iteration."""
     focal = np.array(LENSES[model][:1] * 2 if model == "SIMPLE_RADIAL" else LENSES[model][:2])
     middle = bend(model, np.zeros(2))
     ray = (places - middle) / focal
@@ -79,7 +79,7 @@ def rays_of(model: str, places: np.ndarray) -> np.ndarray:
 
 @lru_cache
 def board(model: str, times: int = 2) -> np.ndarray:
-    """[H, W, 3] uint8: the board before the camera, each pixel the mean of `times` squared."""
+    """Picture of the board, [H, W, 3] uint8, each pixel the mean of `times` squared samples."""
     y, x = (np.mgrid[0 : SIZE[1] * times, 0 : SIZE[0] * times] + 0.5) / times
     at = rays_of(model, np.stack([x, y], axis=-1)) * FAR / FIELD
     white = (np.floor(at[..., 0]) + np.floor(at[..., 1])) % 2
@@ -88,7 +88,7 @@ def board(model: str, times: int = 2) -> np.ndarray:
 
 
 def capture_of(folder: Path, names: list[str], ending: str = ".png") -> Path:
-    """A capture with a camera and a photo of the board for each of `LENSES` that is named."""
+    """A capture with a camera and a photo of the board for each given name of `LENSES`."""
     table, listed = {}, []
     for i, model in enumerate(names, 1):
         lens = np.array(LENSES[model])
@@ -124,7 +124,8 @@ def shown(image: bpy.types.Image) -> np.ndarray:
 
 
 def corner_near(picture: np.ndarray, place: np.ndarray, half: int = 4) -> np.ndarray:
-    """Where four fields of a board meet: the saddle of the quadric through the pixels around."""
+    """Corner of four fields of a board: the saddle point of a quadric fitted to the pixels
+    around."""
     column, row = (int(v) for v in place)
     part = picture[row - half : row + half + 1, column - half : column + half + 1]
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
@@ -138,7 +139,7 @@ def corner_near(picture: np.ndarray, place: np.ndarray, half: int = 4) -> np.nda
 
 
 def panel() -> str:
-    """What the panel shows once it knows what is lacking; others have to be told first."""
+    """The text of the panel once the missing copies are known."""
     text = drawn(CamerasPanel)
     while undistort_jobs.LACKING.busy:
         time.sleep(0.01)
@@ -157,7 +158,7 @@ def own_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize("ending", [".png", ".jpg"])
 def test_backgrounds_fit_up_to_the_corners(scene, tmp_path: Path, ending: str) -> None:
-    """Oracle: corners of the board, which Blender projects where the background shows them."""
+    """Oracle: corners of the board by Blender's projection, at their place in the background."""
     names = [*LENSES] if ending == ".png" else ["OPENCV"]
     made = captures.import_capture(
         scene, capture_of(tmp_path / "c", names, ending), align=False, points=False
@@ -197,7 +198,7 @@ def test_masks_stay_those_of_the_photo(scene, tmp_path: Path) -> None:
 
 
 def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_copies: Path) -> None:
-    """Oracle: the files in the folder, and the picture, which is that of the photo as it is now."""
+    """Oracle: the files in the folder, and the picture of the current photo."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     ob = made.cameras[0]
     assert copy_needed(ob) is not None and "(Undistort Photos)" in panel()
@@ -217,7 +218,7 @@ def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_co
     assert ob.data.background_images[0].alpha == 0.5 and not ob.data.show_background_images
 
     shutil.move(tmp_path / "c", tmp_path / "d")
-    assert copy_needed(ob) is None  # there is nothing to make it of
+    assert copy_needed(ob) is None  # there is no photo to make it from
     assert captures.relink(made.root, tmp_path / "d") == (1, 1)
     assert copy_needed(ob) is not None
     bpy.ops.gscore.straighten_photos()
@@ -226,7 +227,7 @@ def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_co
 
 
 def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) -> None:
-    """Oracle: the picture after the file was opened; a sentence where nothing is to be made."""
+    """Oracle: the picture after opening the file; a message if no copy can be made."""
     captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
     bpy.ops.gscore.straighten_photos()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
@@ -243,7 +244,7 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
 
 
 def test_a_photo_that_cannot_be_read_is_said(scene, tmp_path: Path, own_copies: Path) -> None:
-    """Oracle: the sentence, from the operator and in the panel; the other photo is there."""
+    """Oracle: the message of the operator and in the panel; the other photo is shown."""
     folder = capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"])
     (folder / "images" / "OPENCV.png").write_bytes(b"no picture")
     captures.import_capture(scene, folder)
@@ -255,7 +256,7 @@ def test_a_photo_that_cannot_be_read_is_said(scene, tmp_path: Path, own_copies: 
 
 
 def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) -> None:
-    """Oracle: the copies that are there; Blender is never waited for."""
+    """Oracle: the existing copies; Blender never waits."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     assert not bpy.ops.gscore.stop_straightening.poll()
     began = time.monotonic()
@@ -274,7 +275,7 @@ def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) ->
 
 
 def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: Path) -> None:
-    """Oracle: the picture in the background, after what leads backgrounds to their copies."""
+    """Oracle: the picture in the background, after backgrounds were linked to their copies."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     ob = made.cameras[0]
     write_png(tmp_path / "own.png", board("OPENCV"))
@@ -295,7 +296,7 @@ def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: 
 def test_a_wrong_link_is_led_to_a_copy_that_is_there(
     scene, tmp_path: Path, own_copies: Path
 ) -> None:
-    """Oracle: the file in the background; nothing is asked for, and opacity stays."""
+    """Oracle: the file in the background; no copy is requested, and opacity stays."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     bpy.ops.gscore.straighten_photos()
     (ob,), (copy,) = made.cameras, own_copies.iterdir()
@@ -309,7 +310,7 @@ def test_a_wrong_link_is_led_to_a_copy_that_is_there(
 
 
 def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> None:
-    """Oracle: how many copies are asked for; the sentence in the panel and from the operator."""
+    """Oracle: the number of requested copies; the message in the panel and of the operator."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
     del made.cameras[0]["gs_K"]
     assert undistort_jobs.ask(made.cameras) == 1
@@ -321,7 +322,7 @@ def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> N
 
 
 def test_panels_wait_for_no_disk(scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the threads in which photos are looked at, and how often."""
+    """Oracle: the threads that check photos, and the number of checks."""
     captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     main, looks = threading.current_thread(), []
 
@@ -339,7 +340,7 @@ def test_panels_wait_for_no_disk(scene, tmp_path: Path, monkeypatch: pytest.Monk
 def test_many_cameras_are_asked_for_at_once(
     scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: how often all images of the file are gone through."""
+    """Oracle: the number of passes over all images of the file."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     for ob in made.cameras:
         os.utime(stated(ob).photo, (1e9, 1e9))  # so that all copies have other names
@@ -354,8 +355,8 @@ def test_many_cameras_are_asked_for_at_once(
 
 
 def test_why_a_lens_is_not_straightened() -> None:
-    """Oracle: the sentence of the trainer, which refuses the lens too; importing again helps only
-    where a lens can be straightened."""
+    """Oracle: the error of the trainer, which refuses the lens too; importing again helps only if a
+    lens can be undistorted."""
     known = {"image": "a.png", "photo": "", "viewmat": np.eye(4), "K": np.eye(3)}
     known |= {"width": SIZE[0], "height": SIZE[1], "model": "SIMPLE_RADIAL"}
     folded = PhotoCamera(**known, params=(260.0, 160.0, 120.0, -1.5))
@@ -368,7 +369,7 @@ def test_why_a_lens_is_not_straightened() -> None:
 def test_preferences_tell_the_copies_once_they_are_counted(
     scene, own_copies: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the files in the folder; and that something waits for the thread that counts."""
+    """Oracle: the files in the folder, and that the panel waits for the counting thread."""
     looked, count = threading.Event(), undistort_operators._SIZES._function
     monkeypatch.setattr(
         undistort_operators._SIZES, "_function", lambda folder: looked.wait(60) and count(folder)

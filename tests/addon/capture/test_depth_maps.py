@@ -49,7 +49,8 @@ TABLE = [
 
 
 def test_rows_of_every_kind() -> None:
-    """Oracle: the table above; rows come by name, a refused map is compared by correlation."""
+    """Oracle: the table above; rows are sorted by name, a refused map is compared by
+    correlation."""
     report = from_table(TABLE, why="because")
     assert [row.view for row in report.rows] == ["a.jpg", "b/v_1.jpg", "b/v_2.jpg", "c.jpg"]
     assert [row.verdict for row in report.rows] == [MISSING, REFUSED, ACCEPTED, UNKNOWN]
@@ -95,6 +96,6 @@ def test_the_report_of_a_run(tmp_path: Path) -> None:
 
 
 def test_nothing_known_of_a_row() -> None:
-    """Oracle: no number is made up."""
+    """Oracle: no number is invented."""
     assert DepthRow(view="x", verdict=UNKNOWN).lines() == [("Map", "Not compared")]
     assert DepthRow(view="x", verdict=UNKNOWN).fit == "-"

@@ -1,4 +1,4 @@
-"""Folders good and bad, and what is said about them before training."""
+"""Inspection of good and bad folders before a training."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ def texts(facts: ShownFacts, errors: bool) -> str:
 
 
 def _write(folder: Path) -> None:
-    """Twenty small photos of one camera, each another one."""
+    """Twenty different small photos of one camera."""
     rng = np.random.default_rng(0)
     write_capture(folder, rng, cameras=PINHOLE, images=20, photos=True)
     for photo in sorted((folder / "images" / "sub").iterdir()):
@@ -40,7 +40,7 @@ def capture(tmp_path: Path) -> Path:
 
 
 def test_studio() -> None:
-    """Oracle: what the example is known to hold; nothing to complain about."""
+    """Oracle: the known content of the example; no problems."""
     facts = inspect(STUDIO)
     assert (facts.kind, facts.model) == ("COLMAP", STUDIO / "sparse" / "0")
     assert (facts.photos, facts.missing, facts.points) == (60, (), 6725)
@@ -63,7 +63,7 @@ def test_what_people_pick(inside: str) -> None:
 
 
 def test_folders_that_are_no_captures(tmp_path: Path) -> None:
-    """Oracle: a sentence with the folder and what to do; never an exception."""
+    """Oracle: a message with the folder and what to do; never an exception."""
     assert "Choose a folder" in texts(inspect(""), True)
     facts = inspect(tmp_path / "nowhere")
     assert "no folder" in texts(facts, True) and not facts.can_train and facts.lines() == []
@@ -80,7 +80,7 @@ def test_folders_that_are_no_captures(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("end", [0, 7, 100, 4000])
 def test_truncated_models(capture: Path, end: int) -> None:
-    """Oracle: the sentence names the file, wherever it was cut."""
+    """Oracle: the message names the file, wherever it was truncated."""
     file = capture / "sparse" / "0" / "images.bin"
     file.write_bytes(file.read_bytes()[:end])
     facts = inspect(capture)
@@ -116,8 +116,8 @@ def test_photos_without_a_camera(capture: Path) -> None:
 
 
 def test_sizes(capture: Path) -> None:
-    """Oracle: half the size fits and is told, another shape does not and is named, rubbish is
-    refused as training refuses it."""
+    """Oracle: half the size fits and is reported, another shape does not and is named, garbage is
+    refused as in training."""
     write_photo(capture / "images" / "sub" / "v004.png", 30, 20)
     (problem,) = inspect(capture).problems
     assert not problem.is_error and "1 photo has another size than the camera" in problem.text
@@ -173,7 +173,7 @@ def test_depths(capture: Path) -> None:
 
 
 def test_cameras_and_points(tmp_path: Path) -> None:
-    """Oracle: distortion is counted; unequal focal lengths, too few points are said, and train."""
+    """Oracle: distortion is counted; unequal focal lengths and too few points are warnings."""
     write_capture(tmp_path, np.random.default_rng(0), points=20)
     facts = inspect(tmp_path)
     notes = texts(facts, False)
@@ -185,7 +185,7 @@ def test_cameras_and_points(tmp_path: Path) -> None:
 
 
 def test_needs_neither_blender_nor_pillow() -> None:
-    """Oracle: a fresh Python that is told that these are not installed."""
+    """Oracle: a fresh Python in which these cannot be imported."""
     code = (
         "import sys\n"
         "for name in ('bpy', 'mathutils', 'PIL', 'torch', 'scipy', 'pycolmap'):\n"

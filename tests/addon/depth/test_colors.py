@@ -23,7 +23,7 @@ VERDICTS = (ACCEPTED, REFUSED, MISSING, UNKNOWN)
 
 @pytest.fixture
 def root(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
-    """A capture of 8 cameras; each has a color of its own."""
+    """A capture of 8 cameras with different colors."""
     rng = np.random.default_rng(3)
     write_capture(tmp_path / "cap", rng, cameras=SQUARE, images=8, photos=True)
     bpy.ops.gscore.import_cameras(directory=str(tmp_path / "cap"))
@@ -34,7 +34,7 @@ def root(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
 
 
 def report(root: bpy.types.Object, shift: int = 0) -> DepthReport:
-    """Verdicts in turn."""
+    """A report with alternating verdicts."""
     cameras = cameras_of(root)
     return DepthReport(
         tuple(
@@ -139,7 +139,7 @@ def test_undo_takes_the_colors_back(
 
 
 def test_what_is_drawn_lies_on_the_cameras(root: bpy.types.Object) -> None:
-    """Oracle: Blender's own projection puts the corners onto those of the camera's picture."""
+    """Oracle: by Blender's own projection, the corners are those of the camera's picture."""
     scene = bpy.context.scene
     bpy.ops.gscore.use_camera(index=0, look_through=False)
     bpy.context.view_layer.update()

@@ -1,4 +1,4 @@
-"""Oracle: what a scripted `gscore depth` told, the real one's files, and a clock."""
+"""Oracle: events of a scripted `gscore depth`, files of the real one, and a clock."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from addon import preferences
 from addon.capture import depth_maps
 from addon.core import read_colmap, write_colmap
 from addon.depth import predict_depth
-from addon.depth.registry import JOBS
+from addon.depth.job_registry import JOBS
 from addon.panels import depth_table
 from addon.process import poll_timer
 from addon.training import facts, lookups, verb_job
@@ -52,7 +52,7 @@ def progress(done: int, phase: str = "predicting") -> dict:
 
 @pytest.fixture
 def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene whose capture is the studio, looked into; no job is left when the test ends."""
+    """A scene with the inspected studio as capture; no job is left when the test ends."""
     scene.gscore.capture_path = str(STUDIO)
     scene.gscore.output_path = str(tmp_path / "out")
     prefs = preferences.get()
@@ -67,7 +67,8 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
 
 @pytest.fixture
 def play(tmp_path: Path) -> Callable[..., Path]:
-    """The preferences' Python becomes a fake that plays a script; gives where its call is noted."""
+    """Replace the preferences' Python by a fake that plays a script; return the file of its
+    arguments."""
 
     def choose(*script: dict) -> Path:
         preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
@@ -121,7 +122,7 @@ def test_checking_writes_nothing_and_follows_the_settings(studio: bpy.types.Scen
 def test_cancelling_asks_and_then_ends(
     studio: bpy.types.Scene, play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a script that ends when asked, and one that never does."""
+    """Oracle: a script that ends on request, and one that never does."""
     stopped = {"event": "error", "message": "Stopped after 1 views.", "type": "Cancelled"}
     play(progress(1), {"await": "stop"}, {"say": stopped})
     job = predict_depth.predict(studio)
@@ -150,7 +151,7 @@ def test_cancelling_asks_and_then_ends(
     ],
 )
 def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: str) -> None:
-    """Oracle: a sentence with what happened; what was known before is still shown."""
+    """Oracle: an error message; earlier results are still shown."""
     play(*script)
     before = predict_depth.report(studio)
     with pytest.raises(RuntimeError, match=words):
@@ -162,7 +163,7 @@ def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: s
 def test_what_is_missing_is_said_before_anything_starts(
     studio: bpy.types.Scene, play, tmp_path: Path
 ) -> None:
-    """Oracle: sentences; no job."""
+    """Oracle: error messages; no job."""
     play()
     with pytest.raises(RuntimeError, match="no depth network"):
         bpy.ops.gscore.predict_depth(filepath=str(tmp_path / "none.onnx"))
@@ -179,7 +180,7 @@ def test_what_is_missing_is_said_before_anything_starts(
 
 
 def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: metrics.json; the settings choose between it and the maps as they are."""
+    """Oracle: metrics.json; the settings choose between it and the current maps."""
     maps = predict_depth.report(studio)
     assert len(maps.rows) == 60
     content = {"depth": {"why": "Few views.", "views": [ACCEPTED | {"split": "train"}]}}
@@ -198,7 +199,7 @@ def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path:
 
 
 def test_a_beat_with_a_thousand_views_is_short(studio: bpy.types.Scene, play) -> None:
-    """Oracle: this thread's processor time, whatever else runs; the table is complete at once."""
+    """Oracle: processor time of this thread; the table is complete immediately."""
     table = [ACCEPTED | {"view": f"v{i:04}.jpg"} for i in range(1000)]
     play({"say": DONE | {"table": table}})
     job = predict_depth.check(studio)

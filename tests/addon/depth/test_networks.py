@@ -10,7 +10,7 @@ import pytest
 from addon import preferences
 from addon.core import depth_networks
 from addon.depth import networks, predict_depth
-from addon.depth.registry import JOBS
+from addon.depth.job_registry import JOBS
 from addon.panels.depth import DepthPanel
 from addon.training import facts, lookups
 from addon.training.networks import networks_here
@@ -26,8 +26,8 @@ Play = Callable[..., Path]
 
 @pytest.fixture
 def play(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[Play]:
-    """The scene's capture is the studio, the small network is chosen, and a fake plays a script in
-    the place of gscore; gives where its call is noted."""
+    """Use the studio as capture and the small network, and replace gscore by a fake that plays a
+    script; return the file of its arguments."""
     scene.gscore.capture_path = str(STUDIO)
     facts.refresh(scene)
     prefs = preferences.get()
@@ -55,7 +55,7 @@ def play(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[Play]:
 
 @pytest.fixture
 def online(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
-    """Sets what Blender says of going online."""
+    """Sets Blender's online access."""
     return lambda may: monkeypatch.setattr(networks, "may_go_online", lambda: may)
 
 
@@ -71,7 +71,7 @@ def test_a_network_that_is_here_needs_no_question(play: Play, online) -> None:
 
 
 def test_one_that_is_not_here_is_fetched_on_a_click_alone(play: Play, online) -> None:
-    """Oracle: size and licence of the catalogue on the panel and in the question; the call."""
+    """Oracle: size and licence of the catalogue in the panel and in the dialog; the call."""
     online(True)
     called = play({"say": DONE})
     shown = drawn(DepthPanel)
@@ -86,7 +86,7 @@ def test_one_that_is_not_here_is_fetched_on_a_click_alone(play: Play, online) ->
 
 
 def test_nothing_is_fetched_where_blender_stays_offline(play: Play, online) -> None:
-    """Oracle: no process is started, and the sentence says where the switch is."""
+    """Oracle: no process is started, and the message names the switch."""
     online(False)
     called = play({"say": DONE})
     called.unlink()
@@ -114,7 +114,7 @@ def test_a_file_of_ones_own_is_taken(play: Play, tmp_path: Path) -> None:
 
 
 def test_a_python_without_an_answer(tmp_path: Path) -> None:
-    """Oracle: a sentence with the Python in it."""
+    """Oracle: an error that names the Python."""
     for python in (tmp_path / "none", fake_python(tmp_path / "p", [{"raw": "no list\n"}])):
         with pytest.raises(ValueError, match="cannot list depth networks"):
             networks_here(str(python))

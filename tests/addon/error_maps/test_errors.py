@@ -1,4 +1,5 @@
-"""Oracle: what a scripted measuring tells, the map it wrote, and the scene before and after."""
+"""Oracle: events of a scripted measurement, the map that it wrote, and the scene before and
+after."""
 
 import json
 import os
@@ -14,7 +15,7 @@ from addon import attributes, preferences, stored_paths
 from addon.cameras.objects import cameras_of
 from addon.core import colorize, write_splats
 from addon.error_maps import colors, measure_errors
-from addon.error_maps.registry import JOBS
+from addon.error_maps.job_registry import JOBS
 from addon.panels.error_maps import ErrorsPanel
 from addon.process.incremental_tasks import run_blocking
 from addon.region_training.train_region import train_region
@@ -35,7 +36,7 @@ needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names
 
 @pytest.fixture
 def result(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Object]:
-    """Splats of a run of the studio, active, which were moved; the cameras are there."""
+    """Active, moved splats of a run of the studio, with its cameras."""
     scene.gscore.capture_path = str(STUDIO)
     facts.refresh(scene)
     bpy.ops.gscore.import_cameras()
@@ -58,7 +59,7 @@ def result(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Object]
 
 
 def play(tmp_path: Path, ob: bpy.types.Object, views: dict[str, float | None]) -> Path:
-    """The preferences' Python becomes a fake that measures; gives where its call is noted."""
+    """Replace the preferences' Python by a fake that measures; return the file of its arguments."""
     path = measure_errors.run_of(ob) / "errors" / "errors.ply"
     write_splats(path, replace(splats(50), shN=np.zeros((50, 0, 3), np.float32)))
     figures = [{"name": name, "psnr": psnr} for name, psnr in views.items()]
@@ -73,8 +74,8 @@ def play(tmp_path: Path, ob: bpy.types.Object, views: dict[str, float | None]) -
 
 
 def test_errors_are_shown_and_taken_away(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the colour map at the places of the PSNRs, the file's splats where the others stand;
-    after removal the colours, objects and what is hidden are as before."""
+    """Oracle: the colour map at the PSNRs, the file's splats at the transform of the result; after
+    removal colours, objects and visibility are as before."""
     cameras = cameras_of(result.parent)
     own = [tuple(camera.color) for camera in cameras]
     names = [camera["gs_image"] for camera in cameras]
@@ -102,7 +103,7 @@ def test_errors_are_shown_and_taken_away(result: bpy.types.Object, tmp_path: Pat
     assert lookups.figures.wait(run)[0] is not None
     text = drawn(ErrorsPanel)
     assert "20.0 dB" in text and names[0] in text and "8%" in text
-    JOBS._jobs.clear()  # as after a start of Blender
+    JOBS._jobs.clear()  # as after restarting Blender
     assert "20.0 dB" in drawn(ErrorsPanel)
     bpy.ops.gscore.show_error_map(show=False)
     assert result.visible_get() and not shown.visible_get() and bpy.context.object == result
@@ -119,7 +120,7 @@ def test_errors_are_shown_and_taken_away(result: bpy.types.Object, tmp_path: Pat
 
 
 def test_measured_again_into_the_same_object(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: one map after two measurings; from the map as from the splats."""
+    """Oracle: one map after two measurements, from the map as from the splats."""
     play(tmp_path, result, {"a": 20.0})
     for _ in range(2):
         bpy.ops.gscore.measure_errors(wait=True)
@@ -129,8 +130,8 @@ def test_measured_again_into_the_same_object(result: bpy.types.Object, tmp_path:
 
 
 def test_splats_and_their_errors_never_overlie(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: which of both is seen, in the view and in renders; no region is trained of a map; a
-    map of what is no longer shown goes."""
+    """Oracle: which of both is visible, in the view and in renders; a map cannot train a region; a
+    map without its splats is removed."""
     play(tmp_path, result, {"a": 20.0})
     bpy.ops.gscore.measure_errors(wait=True)
     shown = bpy.context.object
@@ -147,7 +148,7 @@ def test_splats_and_their_errors_never_overlie(result: bpy.types.Object, tmp_pat
 def test_photos_are_compared_with_splats_and_never_with_errors(
     result: bpy.types.Object, tmp_path: Path
 ) -> None:
-    """Oracle: the PSNR before there was a map; which of both is seen, before and after."""
+    """Oracle: the PSNR without a map; which of both is visible, before and after."""
     camera = cameras_of(result.parent)[0]
     bpy.ops.gscore.compare_photo(camera=camera.name)
     before = camera[PSNR]
@@ -166,7 +167,7 @@ def test_photos_are_compared_with_splats_and_never_with_errors(
 
 
 def test_hidden_splats_are_not_edited(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: what to do is said, and the selection is as before."""
+    """Oracle: the message says what to do, and the selection is as before."""
     result.hide_set(True)
     bpy.context.view_layer.objects.active = result
     before = attributes.selected(result.data)
@@ -177,7 +178,7 @@ def test_hidden_splats_are_not_edited(result: bpy.types.Object, tmp_path: Path) 
 
 
 def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the map is made, and is there when the collection is back."""
+    """Oracle: the map is made, and shown when the collection is included again."""
     play(tmp_path, result, {"a": 20.0})
     collection = bpy.data.collections.new("away")
     bpy.context.scene.collection.children.link(collection)
@@ -196,7 +197,7 @@ def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path:
 
 
 def test_what_cannot_be_measured(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: sentences, and a scene in which nothing changed."""
+    """Oracle: error messages, and an unchanged scene."""
     (measure_errors.run_of(result) / "point_cloud.ply").unlink()
     with pytest.raises(RuntimeError, match="no finished training"):
         bpy.ops.gscore.measure_errors()
@@ -207,7 +208,7 @@ def test_what_cannot_be_measured(result: bpy.types.Object, tmp_path: Path) -> No
 
 
 def test_splats_that_are_gone(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the sentence names the map; no object is made."""
+    """Oracle: the message names the map; no object is made."""
     play(tmp_path, result, {"a": 20.0})
     job = measure_errors.measure(result)
     bpy.data.objects.remove(result)
@@ -217,7 +218,7 @@ def test_splats_that_are_gone(result: bpy.types.Object, tmp_path: Path) -> None:
 
 @needs_trainer
 def test_a_real_run(result: bpy.types.Object) -> None:
-    """Oracle: a bad model: every camera is known, and the map has the splats' places."""
+    """Oracle: a bad model: every camera has a PSNR, and the map has the splats' positions."""
     preferences.get().python_path = REAL
     run = measure_errors.run_of(result)
     config = {"gscore": "0.1.0", "data": {"source": str(STUDIO)}, "train": {}}

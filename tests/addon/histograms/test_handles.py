@@ -1,4 +1,4 @@
-"""Handles of histograms. Oracle: places by hand, and the settings of an object."""
+"""Handles of histograms. Oracle: positions by hand, and the settings of an object."""
 
 from types import SimpleNamespace
 
@@ -13,7 +13,7 @@ SIZES = of_sizes(np.geomspace(0.01, 1, 10_001))
 
 
 def thing(**limits: float) -> SimpleNamespace:
-    """What looks like an object with filters."""
+    """A fake object with filters."""
     none = {"opacity_min": 0.0, "size_min": 0.0, "size_max": 0.0}
     return SimpleNamespace(gscore=SimpleNamespace(**none | limits))
 
@@ -32,7 +32,7 @@ def test_a_handle_sets_what_lies_below_it():
 
 
 def test_at_its_end_a_handle_limits_nothing():
-    """Oracle: 0, and the place of a handle without limit."""
+    """Oracle: 0, and the position of a handle without a limit."""
     ob = thing(size_min=0.1, size_max=0.5)
     low, high = handles(SIZE)
     low.move(SIZES, ob, -0.2)
@@ -42,7 +42,7 @@ def test_at_its_end_a_handle_limits_nothing():
 
 
 def test_handles_do_not_pass_each_other():
-    """Oracle: the other's place."""
+    """Oracle: the other's position."""
     ob = thing(size_min=0.1, size_max=0.5)
     low, high = handles(SIZE)
     low.move(SIZES, ob, 0.99)
@@ -52,7 +52,7 @@ def test_handles_do_not_pass_each_other():
 
 
 def test_boxes_lie_free():
-    """Oracle: what lies over the view at either side, above and below."""
+    """Oracle: regions over the view at either side, above and below."""
     over = Over(
         left=[Box(0, 0, 60, 600)],
         right=[Box(760, 0, 240, 600)],
@@ -67,7 +67,7 @@ def test_boxes_lie_free():
 
 
 def test_boxes_stand_above_what_floats_in_their_way():
-    """Oracle: its upper end, of what is in the way."""
+    """Oracle: the upper end of the overlapping region."""
     view = Box(0, 0, 800, 600)
     plain = placed(view, Over(), 2, 1.0)
     panel = Box(20, 20, 170, 25)

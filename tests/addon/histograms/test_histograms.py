@@ -17,13 +17,13 @@ from tests.addon.drawn import drawn
 
 
 def heights(pixels: np.ndarray, shown: bool) -> np.ndarray:
-    """How high the bars stand in each column, of those that are shown or hidden."""
+    """Heights of the bars in each column, of visible or hidden splats."""
     blue = pixels[..., 2] > 1.5 * pixels[..., 0]
     return ((pixels[..., 3] > 0.3) & (blue == shown)).sum(0)
 
 
 def test_bars_go_with_the_counts():
-    """Oracle: a ramp of counts; the square root of each, of the picture's height."""
+    """Oracle: a ramp of counts; the square root of each, times the picture's height."""
     values = np.repeat((np.arange(96) + 0.5) / 96, np.arange(96) + 1)
     found = of_opacities(values)
     np.testing.assert_array_equal(found.counts, np.arange(96) + 1)
@@ -45,7 +45,7 @@ def test_what_the_limits_hide_is_grey(smallest, largest):
 
 
 def test_odd_splats_have_histograms_too():
-    """Oracle: counts, of none, of one, and of splats all alike."""
+    """Oracle: counts, of none, of one, and of equal splats."""
     for sizes in ([], [0.1], [0.1] * 5, [0.0, 0.1]):
         found = of_sizes(np.array(sizes, np.float32))
         assert found.counts.sum() == len(sizes)
@@ -53,7 +53,7 @@ def test_odd_splats_have_histograms_too():
 
 
 def test_a_place_stands_for_a_value():
-    """Oracle: the way back, on an even axis and on a logarithmic one."""
+    """Oracle: the inverse, on a linear axis and on a logarithmic one."""
     for found in (of_opacities(np.array([0.5])), of_sizes(np.geomspace(0.001, 10, 100))):
         for place in (0.0, 0.3, 1.0):
             assert found.place(found.value(place)) == pytest.approx(place, abs=1e-6)
@@ -61,14 +61,14 @@ def test_a_place_stands_for_a_value():
 
 @pytest.fixture
 def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[counted.Counted]:
-    """What is known of objects, which need not be quiet here."""
+    """A `Counted` without the wait for unchanged meshes."""
     monkeypatch.setattr(counted, "QUIET", 0.0)
     yield counted.COUNTED
     counted.COUNTED.clear()
 
 
 def settle(kept: counted.Counted) -> int:
-    """Beats until all is counted; how many had something new to show."""
+    """Poll until all is counted; return the number of polls with new results."""
     new = 0
     while kept.waits():
         new += kept.collect()
@@ -76,18 +76,18 @@ def settle(kept: counted.Counted) -> int:
 
 
 def changed(ob: bpy.types.Object) -> None:
-    """Blender hears of other values."""
+    """Report changed values to Blender."""
     ob.data.update()
     bpy.context.view_layer.update()
 
 
 def numbers(kept: counted.Counted, ob: bpy.types.Object) -> list[int]:
-    """How many splats each histogram has."""
+    """Number of splats of each histogram."""
     return [int(found.counts.sum()) for found in kept.of(ob).values()]
 
 
 def test_meshes_are_counted_when_they_have_changed(scene, kept):
-    """Oracle: numpy's counts after an edit; those of before until then, and in Edit Mode."""
+    """Oracle: numpy's counts after an edit; the earlier ones until then, and in Edit Mode."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.update()
@@ -111,8 +111,8 @@ def test_meshes_are_counted_when_they_have_changed(scene, kept):
 
 
 def test_a_limit_makes_no_new_histogram(scene, kept, monkeypatch):
-    """Oracle: the very histogram of before, once Blender has called the mesh changed; nothing is
-    looked at before the mesh is quiet."""
+    """Oracle: the same histogram object after Blender has reported the mesh as changed; nothing is
+    counted before the mesh rests."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.update()
@@ -130,8 +130,8 @@ def test_a_limit_makes_no_new_histogram(scene, kept, monkeypatch):
 
 
 def test_many_are_counted_beside_blender(scene, kept, monkeypatch):
-    """Oracle: numpy's counts of every fourth; there is nothing until the beat has done all pieces;
-    another mesh of the object's leaves the histograms of before until it is counted."""
+    """Oracle: numpy's counts of every fourth; no result until the poll timer has run all steps;
+    with another mesh of the object, the earlier histograms stay until it is counted."""
     lab.prepare(scene)
     monkeypatch.setattr(counted, "MOST", 100)
     ob = lab.add(scene, lab.blob())
@@ -145,7 +145,7 @@ def test_many_are_counted_beside_blender(scene, kept, monkeypatch):
 
 
 def test_objects_of_two_windows_are_known_at_once(scene, kept, monkeypatch):
-    """Oracle: both are counted in the end, though each asks between the other's steps."""
+    """Oracle: both are counted in the end, although their requests alternate."""
     lab.prepare(scene)
     monkeypatch.setattr(counted, "MOST", 100)
     both = [lab.add(scene, lab.blob()), lab.add(scene, lab.blob(300))]
@@ -159,7 +159,8 @@ def test_objects_of_two_windows_are_known_at_once(scene, kept, monkeypatch):
 
 
 def test_without_splats_there_is_no_histogram(scene, kept):
-    """Oracle: an object whose splats were all deleted, or whose mesh goes while it is counted."""
+    """Oracle: an object whose splats were all deleted, or whose mesh is removed while it is
+    counted."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     assert numbers(kept, ob) == [400, 400]
@@ -175,7 +176,7 @@ def test_without_splats_there_is_no_histogram(scene, kept):
 
 
 def test_a_count_that_fails_leaves_what_was_there(scene, kept, monkeypatch):
-    """Oracle: the histogram of before, after an error in the thread that the beat reports."""
+    """Oracle: the earlier histogram, after an error in the thread that the poll timer reports."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     first = kept.of(ob)[SIZE]
@@ -192,7 +193,7 @@ def test_a_count_that_fails_leaves_what_was_there(scene, kept, monkeypatch):
 
 
 def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
-    """Oracle: the order of what the panel puts down, with icons as a window has them."""
+    """Oracle: the order in the panel, with icons as in a window."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.objects.active = ob
@@ -203,7 +204,7 @@ def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
 
 
 def test_icons_follow_the_filters(scene):
-    """Oracle: the picture that the counts give for the limits."""
+    """Oracle: the picture of the counts and limits."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     for limit in (0.0, 0.5):
@@ -215,7 +216,7 @@ def test_icons_follow_the_filters(scene):
 
 
 def test_splats_without_sizes_have_no_histograms(scene, kept):
-    """Oracle: what the panel puts down, of a missing attribute and of a number that is none."""
+    """Oracle: the panel's text, with a missing attribute and with NaN."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.objects.active = ob

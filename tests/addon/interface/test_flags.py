@@ -1,4 +1,4 @@
-"""Sentences of the trainer in a panel: no flag of the command line is left."""
+"""Messages of the trainer in a panel: no flag of the command line is left."""
 
 import ast
 from pathlib import Path
@@ -35,14 +35,14 @@ ADDON = Path(addon.__file__).parent
     ],
 )
 def test_names_of_panels(scene: bpy.types.Scene, said: str, shown: str) -> None:
-    """Oracle: the names as the panel's own properties have them."""
+    """Oracle: the names of the panel's own properties."""
     assert scene.gscore.bl_rna.properties["depth_mode"].name == "Use Depth"
     assert scene.gscore.bl_rna.properties["max_splats"].name == "Most Splats"
     assert panel_words(said).startswith(shown)
 
 
 def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
-    """Oracle: lines as the trainer writes them."""
+    """Oracle: lines of the trainer."""
     warned = read_event(to_line(Warn(message="Try --depth-mode off.", code="depth")))
     assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Never".'
     failed = read_event(to_line(Failed(message="Needs --max-splats.")))
@@ -57,7 +57,7 @@ def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
     ],
 )
 def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: str) -> None:
-    """Oracle: the field's name for what gscore raised; what the add-on says itself stays."""
+    """Oracle: the field's name in errors of gscore; the add-on's own messages stay."""
 
     class Refusing(ConfirmMixin, BaseOperator):
         def act(self, context: bpy.types.Context) -> str:
@@ -76,8 +76,8 @@ def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: st
 
 
 def test_no_error_of_gscore_is_shown_as_it_is() -> None:
-    """Oracle: the syntax trees of all files. What takes GsError, or whatever is raised, makes text
-    of it by `error_words` alone; only what knows no panels has errors as they are."""
+    """Oracle: the syntax trees of all files. Handlers of GsError, or of all exceptions, convert it
+    to text by `error_words` only; only code without panels uses the error's own text."""
     found = {
         path.relative_to(ADDON).as_posix()
         for path in sorted(ADDON.rglob("*.py"))
@@ -88,7 +88,7 @@ def test_no_error_of_gscore_is_shown_as_it_is() -> None:
 
 
 def _takes_all(handler: ast.ExceptHandler) -> bool:
-    """Whether it is there for errors of gscore too."""
+    """Whether a handler catches errors of gscore too."""
     taken = {node.id for node in ast.walk(handler.type) if isinstance(node, ast.Name)}
     return bool(taken & {"GsError", "DatasetError", "Exception"})
 

@@ -1,4 +1,4 @@
-"""What views are turned to. Oracle: scenes of known places, and the projection of what is seen."""
+"""Framing of views. Oracle: scenes of known geometry, and the projection of visible points."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -23,7 +23,7 @@ WIDE, HIGH = 0.72, 0.405
 
 @pytest.fixture
 def view(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A 3D view as Blender opens it; without a window there is none."""
+    """A fake of a new 3D view, because there is none without a window."""
     region = SimpleNamespace(
         view_perspective="PERSP",
         view_location=Vector(),
@@ -44,14 +44,14 @@ def view(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def eye_of(view: Any) -> np.ndarray:
-    """[3] where a view stands."""
+    """Position of a view, [3]."""
     region = view.region_3d
     away = region.view_rotation @ Vector((0, 0, region.view_distance))
     return np.array(region.view_location + away)
 
 
 def share_seen(view: Any, places: np.ndarray) -> float:
-    """Which part of places [N, 3] is in a view."""
+    """Share of points [N, 3] inside a view."""
     local = (places - eye_of(view)) @ np.array(view.region_3d.view_rotation.to_matrix())
     depth = -local[:, 2]
     x, y = np.abs(local[:, :2]).T
@@ -77,7 +77,7 @@ def capture_with(rotations: Sequence[Quaternion], eyes: np.ndarray) -> bpy.types
 def test_a_room_is_seen_from_inside_through_haze(
     scene: bpy.types.Scene, view: Any, scale: float
 ) -> None:
-    """Oracle: a table within four walls, photographed from their corners, and as many faint splats
+    """Oracle: a table between four walls, photographed from their corners, and as many faint splats
     in a cloud outside of the room; a view that looks along -y and down."""
     rng = np.random.default_rng(0)
     splats = lab.blob(4000)
@@ -101,7 +101,7 @@ def test_a_room_is_seen_from_inside_through_haze(
     assert np.linalg.norm(pivot - scale * np.array([0, 0, 0.75])) < 0.8 * scale
     assert share_seen(view, scale * table) > 0.9
     across = view.region_3d.view_rotation @ Vector((1, 0, 0))
-    assert abs(across.z) < 1e-5  # the photos were not held level, the view is
+    assert abs(across.z) < 1e-5  # the photos are not level, the view is
     view.region_3d.view_perspective = "CAMERA"
     before = eye_of(view)
     view.region_3d.view_distance = 1.0
@@ -131,7 +131,7 @@ def test_haze_is_not_framed_without_cameras_either(scene: bpy.types.Scene, view:
 
 
 def test_the_middle_counts_near_and_far() -> None:
-    """Oracle: a figure at 2 and a wall of as many places at 9; places behind the camera."""
+    """Oracle: a figure at 2 and a wall of as many points at 9; points behind the camera."""
     rng = np.random.default_rng(1)
     figure = rng.normal(size=(200, 3)) * 0.05 + (0, 0, 2)
     wall = np.concatenate([rng.uniform(-2, 2, (200, 2)), np.full((200, 1), 9.0)], axis=1)
@@ -144,7 +144,7 @@ def test_the_middle_counts_near_and_far() -> None:
 
 
 def test_imported_cameras_are_in_the_view(scene: bpy.types.Scene, view: Any) -> None:
-    """Oracle: the projection of the cameras; what is imported again leaves the view alone."""
+    """Oracle: the projection of the cameras; a repeated import does not change the view."""
     for again in range(2):
         if again:
             view.region_3d.view_location = Vector((1, 2, 3))
@@ -163,8 +163,8 @@ def test_captures_stand_beside_each_other(
     scene: bpy.types.Scene, tmp_path: Any, count: int
 ) -> None:
     """Oracle: boxes around the cameras and most points of each in Blender's world; the first is
-    where it would be alone, heights and turns stay, and Align to Ground leaves each its place.
-    Without alignment the axes of the files stay, whatever is there."""
+    where it would be alone, heights and rotations stay, and Align to Ground keeps each in place.
+    Without alignment the axes of the files stay, whatever is in the scene."""
     made = [captures.import_capture(scene, STUDIO)]
     alone = matrix_to_numpy(made[0].root.matrix_basis)
     for i in range(1, count):

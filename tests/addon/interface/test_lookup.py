@@ -1,5 +1,5 @@
-"""Oracle: names of fields where gscore names flags, in each panel and report that shows what was
-looked up."""
+"""Oracle: names of fields instead of gscore's flags, in each panel and report that shows a
+lookup."""
 
 import json
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ from addon.panels.depth import DepthPanel
 from addon.panels.error_maps import ErrorsPanel
 from addon.panels.train import TrainPanel
 from addon.panels.train_sequence import TrainSequencePanel
-from addon.sequence import registry
+from addon.sequence import job_registry
 from addon.splats.splat_files import import_splats
 from addon.training import existing_run, facts, lookups
 from tests.addon.captures import STUDIO, write_capture
@@ -43,9 +43,9 @@ SAID, SHOWN = "Needs fewer --max-splats.", 'Needs fewer "Most Splats".'
 def studio(
     scene: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[bpy.types.Scene]:
-    """A scene with the studio as its capture and the splats of a run, active; all that is looked up
-    for it is forgotten at the end."""
-    for known in (*lookups._ALL, registry.frames, registry.trained):
+    """A scene with the studio as its capture and the active splats of a run; all lookups are
+    dropped at the end."""
+    for known in (*lookups._ALL, job_registry.frames, job_registry.trained):
         monkeypatch.setattr(known, "_answers", {})
     prefs = preferences.get()
     before = prefs.python_path
@@ -58,17 +58,17 @@ def studio(
     stored_paths.write(ob, stored_paths.RUN, tmp_path / "run")
     bpy.context.view_layer.objects.active = ob
     yield scene
-    until(lambda: not lookups.busy() and not registry.busy())
+    until(lambda: not lookups.busy() and not job_registry.busy())
     prefs.python_path = before
 
 
 def refuse(*_: object, **__: object) -> None:
-    """As gscore does."""
+    """Raise an error like gscore."""
     raise GsError(SAID)
 
 
 def shows(panel: type, text: str = SHOWN) -> None:
-    """Wait until a panel shows a text, and see that no flag is left in it."""
+    """Wait until a panel shows a text, and check that no flag is left in it."""
     until(lambda: text in drawn(panel))
     assert "--" not in drawn(panel)
 
@@ -81,26 +81,26 @@ def shows(panel: type, text: str = SHOWN) -> None:
         (lookups.runs, TrainPanel),
         (lookups.depth_runs, DepthPanel),
         (lookups.figures, ErrorsPanel),
-        (registry.frames, TrainSequencePanel),
-        (registry.trained, TrainSequencePanel),
+        (job_registry.frames, TrainSequencePanel),
+        (job_registry.trained, TrainSequencePanel),
     ],
     ids=["captures", "forecasts", "runs", "depth runs", "figures", "frames", "trained"],
 )
 def test_what_cannot_be_looked_up(
     studio: bpy.types.Scene, known: Lookup, panel: type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever raises."""
-    if known is registry.trained:
+    """Any lookup that raises."""
+    if known is job_registry.trained:
         data = PRESETS["preview"](STUDIO)[0]
         frame = SequenceFrame(number=0, data=data)
-        monkeypatch.setattr(registry.frames, "_function", lambda _: [frame])
+        monkeypatch.setattr(job_registry.frames, "_function", lambda _: [frame])
     monkeypatch.setattr(known, "_answers", {})
     monkeypatch.setattr(known, "_function", refuse)
     shows(panel)
 
 
 def test_what_is_wrong_with_a_capture(studio: bpy.types.Scene) -> None:
-    """A folder of photos that is not there: in the panel, and as a training refuses it."""
+    """A missing folder of photos: in the panel, and in a training's error."""
     studio.gscore.images = "nothing"
     shows(CapturePanel, '"Photo Folder"')
     with pytest.raises(RuntimeError) as raised:
@@ -111,7 +111,7 @@ def test_what_is_wrong_with_a_capture(studio: bpy.types.Scene) -> None:
 def test_a_run_that_cannot_go_on(
     studio: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the panel, and as *Resume* refuses it."""
+    """In the panel, and in the error of *Resume*."""
     (tmp_path / "run").mkdir()
     data, config = PRESETS["preview"](STUDIO)
     info = RunInfo(
@@ -145,8 +145,8 @@ def test_why_depth_was_not_used(studio: bpy.types.Scene, tmp_path: Path) -> None
 def test_what_is_said_of_cameras(
     scene: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a capture warns of, lenses that cannot be straightened, a model that cannot be read any
-    more, and what a camera path warns of."""
+    """Warnings of a capture, lenses that cannot be undistorted, a model that can no longer be read,
+    and warnings of a camera path."""
     write_capture(tmp_path / "odd", np.random.default_rng(0))
     for module in (reading, undistorted_photos):
         monkeypatch.setattr(module, "plan_undistortion", refuse)
@@ -173,7 +173,7 @@ def test_what_is_said_of_cameras(
 
 
 def test_masks_that_will_be_used_are_named(studio: bpy.types.Scene) -> None:
-    """Once the capture is known; not where they are switched off."""
+    """Once the capture is known; not if they are switched off."""
     said = "The masks are used"
     shows(TrainPanel, said)
     studio.gscore.use_masks = False

@@ -1,4 +1,4 @@
-"""Oracle: what Blender says of its context; whether it is still there."""
+"""Oracle: Blender's context; whether Blender still runs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -36,7 +36,7 @@ os._exit(0)  # bpy 4.2 crashes at the end of Python whatever was done
 
 
 def test_there_is_a_window() -> None:
-    """Inside, as outside where there was one."""
+    """Inside the override, and outside if there was one."""
     with in_a_window() as window:
         assert window and bpy.context.window is not None
 

@@ -1,4 +1,4 @@
-"""Oracle: Blender's own list of what its dialog takes, and what reached the dialog."""
+"""Oracle: Blender's own list of its dialog's parameters, and the recorded dialog."""
 
 from types import SimpleNamespace
 
@@ -22,7 +22,7 @@ class Danger(ConfirmMixin, BaseOperator):
         self.reports: list[tuple[set[str], str]] = []
 
     def question(self, context: object) -> list[str]:
-        """As it was given."""
+        """The given text."""
         if self.problem:
             raise ValueError(self.problem)
         return self.asked
@@ -38,7 +38,7 @@ class Danger(ConfirmMixin, BaseOperator):
 
 
 def invoked(operator: Danger) -> tuple[set[str], list[dict]]:
-    """What `invoke` returns, and the dialogs that it opened."""
+    """Result of `invoke`, and the opened dialogs."""
     dialogs: list[dict] = []
 
     def dialog(operator: Danger, **options: object) -> set[str]:
@@ -50,7 +50,7 @@ def invoked(operator: Danger) -> tuple[set[str], list[dict]]:
 
 
 def test_it_asks_with_all_sentences() -> None:
-    """The dialog is Blender's, says no by default, and shows every sentence whole."""
+    """The dialog is Blender's, its default is Cancel, and it shows every sentence completely."""
     text = "The run in /somewhere/that/is/rather/long is replaced for good. " * 3
     operator = Danger(text, "And the object.")
     result, (options,) = invoked(operator)
@@ -69,7 +69,7 @@ def test_it_asks_with_all_sentences() -> None:
 
 
 def test_it_asks_nothing_where_there_is_nothing_to_lose() -> None:
-    """It acts at once; a reason against it is a report, and nothing is done."""
+    """It acts immediately; an error is a report, and nothing is done."""
     operator = Danger()
     assert invoked(operator) == ({"FINISHED"}, [])
     assert (operator.done, operator.reports) == (1, [({"INFO"}, "done")])
@@ -80,6 +80,6 @@ def test_it_asks_nothing_where_there_is_nothing_to_lose() -> None:
 
 @pytest.mark.parametrize("cls", [Train, DiscardTraining, PredictDepth, MakeEnvironment])
 def test_who_asks(cls: type) -> None:
-    """What cannot be taken back."""
+    """Operators that cannot be undone."""
     assert issubclass(cls, ConfirmMixin) and issubclass(cls, BaseOperator)
     assert cls.confirm != ConfirmMixin.confirm

@@ -1,7 +1,7 @@
-"""Operators on data that Blender does not keep: linked objects and meshes, library overrides.
+"""Operators on data that Blender does not save: linked objects and meshes, library overrides.
 
-Oracle of all: the file after it was saved and opened again. What an operator reports as done is in
-it; what it refused left no mark, and the refusal is one sentence of ours.
+Oracle of all: the file after saving and loading. Changes that an operator reports are in it;
+refused ones are not, and the refusal is one sentence of the add-on.
 """
 
 import shutil
@@ -154,7 +154,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def bring(library: Path, case: str, *, beside: bool = False) -> bpy.types.Object:
-    """The splats of the library in a new file, active; others are there and selected if wanted."""
+    """The splats of the library in a new file, active, optionally with other selected ones."""
     bpy.ops.wm.read_homefile(use_empty=True)
     file = str(library / "library.blend")
     with bpy.data.libraries.load(file, link=True) as (_, wanted):
@@ -169,7 +169,9 @@ def bring(library: Path, case: str, *, beside: bool = False) -> bpy.types.Object
         linked = kit
         kit = kit.override_hierarchy_create(scene, layer, do_fully_editable=case != "system")
         if scene.collection.children.get(linked.name, linked.library.filepath) == linked:
-            scene.collection.children.unlink(linked)  # Blenders differ in whether it is left
+            scene.collection.children.unlink(
+                linked
+            )  # versions of Blender differ in whether it stays
     ob = next(o for o in kit.objects if o.name.startswith("tree"))
     if case == "both":
         ob.data.override_create(remap_local_usages=True)
@@ -192,7 +194,7 @@ def bring(library: Path, case: str, *, beside: bool = False) -> bpy.types.Object
 
 
 def state() -> dict[str, Any]:
-    """What is in the file, as far as operators may change it."""
+    """Content of the file that operators may change."""
     found: dict[str, Any] = {}
     for ob in bpy.data.objects:
         if ob.library is None or ob.users_scene:
@@ -236,7 +238,7 @@ def _inputs(modifier: bpy.types.NodesModifier) -> list[Any]:
 
 
 def call(name: str, library: Path) -> str:
-    """Run an operator; its error, if it has one."""
+    """Run an operator; return its error, if any."""
     given = dict(CALLS[name])
     for key in given.keys() & {"filepath", "directory"}:
         given[key] = str(library / given[key])
@@ -262,7 +264,7 @@ def reopened(folder: Path) -> dict[str, Any]:
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", CALLS)
 def test_kept_or_refused(name: str, case: str, library: Path, tmp_path: Path) -> None:
-    """Oracle: the file that was saved; a sentence says what to do where nothing was done."""
+    """Oracle: the saved file; a message says what to do if nothing was done."""
     bring(library, case, beside=name == "join_splats")
     before = state()
     problem = call(name, library)
@@ -292,7 +294,7 @@ SETTINGS: dict[str, Any] = {
 
 
 def test_an_override_keeps_its_display(library: Path, tmp_path: Path) -> None:
-    """Oracle: all settings of a splat object, and its modifier, in the file that was saved."""
+    """Oracle: all settings of a splat object, and its modifier, in the saved file."""
     ob = bring(library, "override")
     own = set(ob.gscore.bl_rna.properties.keys())
     assert own - {"rna_type", "name", "crop_object"} == SETTINGS.keys()
@@ -308,7 +310,7 @@ def test_an_override_keeps_its_display(library: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("case", ["linked", "system", "scene"])
 def test_settings_of_others_raise_nothing(case: str, library: Path) -> None:
-    """Oracle: no exception; Blender's own fields are grey there, but scripts may write."""
+    """Oracle: no exception; Blender's own fields are disabled there, but scripts may write."""
     ob = bring(library, case)
     for name, value in SETTINGS.items():
         setattr(ob.gscore, name, value)
@@ -318,7 +320,7 @@ def test_settings_of_others_raise_nothing(case: str, library: Path) -> None:
 
 @pytest.mark.parametrize("case", ["linked", "mesh", "override", "both", "system"])
 def test_what_the_sentence_says_helps(case: str, library: Path) -> None:
-    """Oracle: the operator that was refused, after Blender's own Make Local."""
+    """Oracle: the refused operator, after Blender's own Make Local."""
     bring(library, case)
     problem = call("grade_splats", library)
     assert "Object > Relations > Make Local > Selected Objects and Data" in problem
@@ -328,7 +330,7 @@ def test_what_the_sentence_says_helps(case: str, library: Path) -> None:
 
 
 def test_a_follower_is_made_editable(library: Path) -> None:
-    """Oracle: the operator that was refused, after what the sentence says."""
+    """Oracle: the refused operator, after the remedy of the message."""
     ob = bring(library, "system")
     assert "Library Override > Make > Selected" in call("reset_filters", library)
     ob.override_library.is_system_override = False  # which is what the Outliner does
@@ -338,7 +340,7 @@ def test_a_follower_is_made_editable(library: Path) -> None:
 
 @pytest.mark.parametrize("case", CASES[:-1])
 def test_join_takes_only_what_goes(case: str, library: Path, tmp_path: Path) -> None:
-    """Oracle: the file that was saved: both objects, or one with the splats of both."""
+    """Oracle: the saved file: both objects, or one with the splats of both."""
     ob = bring(library, case, beside=True)
     if case in ("override", "system"):
         ob.scale = (1, 1, 1)
@@ -351,7 +353,7 @@ def test_join_takes_only_what_goes(case: str, library: Path, tmp_path: Path) -> 
 
 
 def test_a_collection_that_takes_nothing(library: Path) -> None:
-    """Oracle: the scene's own collection gets what cannot go beside the object."""
+    """Oracle: new objects go to the scene's collection if the object's cannot take them."""
     bring(library, "override")
     assert call("add_crop_box", library) == ""
     (box,) = (o for o in bpy.data.objects if o.name == "Crop")

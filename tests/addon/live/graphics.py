@@ -7,10 +7,10 @@ import pytest
 
 
 def begin() -> None:
-    """Make them ready, or skip the test.
+    """Initialise the graphics, or skip the test.
 
-    GSCORE_GPU_BACKEND names the backend that is wanted, `opengl` or `vulkan`; without it Blender's
-    own choice is tested.
+    GSCORE_GPU_BACKEND chooses the backend, `opengl` or `vulkan`; without it Blender's default is
+    tested.
     """
     if not hasattr(gpu, "init"):
         pytest.skip("this Blender has no graphics without a window")

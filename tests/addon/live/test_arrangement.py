@@ -1,4 +1,4 @@
-"""What the graphics card is given. Oracles are named in the tests."""
+"""Data for the graphics card. Oracles are named in the tests."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ from tests.addon import splat_scenes as lab
 
 
 def similarity(scale: float, seed: int = 0) -> np.ndarray:
-    """A turn, a scale and a shift."""
+    """A rotation, a scale and a translation."""
     rng = np.random.default_rng(seed)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     matrix = np.eye(4)
@@ -72,8 +72,8 @@ def test_the_most_seen_come_first():
 
 
 def test_marks_tint_and_hide():
-    """Oracle: the same order without marks: rows that are hidden are gone, colours of those that
-    are selected nearer to the tint, all others to the bit; the atlas is the same."""
+    """Oracle: the same order without marks: hidden rows are missing, colours of selected ones are
+    nearer to the tint, all others equal to the bit; the atlas is the same."""
     parts = [lab.blob(900, seed=1), lab.blob(300, seed=2)]
     made = atlas.build(parts)
     eye = order.Eye(viewmats=(np.eye(4), similarity(1.5)), orthographic=False)
@@ -95,7 +95,7 @@ def test_marks_tint_and_hide():
 
 
 def repainted(splats: Splats, rows: np.ndarray, *, fade: bool) -> Splats:
-    """The same arrays, but for colours, and opacities if wanted, of some rows."""
+    """The same arrays, except for colours, and optionally opacities, of some rows."""
     sh0, opacities = splats.sh0.copy(), splats.opacities.copy()
     sh0[rows] += 0.7
     opacities[rows] -= 1.5 * fade
@@ -104,8 +104,8 @@ def repainted(splats: Splats, rows: np.ndarray, *, fade: bool) -> Splats:
 
 @pytest.mark.parametrize("fade", [False, True])
 def test_a_repainted_atlas_is_one_of_what_was_painted(fade):
-    """Oracle: an atlas laid out anew, splat by splat; the texels are shared while they are the
-    same, and the earlier atlas keeps its own."""
+    """Oracle: a new atlas, splat by splat; equal texels are shared, and the earlier atlas keeps its
+    own."""
     parts = [lab.blob(1500, seed=1), lab.blob(700, seed=2)]
     made = atlas.build(parts)
     texels = made.texels.copy()
@@ -124,7 +124,7 @@ def test_a_repainted_atlas_is_one_of_what_was_painted(fade):
 
 
 def test_other_splats_are_no_repainted_ones():
-    """Oracle: what was exchanged: an array that is no colour, or the number of objects."""
+    """Oracle: None after a change of an array other than colours, or of the number of objects."""
     parts = [lab.blob(100)]
     made = atlas.build(parts)
     assert atlas.repainted(made, [replace(parts[0], means=parts[0].means.copy())]) is None
@@ -156,15 +156,16 @@ def test_which_splats_were_selected_anew():
 
 
 def test_more_than_float32_numbers_are_refused(monkeypatch):
-    """Oracle: the sentence names both numbers."""
+    """Oracle: the message names both numbers."""
     monkeypatch.setattr(atlas, "MOST", 1000)
-    with pytest.raises(ValueError, match=r"1,500 splats .* up to 1,000"):
+    with pytest.raises(ValueError, match=r"1,500 splats .* limit is 1,000"):
         atlas.build([lab.blob(1500)])
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_order_and_colours_of_objects_with_transforms(orthographic):
-    """Oracle: the splats taken to the camera by `transform_splats`, whose SH turn along."""
+    """Oracle: the splats transformed to the camera by `transform_splats`, which rotates the SH
+    too."""
     parts = [lab.blob(900, seed=3), lab.blob(400, seed=4)]
     viewmats = (similarity(1.7, 5), similarity(0.4, 6))
     made = atlas.build(parts)
@@ -192,12 +193,12 @@ def test_fewer_are_the_first_of_the_atlas():
 
 
 def card_seconds(detail: Detail) -> float:
-    """What a card needs that draws a splat in 100 ns and a pixel of a whole view in 20 ms."""
+    """Time of a card that needs 100 ns per splat and 20 ms for the pixels of a whole view."""
     return 1e-7 * detail.count + 0.02 / detail.factor**2
 
 
 def test_all_are_drawn_at_rest_and_less_on_the_move():
-    """Oracle: the clock that the test hands over, and a card of known speed."""
+    """Oracle: the test's clock, and a card of known speed."""
     level, now, total = Level(), 100.0, 10**6
     whole = Detail(count=total, factor=1)
     assert level.look(now, b"a", total) == whole  # opened: nothing moves
@@ -222,7 +223,7 @@ def test_all_are_drawn_at_rest_and_less_on_the_move():
 
 
 def test_a_quick_card_draws_all_and_a_slow_one_a_little():
-    """Oracle: what cards can do in the budget: everything, and nothing at all."""
+    """Oracle: the work of cards within the budget: everything, and nothing."""
     for seconds, want in ((BUDGET / 2, Detail(count=40_000, factor=1)),
                           (1.0, Detail(count=FEWEST, factor=3))):  # fmt: skip
         level, now = Level(), 0.0
@@ -235,7 +236,7 @@ def test_a_quick_card_draws_all_and_a_slow_one_a_little():
 
 
 def test_a_thread_answers_the_last_wish():
-    """Oracle: the wishes; those between the first and the last are forgotten."""
+    """Oracle: the requests; those between the first and the last are dropped."""
     begun, go = threading.Event(), threading.Event()
 
     def work(wish: int) -> int:

@@ -1,4 +1,4 @@
-"""When a graphics card that fails is asked again; oracle: a clock of the test's own."""
+"""Retries after failures of the graphics card; oracle: the test's own clock."""
 
 from addon.live.retry_limit import FORGIVEN, PAUSES, Attempts
 

@@ -1,4 +1,4 @@
-"""Pictures of views whose splats the graphics card refuses. Oracles are named in the tests."""
+"""Pictures of views whose splats the graphics card cannot draw. Oracles are named in the tests."""
 
 import time
 from dataclasses import replace
@@ -34,7 +34,7 @@ VIEW[2, 3] = -2.0
 
 @pytest.fixture
 def wish(scene: bpy.types.Scene) -> tuple[EngineRequest, Splats]:
-    """Of the picture of a blob in a perspective view, and the blob's splats."""
+    """A request for the picture of a blob in a perspective view, and the blob's splats."""
     ob = lab.add(scene, lab.blob(1500))
     bpy.context.view_layer.update()
     (source,) = sources(bpy.context.evaluated_depsgraph_get())
@@ -64,7 +64,7 @@ def drawn(wish: EngineRequest, camera=None) -> np.ndarray:
 
 
 def truth(wish: EngineRequest, splats: Splats, **options) -> np.ndarray:
-    """The same by gscore's own picture."""
+    """The same as rendered by gscore."""
     camera = wish.camera
     given = {"near": camera.near, "orthographic": camera.orthographic, **options}
     found = render(splats, camera.K, camera.viewmat, *SIZE, **given)
@@ -72,7 +72,7 @@ def truth(wish: EngineRequest, splats: Splats, **options) -> np.ndarray:
 
 
 def test_what_lies_over_a_view_shows_its_colours():
-    """Oracle: what Blender does with it, by IEC 61966-2-1 and its exponent."""
+    """Oracle: Blender's processing of overlays, by IEC 61966-2-1 and its exponent."""
     rgb = np.float32([[[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]]])
     alpha = np.float32([[0.5, 0.0]])
     held = over_view(rgb, alpha)
@@ -87,7 +87,7 @@ def test_what_lies_over_a_view_shows_its_colours():
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_meshes_hide_what_is_behind_them(wish, orthographic):
-    """Oracle: gscore.render of the splats before the mesh, where it is; of all, elsewhere."""
+    """Oracle: gscore.render of the splats in front of the mesh at its pixels; of all, elsewhere."""
     asked, splats = wish
     asked = parallel(asked) if orthographic else asked
     z = splats.means @ asked.camera.viewmat[2, :3] + asked.camera.viewmat[2, 3]
@@ -109,7 +109,7 @@ def test_meshes_hide_what_is_behind_them(wish, orthographic):
 
 @pytest.mark.parametrize("orthographic", [False, True])
 def test_what_is_cut_off_is_gone(wish, orthographic):
-    """Oracle: gscore.render of the splats that stay."""
+    """Oracle: gscore.render of the remaining splats."""
     asked, splats = wish
     asked = parallel(asked) if orthographic else asked
     cuts = Cuts(far=True, planes=np.array([[1.0, 0, 0, 0.1], [0, -1.0, 0, 0.2]]))
@@ -143,7 +143,7 @@ def test_what_is_selected_and_hidden_is_seen(wish):
 
 
 def test_a_smaller_picture_is_of_the_same_view(wish):
-    """Oracle: means of the pixels of the full one, depths included."""
+    """Oracle: means of the pixels of the full picture, including depths."""
     asked, _ = wish
     depths = np.ones(SIZE[::-1], np.float32)
     depths[:32, 48:] = 0  # the lower right
@@ -154,7 +154,7 @@ def test_a_smaller_picture_is_of_the_same_view(wish):
 
 
 def test_a_painter_draws_it_once(wish):
-    """Oracle: the same picture without a thread; a wish for the same is none."""
+    """Oracle: the same picture without a thread; an equal request is ignored."""
     asked, _ = wish
     painter = ViewPainter(SplatCache())
     painter.ask(asked)

@@ -27,7 +27,7 @@ def card():
 
 
 def view(orthographic: bool = False) -> RenderCamera:
-    """2 units before the origin, off its centre."""
+    """A view 2 units in front of the origin, off centre."""
     viewmat = np.eye(4)
     viewmat[2, 3] = 2.0
     focal = 60.0 if orthographic else 140.0
@@ -67,7 +67,7 @@ def painted(
     """The same, and [H, W] nearness or None."""
     from addon.live.card import Canvas, Shot
     from addon.live.clip import Cuts
-    from addon.live.uploads import Order, Texels, texture
+    from addon.live.texture_upload import Order, Texels, texture
 
     viewmats = tuple(camera.viewmat @ m for m in matrices)
     made = atlas.build(parts)
@@ -103,7 +103,7 @@ def values(texture, channels: int) -> np.ndarray:
 
 
 def truth(splats: Splats, camera: RenderCamera, **options) -> Rendered:
-    """gscore's own picture."""
+    """The picture by gscore.render."""
     given = {"near": camera.near, "orthographic": camera.orthographic, **options}
     return render(splats, camera.K, camera.viewmat, *SIZE, **given)
 
@@ -143,7 +143,7 @@ def test_needles_and_sheets(card):
 
 
 def test_several_objects_in_one_order(card):
-    """Oracle: gscore.render of all splats taken to one space."""
+    """Oracle: gscore.render of all splats transformed to one space."""
     parts = [lab.blob(700, seed=1), lab.blob(900, seed=2)]
     matrices = [np.eye(4), np.diag([0.5, 0.5, 0.5, 1.0])]
     matrices[1][:3, :3] = 0.5 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
@@ -156,7 +156,7 @@ def test_several_objects_in_one_order(card):
 
 
 def test_meshes_hide_what_is_behind_them(card):
-    """Oracle: gscore.render of the splats before the mesh, where it is; of all, elsewhere."""
+    """Oracle: gscore.render of the splats in front of the mesh at its pixels; of all, elsewhere."""
     splats, camera = lab.blob(2000), view()
     z = 2.0
     depth = 0.5 + 0.5 * (-WINDOW[2, 2] * z + WINDOW[2, 3]) / z
@@ -171,7 +171,7 @@ def test_meshes_hide_what_is_behind_them(card):
 
 
 def test_depths_are_blended_like_colours(card):
-    """Oracle: gscore.render of splats whose colour is 1 less their depth."""
+    """Oracle: gscore.render of splats with the colour 1 - depth."""
     splats, camera = lab.blob(2000), view()
     z = splats.means[:, 2].astype(np.float64) + 2
     place = 0.5 + 0.5 * (-WINDOW[2, 2] * z + WINDOW[2, 3]) / z
@@ -204,7 +204,7 @@ def test_what_lies_beyond_planes_is_left_out(card, orthographic):
 
 
 def test_what_lies_beyond_the_far_end_is_left_out(card):
-    """Oracle: gscore.render of the splats before it; of all, where the view has none."""
+    """Oracle: gscore.render of the splats in front of it; of all, if the view has none."""
     from addon.live.clip import Cuts
 
     splats, camera = lab.blob(2000), view()
@@ -230,7 +230,7 @@ def test_fewer_splats(card):
 @pytest.mark.parametrize("first", [1 << 23, (1 << 24) - 2048])
 def test_rows_beyond_half_of_what_float32_counts(card, monkeypatch, first):
     """Oracle: the picture of the same splats in the first rows, to the bit. The program is changed
-    to find those rows, up to the last that an atlas can have, at the beginning of a small one."""
+    to read those rows, up to the last one of an atlas, from the beginning of a small one."""
     from addon.live import program
 
     splats = lab.blob(2048)
@@ -245,8 +245,9 @@ def test_rows_beyond_half_of_what_float32_counts(card, monkeypatch, first):
 
 
 def test_an_atlas_comes_in_pieces(card, monkeypatch):
-    """Oracle: the texels themselves, to the bit; by one row, and by five, which leaves three."""
-    from addon.live.uploads import Texels
+    """Oracle: the texels themselves, to the bit; in chunks of one row, and of five, which leaves
+    three."""
+    from addon.live.texture_upload import Texels
 
     values = np.random.default_rng(0).normal(0, 1e6, (13, 40, 3, 4)).astype(np.float32)
     values[3, 5, 1] = 1e-38, -0.0, 16777215.0, 3e38
@@ -264,7 +265,7 @@ def test_an_atlas_comes_in_pieces(card, monkeypatch):
 
 def test_chunks_that_stay_are_not_uploaded_again(card, monkeypatch):
     """Oracle: the textures themselves, and the picture of an order that is uploaded whole."""
-    from addon.live.uploads import Order
+    from addon.live.texture_upload import Order
 
     monkeypatch.setattr(Order, "CHUNK", 500)
     entries = np.random.default_rng(0).uniform(0, 1, (1300, 4)).astype(np.float32)
@@ -286,7 +287,7 @@ def test_chunks_that_stay_are_not_uploaded_again(card, monkeypatch):
 
 
 def test_without_a_window_nothing_is_registered(scene):
-    """Oracle: the display of new objects, and the sentence of the panel."""
+    """Oracle: the display of new objects, and the message of the panel."""
     from addon.splats.live import SESSION
 
     if not bpy.app.background:
@@ -297,8 +298,8 @@ def test_without_a_window_nothing_is_registered(scene):
 
 @pytest.fixture
 def laid(card):
-    """Lays splats over a grey target, within another one or not; both, [H, W, 4], and the
-    picture."""
+    """Draw splats over a grey target, with or without the view's own target; return both, [H, W,
+    4], and the picture."""
     import gpu
 
     from addon.live.card import Canvas
@@ -326,7 +327,8 @@ def laid(card):
 
 
 def test_a_picture_lies_within_a_view(laid):
-    """Oracle: IEC 61966-2-1 and the formulas of blending; what lay over it is as much fainter."""
+    """Oracle: IEC 61966-2-1 and the formulas of blending; covered overlays are fainter
+    accordingly."""
     over, within, rgba = laid()
     alpha = rgba[..., 3:]
     straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
@@ -341,7 +343,7 @@ def test_a_picture_lies_within_a_view(laid):
 
 @pytest.mark.parametrize("within", [False, True])
 def test_a_region_of_a_view_alone_is_drawn(laid, within):
-    """Oracle: the whole picture in the region, to the bit; what was there beside it."""
+    """Oracle: the whole picture inside the region, to the bit; the earlier picture outside."""
     scene_of = (lambda target: target) if within else (lambda target: None)
     left, top, width, height = window = 20, 10, 90, 70
     part = np.s_[top : top + height, left : left + width]
@@ -359,7 +361,7 @@ def test_the_part_that_is_drawn_to_stays(card, nearness):
     import gpu
 
     from addon.live.card import Canvas
-    from addon.live.uploads import Texels
+    from addon.live.texture_upload import Texels
 
     outer, scene = (gpu.types.GPUOffScreen(*SIZE, format="RGBA32F") for _ in range(2))
     canvas = Canvas(*SIZE, nearness=nearness)
@@ -381,10 +383,10 @@ def test_the_part_that_is_drawn_to_stays(card, nearness):
 
 
 def test_a_view_that_cannot_be_drawn_to_is_drawn_over(laid, card, caplog):
-    """Oracle: the picture that is laid over a view as if there were nothing else; said once."""
+    """Oracle: the picture drawn over the view without its own target; logged once."""
 
     class Gone:
-        """As a target whose memory Blender has freed."""
+        """A fake of a target whose memory Blender has freed."""
 
         def bind(self):
             raise ReferenceError("GPU framebuffer no longer valid")

@@ -1,4 +1,4 @@
-"""Depths that a view keeps; oracle: the depths that were drawn."""
+"""Depth buffer of a view; oracle: the drawn depths."""
 
 import gpu
 import numpy as np
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.graphics
 
 @pytest.fixture(scope="module")
 def drawn_to():
-    """[H, W] depths are put into a target, and read back by `Depths` given in."""
+    """Write depths [H, W] to a target, and read them back by the given `Depths`."""
     graphics.begin()
 
     def read(depths: Depths, value: float, size: tuple[int, int] = (6, 4)):
@@ -25,7 +25,7 @@ def drawn_to():
 
 
 def test_the_texture_stays_while_depths_do(drawn_to):
-    """Oracle: what was drawn, and which texture it is."""
+    """Oracle: the drawn depths, and the identity of the texture."""
     depths = Depths()
     first = drawn_to(depths, 0.25)
     found = first.read()

@@ -1,4 +1,4 @@
-"""What is selected of large meshes in Edit Mode, as the live display learns of it."""
+"""Selection of large meshes in Edit Mode, as read for the live display."""
 
 import bmesh
 import bpy
@@ -7,7 +7,7 @@ import pytest
 
 from addon import attributes
 from addon.live import edited
-from addon.render import copies
+from addon.render import viewport_copies
 from addon.render.mesh_copies import HIDDEN, SELECTED
 from addon.render.scene import sources
 from tests.addon import splat_scenes as lab
@@ -18,7 +18,7 @@ COUNT = 500
 @pytest.fixture
 def ob(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Object:
     """An object that counts as large, with a third of it selected, in Object Mode."""
-    monkeypatch.setattr(copies, "EDITED_AT_ONCE", COUNT - 1)
+    monkeypatch.setattr(viewport_copies, "EDITED_AT_ONCE", COUNT - 1)
     monkeypatch.setattr(edited, "PIECE", 200)
     ob = lab.add(scene, lab.blob(COUNT))
     attributes.select(ob.data, np.arange(COUNT) % 3 == 0)
@@ -27,16 +27,16 @@ def ob(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Obj
 
 
 @pytest.fixture
-def known(ob: bpy.types.Object) -> copies.Copies:
+def known(ob: bpy.types.Object) -> viewport_copies.Copies:
     """Its copy."""
-    made = copies.Copies()
+    made = viewport_copies.Copies()
     _marks(made)
     return made
 
 
 @pytest.fixture
-def reader(known: copies.Copies) -> edited.Reader:
-    """What is tested, with Edit Mode begun at second 0."""
+def reader(known: viewport_copies.Copies) -> edited.Reader:
+    """The tested reader, with Edit Mode started at second 0."""
     made = edited.Reader(known)
 
     def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
@@ -53,8 +53,8 @@ def reader(known: copies.Copies) -> edited.Reader:
     made.clear()
 
 
-def _marks(known: copies.Copies) -> np.ndarray:
-    """[COUNT] uint8 of the one copied object."""
+def _marks(known: viewport_copies.Copies) -> np.ndarray:
+    """Marks of the only copied object, [COUNT] uint8."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     placed, complete = known.copied(sources(depsgraph))
     while not placed and not complete:
@@ -64,7 +64,7 @@ def _marks(known: copies.Copies) -> np.ndarray:
 
 
 def _read(reader: edited.Reader) -> int:
-    """Pieces read until there is something new to show."""
+    """Number of chunks read until views must be redrawn."""
     assert not reader.step(edited.REST / 2)  # not while it does not rest
     for pieces in range(1, 20):
         if reader.step(1.0):
@@ -73,7 +73,7 @@ def _read(reader: edited.Reader) -> int:
 
 
 def test_selections_and_hiding_follow_in_edit_mode(reader, known, ob) -> None:
-    """Oracle: what was selected and hidden through Blender's own operators."""
+    """Oracle: selection and visibility set by Blender's own operators."""
     assert reader.waits
     assert _read(reader) == 3 and not reader.waits
     assert ((_marks(known) & SELECTED) != 0).sum() == (COUNT + 2) // 3
@@ -92,7 +92,7 @@ def test_selections_and_hiding_follow_in_edit_mode(reader, known, ob) -> None:
 
 
 def test_a_selection_begins_again_what_was_being_read(reader, known, ob) -> None:
-    """Oracle: the later selection, alone; half of the earlier one had been read."""
+    """Oracle: the later selection only; half of the earlier one had been read."""
     reader.step(1.0)
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.context.view_layer.update()
@@ -101,7 +101,7 @@ def test_a_selection_begins_again_what_was_being_read(reader, known, ob) -> None
 
 
 def test_other_splats_are_left_alone(reader, known, ob) -> None:
-    """Oracle: the copy keeps its splats, of which others stand in the editor, until the end."""
+    """Oracle: the copy keeps its splats until Edit Mode ends, although the BMesh has others."""
     editor = bmesh.from_edit_mesh(ob.data)
     bmesh.ops.delete(editor, geom=editor.verts[:100], context="VERTS")
     bmesh.update_edit_mesh(ob.data)
@@ -112,15 +112,15 @@ def test_other_splats_are_left_alone(reader, known, ob) -> None:
 
 
 def test_nothing_is_held_after_edit_mode(reader, known, ob) -> None:
-    """Oracle: Blender's editor is gone, and so is what was to be read."""
+    """Oracle: the BMesh is released, and nothing remains to be read."""
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.view_layer.update()
     assert not reader.step(1.0) and not reader.waits
 
 
 def test_small_objects_are_not_read(reader, known, ob, monkeypatch) -> None:
-    """Oracle: those are copied at once, by others."""
-    monkeypatch.setattr(copies, "EDITED_AT_ONCE", COUNT)
+    """Oracle: they are copied directly elsewhere."""
+    monkeypatch.setattr(viewport_copies, "EDITED_AT_ONCE", COUNT)
     reader.clear()
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.context.view_layer.update()

@@ -1,4 +1,4 @@
-"""Lines in front of everything; oracle: which lines were drawn without a depth."""
+"""Lines in front of everything; oracle: the lines drawn without a depth."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
-"""What a view's thread makes of splats that are painted. Oracle: another thread's work, from
-nothing."""
+"""Orders of painted splats by a view's thread. Oracle: the result of a new thread without a
+cache."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +20,7 @@ EYE = order.Eye(viewmats=(np.diag([1.0, -1, -1, 1]),), orthographic=False)
 
 @pytest.fixture
 def wish(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.DrawRequest]:
-    """A wish for an object as one of its copies has it."""
+    """A request for an object with one of its copies."""
     ob = lab.add(scene, lab.blob(800))
     bpy.context.view_layer.update()
     (source,) = sources(bpy.context.evaluated_depsgraph_get())
@@ -34,7 +34,7 @@ def wish(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.DrawRequest]:
 
 
 def seen(answer: tuple[atlas.Atlas, np.ndarray]) -> np.ndarray:
-    """[M, 5] of the splats that show, by their number: colours, opacity and what they are."""
+    """Visible splats by index, [M, 5]: colours, opacity and index."""
     made, entries = answer
     rows = entries[:, 0].astype(int)
     texels = made.texels.reshape(-1, atlas.TEXELS, 4)[rows, 0, 3]
@@ -43,7 +43,7 @@ def seen(answer: tuple[atlas.Atlas, np.ndarray]) -> np.ndarray:
 
 
 def test_paint_and_selections_go_over_what_they_change(wish, monkeypatch) -> None:
-    """Oracle: a view that sees it for the first time, to the bit; nothing was sorted again."""
+    """Oracle: a new view, to the bit; nothing was sorted again."""
     arranger = views.Arranger(SplatCache())
     frozen = wish.frozen
     first = seen(arranger(wish(frozen)))
@@ -65,14 +65,14 @@ def test_paint_and_selections_go_over_what_they_change(wish, monkeypatch) -> Non
 
 
 def test_another_view_or_hidden_splats_are_sorted_anew(wish, monkeypatch) -> None:
-    """Oracle: a view that sees it for the first time, and how often was sorted."""
+    """Oracle: a new view, and the number of sorts."""
     arranger, frozen, calls = views.Arranger(SplatCache()), wish.frozen, []
     arrange = order.arrange
     monkeypatch.setattr(order, "arrange", lambda *a: calls.append(1) or arrange(*a))
     arranger(wish(frozen))
     hidden = np.where(np.arange(800) < 50, HIDDEN, 0).astype(np.uint8)
     asked = wish(frozen.remarked(hidden))
-    # In Edit Mode, where what is hidden does not show.
+    # In Edit Mode, where hidden splats are not drawn.
     asked = replace(asked, placed=(replace(asked.placed[0], edited=True),))
     assert len(arranger(asked)[1]) == 750 and len(calls) == 2
     assert len(arranger(replace(asked, count=300))[1]) <= 300 and len(calls) == 3

@@ -1,4 +1,4 @@
-"""The picture that a view keeps; oracle: how often the card is asked."""
+"""Kept picture of a view; oracle: the number of draws by the card."""
 
 from types import SimpleNamespace
 
@@ -10,14 +10,14 @@ SHOT = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda ot
 
 
 def with_canvas() -> tuple[ViewPicture, SimpleNamespace]:
-    """One that has something to draw on, and that."""
+    """A picture with a canvas, and the canvas."""
     picture = ViewPicture()
     picture._canvas = SimpleNamespace(width=4, height=3, nearness=None, exact=False)
     return picture, picture._canvas
 
 
 def test_a_picture_that_failed_is_not_kept() -> None:
-    """Drivers raise anything; what was not drawn must not be shown as if it were."""
+    """Drivers raise anything; a picture that was not drawn must not be shown."""
     calls: list[int] = []
 
     def draw(*_: object) -> None:
@@ -34,7 +34,7 @@ def test_a_picture_that_failed_is_not_kept() -> None:
 
 
 def test_a_picture_is_kept_while_depths_are_the_same() -> None:
-    """Other depths, or none, are drawn with anew."""
+    """With other depths, or none, it is drawn again."""
     calls: list[object] = []
     card = SimpleNamespace(draw=lambda *given: calls.append(given[-1]))
     picture, _ = with_canvas()

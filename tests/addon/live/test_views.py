@@ -1,4 +1,4 @@
-"""What a view draws when, in Blenders with graphics without a window. Oracles: in the tests."""
+"""Drawing of live views, in Blenders with graphics without a window. Oracles: in the tests."""
 
 import time
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ CAMERA = RenderCamera(
 
 @pytest.fixture
 def placed(scene: bpy.types.Scene) -> Placed:
-    """Splats that stand evenly."""
+    """Splats with an even scale."""
     lab.add(scene, lab.blob(800), "chair")
     bpy.context.view_layer.update()
     (source,) = sources(bpy.context.evaluated_depsgraph_get())
@@ -46,7 +46,7 @@ def stretched(placed: Placed) -> Placed:
 
 
 class Screen:
-    """A view and the card that draws it."""
+    """A view and its card."""
 
     def __init__(self) -> None:
         graphics.begin()
@@ -63,7 +63,7 @@ class Screen:
         return self.view.draw(*given, front=False, cuts=Cuts(), tinted=Tinted.NONE)
 
     def drawn(self, one: Placed) -> object:
-        """Redraws until everything is there."""
+        """Redraw until the picture is complete."""
         until = time.monotonic() + 20
         while (picture := self.draw(one)) is None or not self.view.complete:
             assert time.monotonic() < until
@@ -73,15 +73,15 @@ class Screen:
 
 @pytest.fixture
 def screen() -> Iterator[Screen]:
-    """One of its own."""
+    """A new screen."""
     made = Screen()
     yield made
     made.view.close()
 
 
 def test_a_known_object_is_refused_at_once(screen: Screen, placed: Placed) -> None:
-    """Oracle: the sentence of the engine of splats that are scaled unevenly, in the very redraw;
-    nothing further is asked of the view meanwhile; evenly again it is drawn."""
+    """Oracle: the engine's error about an uneven scale, in the same redraw; the view requests
+    nothing meanwhile; with an even scale again it is drawn."""
     with pytest.raises(ValueError, match=r"chair cannot be rendered.*unevenly") as wanted:
         SplatCache().model([stretched(placed)])
     view = screen.view
@@ -97,7 +97,7 @@ def test_a_known_object_is_refused_at_once(screen: Screen, placed: Placed) -> No
 
 
 def test_a_filter_that_is_dragged_is_like_a_turn(screen: Screen, placed: Placed) -> None:
-    """Oracle: the view counts as moving with each new limit, and stands still a while after."""
+    """Oracle: the view counts as moving with each new limit, and as still a while later."""
     view = screen.view
     screen.drawn(placed)
     assert not view.level.moving

@@ -1,4 +1,4 @@
-"""Soft splats in colours that depend on the view. Oracle: the engine, with formulas of its own."""
+"""View-dependent colours of soft splats. Oracle: the engine, which uses other code."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ OPAQUE = 0.99
 
 
 def centres(scene: bpy.types.Scene, ob: bpy.types.Object, folder: Path, engine: str) -> np.ndarray:
-    """[9, 3] sRGB where the middles of the balls are seen."""
+    """sRGB values at the projected centres of the balls, [9, 3]."""
     scene.render.engine = engine
     picture = lab.render_exr(folder, engine)[..., :3]
     found = []
@@ -35,7 +35,7 @@ def centres(scene: bpy.types.Scene, ob: bpy.types.Object, folder: Path, engine: 
 
 @pytest.fixture
 def ready(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """Black, without noise to speak of, a camera beside the axis."""
+    """Prepare the scene: black, nearly without noise, a camera off the axis."""
     camera = lab.prepare(scene, (SIZE, SIZE))
     camera.location = (1.5, -2, 5)
     camera.rotation_euler = Vector((-1.5, 2, -5)).to_track_quat("-Z", "Y").to_euler()
@@ -69,7 +69,7 @@ def test_cycles_shows_the_color_from_here(
 
 
 def test_colors_follow_the_camera(ready: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the engine once more, after the camera alone has moved; colours have changed."""
+    """Oracle: the engine again, after only the camera has moved; colours have changed."""
     ob = lab.add(ready, lab.beads(15))
     ob.gscore.display = "SOFT"
     before = centres(ready, ob, tmp_path, "CYCLES")
@@ -92,7 +92,7 @@ def test_the_live_display_renders_them_too(ready: bpy.types.Scene, tmp_path: Pat
 
 
 def test_without_a_camera_the_mean_color_is_shown(ready: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: splats that have no other coefficients, from nodes that are given no camera."""
+    """Oracle: splats without further coefficients, from nodes without a camera."""
     splats = lab.beads(15)
     ob = lab.add(ready, splats)
     ob.gscore.display = "SOFT"
@@ -110,6 +110,6 @@ def test_without_a_camera_the_mean_color_is_shown(ready: bpy.types.Scene, tmp_pa
 
 
 def test_a_factor_that_is_zero_somewhere_would_be_seen() -> None:
-    """Oracle: no basis function is zero where their factors are taken from."""
+    """Oracle: no basis function is zero at the direction from which factors are derived."""
     for k in range(15):
         assert all(abs(f) > 0.05 for f in harmonics._scaled(k).values())

@@ -24,7 +24,7 @@ COUNT = 800
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene, make_splats: Make) -> bpy.types.Object:
-    """A splat object that is neither at the origin nor upright."""
+    """A splat object that is moved and rotated."""
     ob = objects.create(make_splats(COUNT), "Splats")
     ob.location, ob.rotation_euler, ob.scale = (1, 2, 3), (0.4, 0.5, 0.6), (2, 2, 2)
     bpy.context.view_layer.update()
@@ -32,7 +32,7 @@ def ob(scene: bpy.types.Scene, make_splats: Make) -> bpy.types.Object:
 
 
 def shown(name: str = "position", key: str = "vector", width: int = 3) -> np.ndarray:
-    """[M, width] attribute of the points that the depsgraph ends up with; [0, width] if none."""
+    """An attribute of the evaluated points, [M, width]; [0, width] if there are none."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     found = [np.zeros((0, width), np.float32)]
     for item in depsgraph.object_instances:  # to the end: leaving early leaks
@@ -45,7 +45,7 @@ def shown(name: str = "position", key: str = "vector", width: int = 3) -> np.nda
 
 
 def mesh_box(scene: bpy.types.Scene) -> bpy.types.Object:
-    """A box whose middle is not its origin, turned and scaled unevenly."""
+    """A box with its middle off its origin, rotated and scaled unevenly."""
     mesh = bpy.data.meshes.new("Crop")
     mesh.from_pydata([(-1, 0, 0), (2, 1, 1.5), (0, 1, 0.5)], [], [(0, 1, 2)])
     crop = bpy.data.objects.new("Crop", mesh)
@@ -56,7 +56,7 @@ def mesh_box(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 def empty_box(scene: bpy.types.Scene) -> bpy.types.Object:
-    """An empty of uneven scale."""
+    """An unevenly scaled empty."""
     crop = bpy.data.objects.new("Crop", None)
     crop.location, crop.scale = (1, 2, 3), (1, 1.5, 2.5)
     scene.collection.objects.link(crop)
@@ -98,7 +98,7 @@ def test_filters_equal_their_twin(
 def test_points_are_not_selected_by_themselves(ob: bpy.types.Object) -> None:
     """Oracle: in Edit Mode Blender 5 shows points without this attribute as selected."""
     bpy.context.view_layer.objects.active = ob
-    ob.data.attributes.remove(ob.data.attributes[".selection"])  # as files from before have it
+    ob.data.attributes.remove(ob.data.attributes[".selection"])  # as in older files
     ob.gscore.display = "POINTS"
     objects.refresh(ob, objects.read(ob).subset(np.arange(COUNT) % 2 == 0))
     points.keep(ob.data, np.arange(COUNT // 2) % 2 == 0)
@@ -106,7 +106,7 @@ def test_points_are_not_selected_by_themselves(ob: bpy.types.Object) -> None:
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.context.view_layer.update()
     evaluated = ob.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    geometry = compat.evaluated_geometry(evaluated)  # which keeps what is in it
+    geometry = compat.evaluated_geometry(evaluated)  # which keeps the attribute
     told = geometry.pointcloud.attributes[".selection"].data
     assert len(told) == COUNT // 4 and not any(point.value for point in told)
     bpy.ops.object.mode_set(mode="OBJECT")
@@ -123,7 +123,7 @@ def test_moving_the_crop_counts(ob: bpy.types.Object, scene: bpy.types.Scene) ->
 
 
 def test_filters_of_a_flat_crop(ob: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    """Oracle: a crop of no volume holds nothing, for the twin too."""
+    """Oracle: a crop without volume contains nothing, for the twin too."""
     crop = empty_box(scene)
     crop.scale = (1, 0, 1)
     ob.gscore.crop_object = crop
@@ -201,7 +201,7 @@ def test_base_color(ob: bpy.types.Object, make_splats: Make) -> None:
 def test_color_maps(
     ob: bpy.types.Object, scene: bpy.types.Scene, make_splats: Make, mode: str
 ) -> None:
-    """Oracle: the measure in numpy, through the map in numpy; statistics of the visible alone."""
+    """Oracle: the measure and the map in numpy; statistics of visible splats only."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     camera.location, camera.rotation_euler = (5, -4, 6), (0.8, 0.1, 0.6)
     scene.collection.objects.link(camera)
@@ -230,7 +230,7 @@ def test_color_maps(
 
 
 def test_without_harmonics(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: no view-dependent part is the dark end of the map."""
+    """Oracle: without a view-dependent part, the dark end of the map."""
     ob = objects.create(make_splats(20, 0), "Splats")
     ob.gscore.colour_by = "SH_ENERGY"
     bpy.context.view_layer.update()
@@ -240,7 +240,7 @@ def test_without_harmonics(scene: bpy.types.Scene, make_splats: Make) -> None:
 
 
 def test_groups_are_shared_and_renewed(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: one group for all; a group of ours from another version is left and replaced."""
+    """Oracle: one group for all; the add-on's group of another version is replaced, but kept."""
     a, b = (objects.create(make_splats(5), name) for name in "ab")
     group = display.modifier_of(a).node_group
     assert display.modifier_of(b).node_group == group
@@ -252,7 +252,7 @@ def test_groups_are_shared_and_renewed(scene: bpy.types.Scene, make_splats: Make
 
 
 def test_user_groups_are_left_alone(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: a group that merely has our name is not touched."""
+    """Oracle: a user's group of the same name is not changed."""
     theirs = bpy.data.node_groups.new(display.NAME, "GeometryNodeTree")
     ob = objects.create(make_splats(5), "Splats")
     assert display.modifier_of(ob).node_group != theirs
@@ -285,7 +285,7 @@ def test_reset(ob: bpy.types.Object, scene: bpy.types.Scene) -> None:
 
 
 def test_counts(ob: bpy.types.Object) -> None:
-    """Oracle: the twin's count, whichever way Blender tells it."""
+    """Oracle: the twin's count, in every version of Blender."""
     for mode in ("POINTS", "ELLIPSOIDS", "SOFT"):
         ob.gscore.display = mode
         ob.gscore.opacity_min = 0.0

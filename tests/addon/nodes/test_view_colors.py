@@ -1,4 +1,4 @@
-"""Colours of soft splats as the camera sees them. Oracle: the add-on's engine in the same scene."""
+"""View-dependent colours of soft splats. Oracle: the add-on's engine in the same scene."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ VIEWS = {
 
 
 def apart(rest: int) -> Splats:
-    """Balls that do not cover one another from the views here, with strong harmonics."""
+    """Balls that do not overlap in these views, with strong harmonics."""
     rng = np.random.default_rng(rest)
     middles = np.array([[0, 0, 0], [0, 0.9, 0], [0, -0.9, 0]], np.float32)
     count = len(middles)
@@ -68,7 +68,7 @@ def test_cycles_shows_what_the_engine_shows(
 
 @pytest.mark.parametrize("way", ["refresh", "replace"])
 def test_the_degree_follows_the_splats(scene: bpy.types.Scene, tmp_path: Path, way: str) -> None:
-    """Oracle: the engine's mean colour, after splats without harmonics gave way to others."""
+    """Oracle: the engine's mean colour, after splats without harmonics were replaced by others."""
     splat_scenes.prepare(scene, (48, 40))
     scene.render.film_transparent = True
     ob = splat_scenes.add(scene, apart(0))

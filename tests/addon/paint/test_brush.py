@@ -1,4 +1,4 @@
-"""The brush's formulas and its way. Oracles: the formulas once more, point by point in Python."""
+"""Formulas of the brush, and its path. Oracles: the same formulas, point by point in Python."""
 
 import math
 from itertools import pairwise
@@ -34,11 +34,11 @@ def from_way(point: np.ndarray, way: list[np.ndarray]) -> float:
 @pytest.mark.parametrize("hardness", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_a_stroke_paints_by_the_distance_from_its_way(hardness: float, dimensions: int) -> None:
-    """Oracle: the formula; rows that are told are those that got more."""
+    """Oracle: the formula; the returned rows are those with more weight."""
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 100, (500, dimensions))
     way = [*rng.uniform(10, 90, (4, dimensions))]
-    way.insert(2, way[1])  # the mouse may stand still
+    way.insert(2, way[1])  # the mouse may rest
     brush = Brush(radius=22.0, hardness=hardness)
     stroke, told = Stroke(points, brush), set()
     for point in way:
@@ -52,7 +52,7 @@ def test_a_stroke_paints_by_the_distance_from_its_way(hardness: float, dimension
 
 
 def test_a_finer_way_paints_the_same() -> None:
-    """Oracle: the same way with fewer points."""
+    """Oracle: the same path with fewer points."""
     points = np.random.default_rng(1).uniform(0, 100, (2000, 2))
     brush = Brush(radius=15.0)
     one, other = Stroke(points, brush), Stroke(points, brush)
@@ -64,7 +64,8 @@ def test_a_finer_way_paints_the_same() -> None:
 
 
 def test_targets_are_reached_in_part() -> None:
-    """Oracle: the way from a value to its target, in float64; a full share is the target itself."""
+    """Oracle: interpolation from a value to its target, in float64; full weight is the target
+    itself."""
     base = np.random.default_rng(2).uniform(0, 1, (6, 4)).astype(np.float32)
     share = np.array([0, 0.25, 0.5, 0.75, 1, 1])
     color = (0.9, 0.3, 0.0)
@@ -94,6 +95,6 @@ def test_targets_are_reached_in_part() -> None:
     ],
 )
 def test_brushes_that_cannot_be(values: dict, word: str) -> None:
-    """Oracle: the sentence names the value."""
+    """Oracle: the message names the value."""
     with pytest.raises(ValueError, match=word):
         Brush(**values)

@@ -31,7 +31,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene) -> bpy.types.Object:
-    """Splats turned and moved, active, with a camera that looks at them from the side."""
+    """Active splats, rotated and moved, with a camera at their side."""
     camera = lab.prepare(scene, SIZE)
     camera.location, camera.rotation_euler = (1, -3, 2.5), (0.9, 0.1, 0.3)
     made = lab.add(scene, lab.blob(900, size=1.4))
@@ -41,15 +41,14 @@ def ob(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 def activate(ob: bpy.types.Object) -> None:
-    """Make an object the active one, of a scene that is up to date; none of its vertices is
-    selected."""
+    """Make an object active, with the scene updated and none of its vertices selected."""
     bpy.context.view_layer.objects.active = ob
     ob.data.vertices.foreach_set("select", np.zeros(len(ob.data.vertices), bool))
     bpy.context.view_layer.update()
 
 
 def stroke(points: list[tuple[float, ...]]) -> list[dict]:
-    """Points as the operator takes them."""
+    """Points in the form of the operator."""
     return [{"name": "", "place": (*point, 0.0)[:3]} for point in points]
 
 
@@ -59,7 +58,7 @@ def base_of(ob: bpy.types.Object) -> np.ndarray:
 
 
 def shares(ob: bpy.types.Object, radius: float, hardness: float) -> np.ndarray:
-    """[N], how much of the brush each splat gets on WAY, by Blender's projection."""
+    """Brush weights of the splats along WAY, [N], by Blender's projection."""
     scene, way, found = bpy.context.scene, [np.array(p) for p in WAY], []
     for vertex in ob.data.vertices:
         x, y, z = world_to_camera_view(scene, scene.camera, ob.matrix_world @ vertex.co)
@@ -71,7 +70,7 @@ def shares(ob: bpy.types.Object, radius: float, hardness: float) -> np.ndarray:
 
 @pytest.mark.parametrize("does", [COLOR, SELECT])
 def test_what_others_do_during_a_stroke_stays(ob: bpy.types.Object, does: str) -> None:
-    """Oracle: splats that the stroke did not reach are as another edit has left them."""
+    """Oracle: splats out of the stroke's reach have the values of another edit."""
     chosen = np.arange(900) % 2 == 0
 
     brush = Brush(does=does, radius=0.3, hardness=1.0, strength=1.0, color=RED)
@@ -93,7 +92,7 @@ def test_what_others_do_during_a_stroke_stays(ob: bpy.types.Object, does: str) -
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 def test_color_through_a_camera(ob: bpy.types.Object, kind: str) -> None:
-    """Oracle: which splats by Blender's projection, how much by the formula; SH, opacity and all
+    """Oracle: the splats by Blender's projection, their weights by the formula; SH, opacity and all
     else to the bit."""
     bpy.context.scene.camera.data.type = kind
     bpy.context.scene.camera.data.ortho_scale = 3.0
@@ -138,7 +137,7 @@ def test_selecting(ob: bpy.types.Object) -> None:
 
 
 def test_what_is_hidden_is_not_painted(ob: bpy.types.Object) -> None:
-    """Oracle: hidden in Edit Mode, filtered out, not selected: each as it was, to the bit."""
+    """Oracle: hidden in Edit Mode, filtered out, not selected: each unchanged, to the bit."""
     under = shares(ob, 60, 1.0) > 0
     hidden = np.arange(len(under)) % 3 == 0
     ob.data.vertices.foreach_set("hide", hidden)
@@ -158,7 +157,7 @@ def test_what_is_hidden_is_not_painted(ob: bpy.types.Object) -> None:
 
 
 def test_around_places(ob: bpy.types.Object) -> None:
-    """Oracle: distances of the vertices in Blender's world from the way."""
+    """Oracle: distances of the vertices from the path in Blender's world."""
     way = [np.array(p) for p in ((0, 0, 0), (0.4, 0.1, 0.3))]
     before = base_of(ob)
     far = [from_way(np.array(ob.matrix_world @ v.co), way) for v in ob.data.vertices]
@@ -175,7 +174,7 @@ def test_around_places(ob: bpy.types.Object) -> None:
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 @pytest.mark.parametrize("scale", [1.0, 3.0])
 def test_only_the_front(scene: bpy.types.Scene, kind: str, scale: float) -> None:
-    """Oracle: two walls, one behind the other; faint splats before both hide nothing."""
+    """Oracle: two walls, one behind the other; faint splats in front of both hide nothing."""
     camera = lab.prepare(scene, SIZE)
     camera.data.type, camera.data.ortho_scale, camera.location.z = kind, 2.2 * scale, 4 * scale
     veil = lab.wall(0.5, (0, 0, 1))
@@ -197,7 +196,7 @@ def test_only_the_front(scene: bpy.types.Scene, kind: str, scale: float) -> None
 
 @pytest.mark.parametrize("perspective", [True, False])
 def test_only_the_front_of_a_view(scene: bpy.types.Scene, perspective: bool) -> None:
-    """Oracle: as above, in a 3D view, whose orthographic kind sees a thousand units behind it."""
+    """Oracle: as above, in a 3D view; an orthographic one also shows a thousand units behind it."""
     ob = lab.add(scene, join_splats([lab.wall(0.0, (0, 0, 0)), lab.wall(-0.6, (0, 0, 0))]))
     activate(ob)
     view, window = np.eye(4), np.diag([0.8, 1.2, -1e-3, 1.0])
@@ -214,7 +213,7 @@ def test_only_the_front_of_a_view(scene: bpy.types.Scene, perspective: bool) -> 
 
 
 def test_undo_and_edit_mode(ob: bpy.types.Object) -> None:
-    """Oracle: the attribute before; the mode that it was painted in."""
+    """Oracle: the attribute before; the mode in which it was painted."""
     before, name = base_of(ob), ob.name
     bpy.ops.ed.undo_push(message="before")
     bpy.ops.object.mode_set(mode="EDIT")
@@ -228,7 +227,7 @@ def test_undo_and_edit_mode(ob: bpy.types.Object) -> None:
 
 
 def test_refusals(ob: bpy.types.Object) -> None:
-    """Oracle: sentences, and the attribute to the bit."""
+    """Oracle: error messages, and the attribute to the bit."""
     before = base_of(ob)
     with pytest.raises(RuntimeError, match="stroke has no points"):
         bpy.ops.gscore.paint_stroke()
@@ -247,7 +246,8 @@ def test_refusals(ob: bpy.types.Object) -> None:
 
 
 def test_an_uneven_scale_says_what_to_do(ob: bpy.types.Object) -> None:
-    """Oracle: the sentence names the object; without the front, which takes a picture, it works."""
+    """Oracle: the message names the object; without Front Only, which renders a picture, it
+    works."""
     ob.scale = (1, 2, 1)
     with pytest.raises(RuntimeError, match=f"{ob.name} cannot be transformed"):
         bpy.ops.gscore.paint_stroke(stroke=stroke(WAY))
@@ -285,12 +285,12 @@ def test_a_dropped_stroke_leaves_nothing(ob: bpy.types.Object) -> None:
 
 
 def test_splats_that_were_replaced_meanwhile(ob: bpy.types.Object) -> None:
-    """Oracle: the sentence, and the new splats as they came."""
+    """Oracle: the message, and the unchanged new splats."""
     view = render_camera(bpy.context.scene.camera, bpy.context.scene)
     made = run_blocking(paint_target.begin_stroke(ob, Brush(radius=400, color=RED), view))
     made.to(np.array(WAY[0]))
     objects.refresh(ob, lab.blob(30))
-    with pytest.raises(ValueError, match="were replaced while the stroke"):
+    with pytest.raises(ValueError, match="were replaced during the stroke"):
         made.finish()
     np.testing.assert_array_equal(objects.read(ob).sh0, lab.blob(30).sh0)
 

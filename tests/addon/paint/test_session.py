@@ -1,5 +1,5 @@
 """Mouse and keys while splats are painted. Oracles: the same strokes by the plain function, and
-Blender's undo. Views and events stand in for those of a window, which tests have not."""
+Blender's undo. Fakes replace the views and events of a window."""
 
 import re
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ COMMON = {"does", "radius", "front_only", "only_selected"}
 
 
 class Desk:
-    """A session with what Blender would give it."""
+    """A session with fakes of Blender's arguments."""
 
     def __init__(self) -> None:
         self.session = Session()
@@ -39,7 +39,7 @@ class Desk:
         return bpy.context.window_manager.gscore_paint
 
     def spot(self, window: object, x: int, y: int) -> session.Spot | None:
-        """In the only view there is, which the scene's camera sees."""
+        """Position in the only view, which is the scene camera's."""
         return StandIn(Region(), x, y) if self.over_view else None
 
     def send(self, key: str, value: str = "PRESS", at: tuple[int, int] = WAY[0], **held) -> Answer:
@@ -67,7 +67,7 @@ class Region:
 
 
 class StandIn(session.Spot):
-    """A place in it."""
+    """A fake mouse position in it."""
 
     @property
     def view(self) -> object:
@@ -77,7 +77,7 @@ class StandIn(session.Spot):
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene) -> bpy.types.Object:
-    """Splats, active, before a camera."""
+    """Active splats in front of a camera."""
     lab.prepare(scene, (WIDTH, HEIGHT))
     made = lab.add(scene, lab.blob(600, size=1.4))
     bpy.context.view_layer.objects.active = made
@@ -88,7 +88,7 @@ def ob(scene: bpy.types.Scene) -> bpy.types.Object:
 
 @pytest.fixture
 def desk(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """A session that has begun."""
+    """A running session."""
     made = Desk()
     for name in ("does", "radius", "strength", "hardness", "color", "opacity", "front_only"):
         made.brush.property_unset(name)
@@ -127,7 +127,8 @@ def test_a_drag_is_a_stroke_and_an_undo_step(ob: bpy.types.Object, desk: Desk) -
 
 
 def test_ctrl_paints_the_opposite(ob: bpy.types.Object, desk: Desk) -> None:
-    """Oracle: the plain function, inverted; deselecting leaves nothing selected on the way."""
+    """Oracle: the plain function, inverted; after deselecting nothing is selected along the
+    path."""
     desk.brush.does = "OPACITY"
     want = by_function(ob, desk.brush, inverted=True)
     desk.paint(ctrl=True)
@@ -141,7 +142,7 @@ def test_ctrl_paints_the_opposite(ob: bpy.types.Object, desk: Desk) -> None:
 
 
 def test_escape_drops_the_stroke_then_ends(ob: bpy.types.Object, desk: Desk) -> None:
-    """Oracle: the attribute as it was, no step; then the answer."""
+    """Oracle: the unchanged attribute, no undo step; then the answer."""
     before = base_of(ob)
     desk.send("LEFTMOUSE")
     desk.send("MOUSEMOVE", at=WAY[1])
@@ -154,7 +155,7 @@ def test_escape_drops_the_stroke_then_ends(ob: bpy.types.Object, desk: Desk) -> 
 
 @pytest.mark.parametrize("key", ["RET", "NUMPAD_ENTER", "ESC"])
 def test_keys_that_end(desk: Desk, key: str) -> None:
-    """Oracle: the answer; also where another button says so."""
+    """Oracle: the answer; also after the button Stop Painting."""
     assert desk.send(key, "RELEASE") is not Answer.ENDED
     assert desk.send(key) is Answer.ENDED
     desk.session.ended = True
@@ -182,8 +183,8 @@ def test_what_is_for_others(desk: Desk) -> None:
 
 
 def test_clocks_go_on_while_something_is_drawn(ob: bpy.types.Object, desk: Desk) -> None:
-    """Oracle: what is for all passes during a stroke and while a radius is chosen; the mouse's way
-    does not."""
+    """Oracle: timer events pass during a stroke and while a radius is chosen; mouse moves do
+    not."""
     for begin, end in (("LEFTMOUSE", "RELEASE"), ("F", "PRESS")):
         desk.send(begin)
         for key in ("TIMER", "TIMER_REPORT", "TIMER0", "WINDOW_DEACTIVATE", "NONE"):
@@ -197,7 +198,7 @@ def test_clocks_go_on_while_something_is_drawn(ob: bpy.types.Object, desk: Desk)
 def test_views_are_drawn_where_the_circle_changes(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: how often views are told to draw."""
+    """Oracle: the number of redraw requests."""
     drawn_: list[int] = []
     monkeypatch.setattr(session, "redraw_views", lambda: drawn_.append(1))
     desk.send("MOUSEMOVE", at=WAY[0])
@@ -216,7 +217,7 @@ def test_views_are_drawn_where_the_circle_changes(
 def test_painting_goes_on_where_its_workspace_is_deleted(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the keys are told, and painting ends, without an error."""
+    """Oracle: the status text is updated, and painting ends, without an error."""
     if bpy.app.version[:2] == (5, 0):
         pytest.skip("bpy 5.0 crashes where a workspace is copied without a window")
     running = modal.Running()
@@ -225,13 +226,14 @@ def test_painting_goes_on_where_its_workspace_is_deleted(
         pytest.skip("this Blender copies no workspace without a window")
     running.begin(SimpleNamespace(workspace=workspace, window_manager=bpy.context.window_manager))
     bpy.data.batch_remove([workspace])
-    running.tell(bpy.context)
+    running.update_status(bpy.context)
     running.end()
     assert running.session is None
 
 
 def test_radius_by_keys(desk: Desk) -> None:
-    """Oracle: pixels that the mouse moved; Esc brings the earlier one back, and a click keeps."""
+    """Oracle: the mouse's distance in pixels; Esc restores the earlier radius, and a click keeps
+    it."""
     desk.brush.radius = 50
     desk.send("F", at=(100, 100))
     desk.send("MOUSEMOVE", at=(130, 90))
@@ -272,7 +274,7 @@ def test_picking_a_color(scene: bpy.types.Scene, desk: Desk, how: dict) -> None:
 def test_undo_passes_and_what_it_brings_is_shown(
     ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the event after it hands the mesh's values to the live display."""
+    """Oracle: the next event passes the mesh's values to the live display."""
     shown = []
     monkeypatch.setattr(paint_target, "show_as_kept", shown.append)
     assert desk.send("Z") is Answer.TAKEN
@@ -284,7 +286,7 @@ def test_undo_passes_and_what_it_brings_is_shown(
 
 
 def test_what_cannot_be_painted_on(ob: bpy.types.Object, desk: Desk) -> None:
-    """Oracle: a sentence for each, after which painting goes on."""
+    """Oracle: an error for each, after which painting continues."""
     ob.hide_set(True)
     with pytest.raises(ValueError, match="is hidden"):
         desk.send("LEFTMOUSE")
@@ -293,13 +295,13 @@ def test_what_cannot_be_painted_on(ob: bpy.types.Object, desk: Desk) -> None:
     with pytest.raises(ValueError, match="Select a splat object"):
         desk.send("LEFTMOUSE")
     bpy.context.view_layer.objects.active = ob
-    bpy.ops.object.mode_set(mode="EDIT")  # where undo may lead to
+    bpy.ops.object.mode_set(mode="EDIT")  # as undo may do
     desk.paint()
     assert ob.mode == "OBJECT" and desk.pushed == ["Paint Splats"]
 
 
 def test_closing_takes_back_what_was_begun(ob: bpy.types.Object, desk: Desk) -> None:
-    """Oracle: the attribute; nothing is drawn any more. An object that is gone is no error."""
+    """Oracle: the attribute; drawing has stopped. A removed object is no error."""
     before = base_of(ob)
     desk.send("LEFTMOUSE")
     desk.session.close()
@@ -316,12 +318,12 @@ def test_closing_takes_back_what_was_begun(ob: bpy.types.Object, desk: Desk) -> 
 def test_the_live_display_follows_without_the_mesh(
     ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: what is handed to it; the mesh is written at the end of the stroke alone."""
+    """Oracle: the data passed to it; the mesh is written only at the end of the stroke."""
     monkeypatch.setattr("addon.splats.live.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     told: list[np.ndarray] = []
     monkeypatch.setattr(
-        paint_target.copies.SHARED, "repaint", lambda uid, base: told.append(base.copy())
+        paint_target.viewport_copies.SHARED, "repaint", lambda uid, base: told.append(base.copy())
     )
     before, want = base_of(ob), by_function(ob, desk.brush)
     told.clear()
@@ -336,7 +338,7 @@ def test_the_live_display_follows_without_the_mesh(
 
 
 def test_where_the_mouse_is() -> None:
-    """Oracle: rectangles by hand: what lies over a view's main region hides it."""
+    """Oracle: rectangles by hand: regions over a view's main region hide it."""
 
     def part(kind: str, x: int, y: int, width: int, height: int) -> SimpleNamespace:
         return SimpleNamespace(type=kind, x=x, y=y, width=width, height=height)
@@ -354,7 +356,7 @@ def test_where_the_mouse_is() -> None:
 
 
 def test_the_panel_shows_what_the_brush_needs(ob: bpy.types.Object, desk: Desk) -> None:
-    """Oracle: the settings that do something."""
+    """Oracle: the settings that have an effect."""
     wanted = {
         "COLOR": {"color", "strength", "hardness"},
         "OPACITY": {"opacity", "strength", "hardness"},

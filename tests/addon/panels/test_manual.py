@@ -1,4 +1,4 @@
-"""Help. Oracle: what Blender itself looks up for a button or a field, and the manual's headings."""
+"""Help. Oracle: Blender's own manual lookup for a button or a field, and the manual's headings."""
 
 import re
 import webbrowser
@@ -28,7 +28,7 @@ HEADINGS = headings((DOCS / PAGES[0]).read_text(encoding="utf-8"))
 
 
 def looked_up(name: str) -> str:
-    """The address that *Online Manual* opens."""
+    """URL that *Online Manual* opens."""
     return bl_operators.wm.WM_OT_doc_view_manual._lookup_rna_url(name, verbose=False)
 
 
@@ -50,14 +50,14 @@ def looked_up(name: str) -> str:
     ],
 )
 def test_buttons_and_fields_have_their_place(name: str, section: str) -> None:
-    """Each is known to Blender, and leads to a heading that is there."""
+    """Each is known to Blender, and links to an existing heading."""
     found = urlsplit(looked_up(name))
     assert found.fragment == section and section in HEADINGS
     assert Path(unquote(found.path)) == shown.page()
 
 
 def test_everything_of_the_addon_is_in_it() -> None:
-    """Oracle: the operators under our name, and the sections of the map."""
+    """Oracle: the add-on's operators, and the sections of the map."""
     for verb in dir(bpy.ops.gscore):
         assert looked_up(f"bpy.ops.gscore.{verb}"), verb
     assert {section[1:] for _, section in shown.manual_map()[1]} <= set(HEADINGS)
@@ -65,7 +65,7 @@ def test_everything_of_the_addon_is_in_it() -> None:
 
 
 def test_the_button_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the address that the browser is given; a sentence where the page is gone."""
+    """Oracle: the URL passed to the browser; an error if the page is missing."""
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
     assert bpy.ops.gscore.open_manual() == {"FINISHED"}
@@ -76,8 +76,8 @@ def test_the_button_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_page_has_all_of_the_manual() -> None:
-    """Oracle: headings, words and tables of the Markdown, of which no two headings are called the
-    same; no link leads out of the page, and those from page to page lead to headings."""
+    """Oracle: headings, words and tables of the Markdown, with unique headings; no link leaves the
+    page, and those between pages link to headings."""
     wanted = headings(MARKDOWN)
     assert len(set(wanted)) == len(wanted)
     page = manual_page(manual(DOCS))

@@ -23,7 +23,7 @@ def test_the_tool_stands_behind_those_of_blender() -> None:
 
 
 def test_keys_of_the_tool_call_what_there_is() -> None:
-    """Operators know the properties that they are given, and paths lead to the brush."""
+    """Operators have the given properties, and data paths lead to the brush."""
     for name, _, given in PaintTool.bl_keymap:
         room, verb = name.split(".")
         known = getattr(getattr(bpy.ops, room), verb).get_rna_type().properties
@@ -37,7 +37,7 @@ def test_keys_of_the_tool_call_what_there_is() -> None:
 
 
 def test_its_settings_are_those_of_the_brush() -> None:
-    """Of the session, as the panel has them."""
+    """Those of the session, as in the panel."""
     layout = Layout()
     PaintTool.draw_settings(bpy.context, layout, SimpleNamespace())
     assert "<radius>" in layout.notes and "<only_selected>" in layout.notes

@@ -21,7 +21,7 @@ from tests.addon.drawn import Layout, drawn
 
 
 def test_panels_come_in_the_order_of_the_work() -> None:
-    """Oracle: the order that the product promises."""
+    """Oracle: the documented order."""
     drawn_by_blender = [cls for cls in panels.CLASSES if issubclass(cls, bpy.types.Panel)]
     top = [cls for cls in drawn_by_blender if not hasattr(cls, "bl_parent_id")]
     labels = [cls.bl_label for cls in sorted(top, key=lambda cls: cls.bl_order)]
@@ -43,7 +43,7 @@ def test_panels_come_in_the_order_of_the_work() -> None:
 
 
 def test_buttons_lead_somewhere() -> None:
-    """Oracle: Blender's operators and properties, for every name in the panels' sources."""
+    """Oracle: Blender's operators and properties, for each name in the panels' sources."""
     import re
 
     folder = Path(panels.__file__).parent
@@ -60,7 +60,7 @@ def test_buttons_lead_somewhere() -> None:
 
 
 def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
-    """Oracle: Blender's delete, which keeps what a setting names out of the scene."""
+    """Oracle: Blender's delete, after which a setting may still refer to the object."""
     ob = objects.create(NO_SPLATS, "splats")
     scene.gscore.result = ob
     assert objects.in_question(bpy.context) == ob
@@ -70,8 +70,8 @@ def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
 
 
 def test_whose_colors_soft_splats_have(scene: bpy.types.Scene) -> None:
-    """Oracle: where the display's nodes take the direction from (test_harmonics.py); nothing is
-    said where it changes no color."""
+    """Oracle: the direction in the display's nodes (test_harmonics.py); no message if it does not
+    change colors."""
 
     def said() -> str:
         layout = Layout()
@@ -151,7 +151,7 @@ def test_clock(seconds: float, text: str) -> None:
 
 
 def test_what_the_output_folder_holds() -> None:
-    """Oracle: one sentence for each state of a run."""
+    """Oracle: one message for each state of a run."""
     data, config = PRESETS["preview"](Path("/s"))
     base = {"path": Path("/o"), "splats": None, "data": data, "train": config, "problem": ""}
     point = Path("/o/checkpoints/x")
@@ -184,7 +184,7 @@ def test_the_curve_is_thinned_out_evenly() -> None:
 
 
 def test_the_curve_forgets_what_a_run_took_back() -> None:
-    """Oracle: the points of a run that went back from step 9 to step 5."""
+    """Oracle: the points of a run that was rolled back from step 9 to step 5."""
     curve = Curve()
     for step in (1, 3, 5, 7, 9, 6, 8):
         curve.add(step, 1.0 / step, 10.0 * step)
@@ -219,7 +219,7 @@ def test_the_curves_as_a_picture() -> None:
 
 
 def test_the_lines_of_the_curve_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the numbers that went in, in the panel's words, below the picture; none without."""
+    """Oracle: the given numbers in the panel's words below the picture; no text without numbers."""
     state, layout = running(), Layout()
     monkeypatch.setattr(curve_icon.ICONS, "update", lambda _: 7)
     current = SimpleNamespace(state=state, id="a")
@@ -236,7 +236,7 @@ def test_the_lines_of_the_curve_are_named(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_bar_is_on_top_while_a_training_runs(
     scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the run's numbers; the panel is gone with the end."""
+    """Oracle: the run's numbers; the panel disappears at its end."""
     state = running()
     job = SimpleNamespace(state=state, id="a", source=Path("plush"))
     monkeypatch.setattr(registry, "jobs", lambda: [job])
@@ -250,7 +250,7 @@ def test_the_bar_is_on_top_while_a_training_runs(
 def test_decisions_are_told_in_words_of_panels(
     scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the sentences of the trainer, and the names of fields for its flags."""
+    """Oracle: the messages of the trainer, with names of fields for its flags."""
     state = running()
     monkeypatch.setattr(progress, "job", lambda _: SimpleNamespace(state=state))
     assert drawn(progress.DecisionsPanel) == ""
@@ -264,14 +264,14 @@ def test_decisions_are_told_in_words_of_panels(
 def test_a_training_that_starts_says_so(
     scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the words of a state in which nothing was told yet."""
+    """Oracle: the text of a state before the first event."""
     job = SimpleNamespace(state=RunState(), silence="", id="a")
     monkeypatch.setattr(progress, "job", lambda _: job)
     assert drawn(progress.ProgressPanel).startswith("Starting the trainer... ")
 
 
 def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the words of each kind of work, as in its own panel; none once it has ended."""
+    """Oracle: the text of each kind of work, as in its own panel; none after its end."""
     region = SimpleNamespace(ended=False, share=0.5, start=None, progress=None)
     frames = SimpleNamespace(ended=False, share=0.1, status="running", frame=None, progress=None)
     monkeypatch.setattr(running_work.steer, "job_of", lambda _: region)

@@ -1,4 +1,4 @@
-"""Python's search for garbage, put off. Oracle: what the collector itself tells of its searches."""
+"""Deferred garbage collection of Python. Oracle: the collector's own callbacks."""
 
 import gc
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from addon.process.incremental_tasks import Pieces, TaskRunner
 
 @pytest.fixture
 def whole() -> Iterator[list[int]]:
-    """The searches through all objects since the test began."""
+    """Full collections since the start of the test."""
     found: list[int] = []
 
     def noted(phase: str, info: dict[str, int]) -> None:
@@ -27,12 +27,12 @@ def whole() -> Iterator[list[int]]:
 
 
 def many() -> list[list[list]]:
-    """More objects than there were, of the kind that is searched."""
+    """More tracked objects than before."""
     return [[[]] for _ in range(len(gc.get_objects()) + 100_000)]
 
 
 def test_much_is_made(whole: list[int]) -> None:
-    """Without it there is a search through all, and afterwards again."""
+    """Without it there is a full collection, and afterwards again."""
     with garbage.put_off():
         kept = many()
     assert not whole
@@ -41,7 +41,7 @@ def test_much_is_made(whole: list[int]) -> None:
 
 
 def test_younger_garbage_goes(whole: list[int]) -> None:
-    """What refers to itself is found, or it would pile up."""
+    """Reference cycles are collected; otherwise they would accumulate."""
     gone: list[int] = []
 
     class Own:
@@ -59,7 +59,7 @@ def test_younger_garbage_goes(whole: list[int]) -> None:
 
 
 def test_two_works_that_end_in_any_order() -> None:
-    """Oracle: the collector's own threshold, which is what it was once both have ended."""
+    """Oracle: the collector's own threshold, restored after the end of both."""
     before = gc.get_threshold()
 
     def work() -> Pieces[None]:
@@ -78,7 +78,7 @@ def test_two_works_that_end_in_any_order() -> None:
 
 
 def test_somebody_else_chooses_meanwhile(whole: list[int]) -> None:
-    """It stays as they chose."""
+    """Their choice stays."""
     with garbage.put_off():
         gc.set_threshold(500, 6, 7)
     assert gc.get_threshold() == (500, 6, 7)

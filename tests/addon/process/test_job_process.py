@@ -1,4 +1,4 @@
-"""Oracle: what the scripts of `fake_trainer.py` say, and the process table."""
+"""Oracle: the output of scripts of `fake_trainer.py`, and the process table."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 
 def run_until(job: Job, condition: Callable[[], bool], timeout: float = 20.0) -> None:
-    """Poll as Blender's timer does until something is so."""
+    """Poll like Blender's timer until a condition is true."""
     until = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < until, f"waited in vain; {job.state.status} {job.state.sentence}"
@@ -97,7 +97,7 @@ def test_a_huge_line_costs_only_itself(start: Start) -> None:
 
 
 def test_a_poll_ends_within_its_budget(start: Start) -> None:
-    """Oracle: 40 000 lines are taken in pieces, none lost, and no piece is much over 5 ms."""
+    """Oracle: 40 000 lines are read in chunks, none lost, and no chunk takes much over 5 ms."""
     job = start({"loop": [40_000, [step("$i")]]}, finish())
     job.wait(20)
     time.sleep(0.3)
@@ -113,7 +113,7 @@ def test_a_poll_ends_within_its_budget(start: Start) -> None:
 
 
 def test_silence_is_told(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: a sentence after the limit, which is lowered here; none before and after."""
+    """Oracle: a message after the limit, which is lowered here; none before and later."""
     monkeypatch.setattr(job_module, "SILENT", 0.4)
     job = start({"say": STARTED}, {"sleep": 1.5}, step(5), {"sleep": 0.2}, finish())
     run_until(job, lambda: job.state.started is not None)
@@ -133,7 +133,7 @@ def test_an_early_exit_quotes_the_reason(start: Start) -> None:
 
 
 def test_exit_zero_without_done_is_a_failure(start: Start) -> None:
-    """Oracle: a trainer that says nothing has not trained."""
+    """Oracle: a trainer without events has not trained."""
     assert run_to_end(start({"say": STARTED}, {"exit": 0})).status == run_state.FAILED
 
 
@@ -176,14 +176,14 @@ def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:
 def test_a_wrong_python_is_told_what_to_do(
     start: Start, stderr: str, words: tuple[str, ...]
 ) -> None:
-    """Oracle: what Python and gscore themselves print in these cases."""
+    """Oracle: the output of Python and gscore in these cases."""
     state = run_to_end(start({"stderr": stderr}, {"exit": 2}))
     assert state.status == run_state.FAILED
     assert all(word in state.sentence for word in words), state.sentence
 
 
 def test_a_python_without_gscore_for_real(tmp_path: Path) -> None:
-    """Oracle: this very Python in an empty folder, from which gscore cannot be imported."""
+    """Oracle: this Python in an empty folder, from which gscore cannot be imported."""
     import venv
 
     venv.create(tmp_path / "empty", with_pip=False)
@@ -193,7 +193,7 @@ def test_a_python_without_gscore_for_real(tmp_path: Path) -> None:
 
 
 def test_no_such_program(tmp_path: Path) -> None:
-    """Oracle: OSError at once."""
+    """Oracle: an immediate OSError."""
     with pytest.raises(OSError):
         Job(tmp_path / "nothing", [], source=tmp_path, output=tmp_path)
 
@@ -220,7 +220,7 @@ def test_pause_and_stop_reach_the_trainer(start: Start) -> None:
 
 
 def test_letting_go_leaves_a_checkpoint(start: Start) -> None:
-    """Oracle: the trainer sees the end of its input and stops by itself."""
+    """Oracle: the trainer stops at the end of its input."""
     job = start({"say": STARTED}, {"follow": 20})
     run_until(job, lambda: job.state.step > 3)
     job.leave()
@@ -232,7 +232,7 @@ def test_letting_go_leaves_a_checkpoint(start: Start) -> None:
 def test_a_trainer_that_does_not_stop_is_killed(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: ended by SIGKILL after the grace, which is shortened here."""
+    """Oracle: ended by SIGKILL after the grace period, which is shortened here."""
     monkeypatch.setattr(job_module, "STOP_GRACE", 0.5)
     job = start({"say": STARTED}, {"sleep": 60})
     run_until(job, lambda: job.state.started is not None)
@@ -242,7 +242,7 @@ def test_a_trainer_that_does_not_stop_is_killed(
 
 @pytest.mark.parametrize("resumed", [False, True])
 def test_discarding_removes_only_what_this_run_made(start: Start, resumed: bool) -> None:
-    """Oracle: the folder is gone, except for a run that began earlier, or a stranger's file."""
+    """Oracle: the folder is removed, except for earlier runs and foreign files."""
     write = {"write": ["$out/checkpoints/step_00000001.safetensors", "state"]}
     job = start(
         CONFIG, write, {"write": ["$out/note.txt", "mine"]}, {"say": STARTED}, {"sleep": 60}
@@ -257,7 +257,7 @@ def test_discarding_removes_only_what_this_run_made(start: Start, resumed: bool)
 
 
 def test_discarding_before_the_start_spares_others(start: Start) -> None:
-    """Oracle: files of another training, which may hold the folder, are still there."""
+    """Oracle: files of another training in the folder still exist."""
     write = {"write": ["$out/checkpoints/step_00000001.safetensors", "not ours"]}
     job = start(write, {"raw": "still loading\n"}, {"sleep": 60})
     run_until(job, lambda: (job.output / "checkpoints").exists())
@@ -269,7 +269,7 @@ def test_discarding_before_the_start_spares_others(start: Start) -> None:
 
 
 def test_jobs_do_not_disturb_each_other(start: Start) -> None:
-    """Oracle: one is stopped and one crashes while the third goes on to its end."""
+    """Oracle: one is stopped and one crashes while the third runs to its end."""
     a = start({"say": STARTED}, {"follow": 20}, name="a")
     b = start({"say": STARTED}, {"sleep": 0.3}, {"signal": 11}, name="b")
     c = start({"say": STARTED}, {"loop": [30, [step("$i"), {"sleep": 0.02}]]}, finish(), name="c")
@@ -280,7 +280,7 @@ def test_jobs_do_not_disturb_each_other(start: Start) -> None:
 
 
 def test_snapshots_are_asked_for_one_at_a_time(start: Start) -> None:
-    """Oracle: no faster than the interval, none while one is under way."""
+    """Oracle: not more often than the interval, none while one is running."""
     job = start({"say": STARTED}, {"follow": 20})
     job.live_seconds = 0.2
     run_until(job, lambda: job.state.snapshot is not None)
@@ -294,7 +294,7 @@ def test_snapshots_are_asked_for_one_at_a_time(start: Start) -> None:
 
 
 def test_children_do_not_inherit_blenders_python() -> None:
-    """Oracle: the variables that would lead them to Blender's own files."""
+    """Oracle: the variables that refer to Blender's own files."""
     base = {"PATH": "/bin", "PYTHONHOME": "/b", "PythonPath": "/c", "__PYVENV_LAUNCHER__": "/d"}
     kept = environment(base)
     assert kept["PATH"] == "/bin" and kept["PYTHONSAFEPATH"] == "1"
@@ -313,7 +313,7 @@ def test_a_pipe_held_by_a_grandchild_does_not_hang(tmp_path: Path) -> None:
 
 
 def test_errors_are_waited_for(tmp_path: Path) -> None:
-    """Oracle: what is written after the process is gone and its output has ended."""
+    """Oracle: errors written after the process has ended and its output is closed."""
     process = Process(["/bin/sh", "-c", "(sleep 0.5; echo late >&2) >/dev/null & exit 4"])
     until = time.monotonic() + 15
     while not process.ended and time.monotonic() < until:

@@ -1,4 +1,4 @@
-"""Memory that a thread makes; oracle: the sizes, and what the arrays hold."""
+"""Memory allocated by a thread; oracle: the sizes and values of the arrays."""
 
 import gc
 import threading
@@ -11,12 +11,12 @@ from addon.process.reserved_memory import Memory
 
 
 def makers() -> list[threading.Thread]:
-    """The threads that make memory."""
+    """The threads that allocate memory."""
     return [t for t in threading.enumerate() if t.name == "gscore-memory"]
 
 
 def test_arrays_come_in_order_and_are_zero() -> None:
-    """Also of no numbers; the thread ends with the last."""
+    """Also for empty arrays; the thread ends with the last."""
     memory = Memory([5, 0, 70_000])
     for size in (5, 0, 70_000):
         until = time.monotonic() + 10
@@ -31,7 +31,7 @@ def test_arrays_come_in_order_and_are_zero() -> None:
 
 
 def test_no_more_is_made_for_nobody() -> None:
-    """Oracle: the thread ends long before it could have made 4 TB."""
+    """Oracle: the thread ends long before it could have allocated 4 TB."""
     memory = Memory([1 << 20] * (1 << 20))
     del memory
     gc.collect()
@@ -41,7 +41,7 @@ def test_no_more_is_made_for_nobody() -> None:
 
 
 def test_where_there_is_no_memory_its_owner_hears_of_it() -> None:
-    """Oracle: the error of numpy, where the array is taken; what comes after it is made."""
+    """Oracle: numpy's error when the array is taken; later arrays are allocated."""
     memory = Memory([1 << 60, 3])
     until = time.monotonic() + 10
     while not memory.ready:

@@ -1,4 +1,4 @@
-"""How much is done at a time where redraws are slow. Oracles: in the tests."""
+"""Amount of work per poll with slow redraws. Oracles: in the tests."""
 
 from collections.abc import Callable, Iterator
 
@@ -12,7 +12,7 @@ PIECE = 0.008
 
 
 class Clock:
-    """Time that passes only where it is said."""
+    """Time that passes only on request."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -24,14 +24,14 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """That of `StepBudget`."""
+    """The clock of `StepBudget`."""
     made = Clock()
     monkeypatch.setattr(pace, "time", made)
     return made
 
 
 class Work:
-    """Pieces that are done at beats."""
+    """Steps that are run by polls."""
 
     def __init__(self, clock: Clock, pieces: int, seconds: float = PIECE) -> None:
         self.clock, self.left, self.seconds = clock, pieces, seconds
@@ -39,7 +39,7 @@ class Work:
         """Whether none can be done now."""
 
     def collect(self) -> bool:
-        """One piece; those that take no time say that they did something."""
+        """Run a step; steps without duration report that they did something."""
         if not self.left or self.stuck:
             return False
         self.clock.now += self.seconds
@@ -47,13 +47,13 @@ class Work:
         return self.seconds == 0
 
     def waits(self) -> bool:
-        """Whether there are more."""
+        """Whether steps remain."""
         return self.left > 0
 
 
 @pytest.fixture
 def follow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Work], None]:
-    """Have the beat do some work alone, as if it was registered just now."""
+    """Let the poll timer run only some work, as if it was just registered."""
 
     def begin(work: Work) -> None:
         poller = poll_timer.Poller(work.collect, work.waits, work.waits)
@@ -64,7 +64,7 @@ def follow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Work], None]:
 
 
 def beats(work: Work, clock: Clock, redraw: float) -> Iterator[int]:
-    """How many pieces each beat does until all are done; redraws take so many seconds."""
+    """Number of steps per poll until all are done, with redraws of a given time in seconds."""
     while work.left:
         before = work.left
         interval = poll_timer._tick()
@@ -73,8 +73,8 @@ def beats(work: Work, clock: Clock, redraw: float) -> Iterator[int]:
 
 
 def test_slow_redraws_do_not_starve_work(clock: Clock, follow: Callable[[Work], None]) -> None:
-    """Oracle: the first beat is not late; each other is 0.49 s late, of which it may use a quarter
-    of what is beyond a twentieth, 0.1 s at most, and finishes the piece it has begun: 13."""
+    """Oracle: the first poll is not late; each other is 0.49 s late, of which it may use a quarter
+    of the time beyond 0.05 s, 0.1 s at most, and completes the step it has begun: 13."""
     work = Work(clock, 40)
     follow(work)
     assert list(beats(work, clock, 0.5)) == [1, 13, 13, 13]
@@ -83,7 +83,7 @@ def test_slow_redraws_do_not_starve_work(clock: Clock, follow: Callable[[Work], 
 def test_pieces_that_take_no_time_are_done_at_once(
     clock: Clock, follow: Callable[[Work], None]
 ) -> None:
-    """Oracle: all are done at the first beat that is late, as of node groups that are there."""
+    """Oracle: all are done at the first late poll, as for existing node groups."""
     work = Work(clock, 12, seconds=0.0)
     follow(work)
     assert list(beats(work, clock, 0.5)) == [1, 11]
@@ -93,7 +93,7 @@ def test_pieces_that_take_no_time_are_done_at_once(
 def test_fast_redraws_stay_fast(
     clock: Clock, follow: Callable[[Work], None], redraw: float
 ) -> None:
-    """Oracle: one piece a beat, as always."""
+    """Oracle: one step per poll, as always."""
     work = Work(clock, 20)
     follow(work)
     assert set(beats(work, clock, redraw)) == {1}
@@ -102,7 +102,7 @@ def test_fast_redraws_stay_fast(
 def test_a_beat_that_has_nothing_to_do_ends(
     clock: Clock, follow: Callable[[Work], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: how often it looked: once a late beat, where splats wait for the end of Edit Mode."""
+    """Oracle: the number of checks: one per late poll, if splats wait for the end of Edit Mode."""
     work = Work(clock, 5)
     work.stuck = True
     follow(work)
@@ -116,7 +116,7 @@ def test_a_beat_that_has_nothing_to_do_ends(
 
 
 def test_a_pause_is_no_slow_redraw(clock: Clock, follow: Callable[[Work], None]) -> None:
-    """Oracle: one piece at the first beat after a minute in which none was wanted."""
+    """Oracle: one step at the first poll after a minute without work."""
     work = Work(clock, 1)
     follow(work)
     assert poll_timer._tick() is None
@@ -127,7 +127,7 @@ def test_a_pause_is_no_slow_redraw(clock: Clock, follow: Callable[[Work], None])
 
 
 def test_an_operator_does_more_where_redraws_are_slow(clock: Clock) -> None:
-    """Oracle: as the beat: of 0.49 s a tenth of a second, which is 13 pieces."""
+    """Oracle: as the poll timer: of 0.49 s a tenth of a second, which is 13 steps."""
 
     def pieces() -> Pieces[str]:
         for number in range(30):

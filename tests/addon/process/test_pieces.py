@@ -1,4 +1,4 @@
-"""Work in pieces. Oracle: the order in which things happen, and in which thread."""
+"""Incremental tasks. Oracle: the order and the threads of the steps."""
 
 import threading
 from collections.abc import Callable
@@ -20,7 +20,7 @@ MAIN = threading.main_thread()
 
 
 def work(log: list[Any], raises: Exception | None = None) -> Pieces[str]:
-    """Two pieces, with something beside them."""
+    """Two steps, with a thread between them."""
 
     def beside(check: Check) -> int:
         check()
@@ -39,7 +39,7 @@ def work(log: list[Any], raises: Exception | None = None) -> Pieces[str]:
 
 
 def ended(going: TaskRunner) -> list[str]:
-    """What it said on its way."""
+    """The messages of its steps."""
     told = []
     for _ in range(10_000):
         done = going.step()
@@ -52,7 +52,7 @@ def ended(going: TaskRunner) -> list[str]:
 
 
 def test_pieces_are_done_here_and_the_rest_beside():
-    """At once all is done by the thread that calls: none other may run then."""
+    """In one call everything runs in the calling thread, because no other may run then."""
     log: list[Any] = []
     going = TaskRunner(work(log))
     assert ended(going) == ["first", "beside", "last"]
@@ -63,7 +63,7 @@ def test_pieces_are_done_here_and_the_rest_beside():
 
 @pytest.mark.parametrize("do", [run_blocking, lambda pieces: ended(TaskRunner(pieces))])
 def test_an_error_beside_is_one_of_the_work(do: Callable[[Any], Any]):
-    """Its own kind, and what the work has to take back is taken back."""
+    """The error keeps its type, and the task cleans up."""
     log: list[Any] = []
     with pytest.raises(KeyError, match="lost"):
         do(work(log, KeyError("lost")))
@@ -71,7 +71,7 @@ def test_an_error_beside_is_one_of_the_work(do: Callable[[Any], Any]):
 
 
 def test_given_up():
-    """The thread is told, the work takes back what it did, and no step is left."""
+    """The thread is cancelled, the task cleans up, and no step is left."""
     log: list[Any] = []
     began, go_on, ends = threading.Event(), threading.Event(), threading.Event()
 
@@ -100,14 +100,14 @@ def test_given_up():
 
 
 class _Counting:
-    """Work as an object."""
+    """A task as an object."""
 
     def __init__(self, last: int) -> None:
         self.at, self.last, self.cancelled = 0, last, False
 
     @property
     def sentence(self) -> str:
-        """How far it is."""
+        """Progress text."""
         return f"{self.at} of {self.last}"
 
     def step(self) -> str | None:
@@ -123,7 +123,7 @@ class _Counting:
 
 
 def test_steps_are_pieces():
-    """What fails or is given up is cancelled, what is done is not."""
+    """Failed or cancelled tasks are cancelled, completed ones are not."""
     steps = _Counting(2)
     assert run_blocking(stepped(steps)) == "there" and not steps.cancelled
     steps = _Counting(3)

@@ -1,4 +1,4 @@
-"""The end of the process waits for threads; oracle: what a process of its own prints last."""
+"""The end of the process waits for threads; oracle: the last output of a separate process."""
 
 import subprocess
 import sys

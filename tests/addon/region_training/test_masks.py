@@ -168,7 +168,7 @@ def test_no_mask_among_photos(studio: bpy.types.Scene, tmp_path: Path) -> None:
     bpy.ops.gscore.paint_mask()
     image = next(filter(masks.is_mask, bpy.data.images))
     (folder / "masks").symlink_to(folder / "images", target_is_directory=True)
-    with pytest.raises(RuntimeError, match="among the photos"):
+    with pytest.raises(RuntimeError, match="is in a folder of photos"):
         bpy.ops.gscore.save_mask(image=image.name)
     assert before == {path: path.read_bytes() for path in (folder / "images").iterdir()}
 

@@ -16,7 +16,7 @@ from addon.core import read_splats, write_splats
 from addon.panels.region_training import RegionPanel
 from addon.process import poll_timer
 from addon.region_training import start, train_region
-from addon.region_training.registry import JOBS
+from addon.region_training.job_registry import JOBS
 from addon.render.mesh_copies import read_marks
 from addon.splats import edit, objects, point_attributes, read_chunked, splat_files
 from addon.splats.splat_files import import_splats
@@ -202,8 +202,8 @@ def test_a_result_that_has_no_place_is_told_where_it_lies(
     job._process.send("go")
     until(lambda: job.ended and not job.wanted)
     assert len(ob.data.vertices) == 50 and set(bpy.data.meshes) == meshes
-    assert f"has {with_what}" in job.warnings[-1] and f"lies in {output};" in job.warnings[-1]
-    assert "Result > Import brings point_cloud.ply" in drawn(RegionPanel)
+    assert f"has {with_what}" in job.warnings[-1] and f"is in {output};" in job.warnings[-1]
+    assert "Result > Import adds point_cloud.ply" in drawn(RegionPanel)
     assert bpy.ops.gscore.import_splats(filepath=str(output / "point_cloud.ply")) == {"FINISHED"}
     assert len(bpy.context.object.data.vertices) == 70
 

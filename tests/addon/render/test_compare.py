@@ -44,7 +44,7 @@ def studio(scene):
 
 
 def compared(scene, camera, depsgraph) -> compare.Comparison:
-    """At once, as scripts have it."""
+    """Compare in one call, as in scripts."""
     return run_blocking(compare.Comparing(scene, camera, depsgraph).judged())
 
 
@@ -131,23 +131,23 @@ def test_masks_of_the_capture_count(studio, scene):
 
 
 def target_pieces(camera) -> Pieces[photo_module.Target]:
-    """What the camera's picture is compared with."""
+    """The target of the camera's picture."""
     own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
     return photo_module.load_target(camera, own.width, own.height, **options)
 
 
 def target_of(camera) -> TaskRunner:
-    """The same, on its way."""
+    """The steps that load the target."""
     return TaskRunner(target_pieces(camera))
 
 
 def at_once_of(camera) -> photo_module.Target:
-    """The same, here and now."""
+    """The target, loaded in one call."""
     return run_blocking(target_pieces(camera))
 
 
 def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
-    """Of all photos. Oracle: the thread that asks for each; the same target as at once."""
+    """Of all photos. Oracle: the thread that searches each; the same target as in one call."""
     threads = {}
 
     class Noted(Folder):
@@ -167,7 +167,7 @@ def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
 
 @pytest.mark.parametrize("gone", [True, False])
 def test_cameras_that_go_while_masks_are_read(studio, scene, gone):
-    """Oracle: a sentence; those that come from undo, which are others in memory, do."""
+    """Oracle: an error; cameras restored by undo, which are other objects in memory, work."""
     bpy.ops.ed.undo_push(message="before")
     name = studio[0].cameras[9].name
     work = target_of(studio[0].cameras[9])
@@ -187,7 +187,7 @@ def test_cameras_that_go_while_masks_are_read(studio, scene, gone):
             threading.Event().wait(0.0005)
 
     if gone:
-        with pytest.raises(ValueError, match="was taken away while masks were read"):
+        with pytest.raises(ValueError, match="was removed while masks were read"):
             rest()
     else:
         rest()
@@ -234,7 +234,7 @@ def test_operator_reports_and_stores(studio, scene, capfd):
 
 
 def test_one_click_from_the_worst_photo(studio, scene, tmp_path, capfd):
-    """Oracle: metrics.json of the run, and Compare with Photo of the camera that it says."""
+    """Oracle: metrics.json of the run, and Compare with Photo of its worst camera."""
     capture, _ = studio
     ob = bpy.data.objects["s"]
     names = [capture.cameras[i]["gs_image"] for i in (4, 7, 11)]
@@ -254,7 +254,7 @@ def test_one_click_from_the_worst_photo(studio, scene, tmp_path, capfd):
 
 
 def test_the_worst_photo_is_of_all_once_these_are_measured(studio, scene, tmp_path, capfd):
-    """Oracle: metrics.json of Measure Errors; that of the training where this is younger."""
+    """Oracle: metrics.json of Measure Errors; that of the training if it is newer."""
     capture, _ = studio
     ob = bpy.data.objects["s"]
     (tmp_path / "errors").mkdir()
@@ -341,7 +341,7 @@ def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
     ],
 )
 def test_refusals_change_nothing(studio, scene, tmp_path, spoil, words):
-    """Oracle: a sentence; no images more than before, no PSNR stored."""
+    """Oracle: an error; no new images, no PSNR stored."""
     camera = studio[0].cameras[0]
     spoil(camera, tmp_path)
     images = set(bpy.data.images)
@@ -351,17 +351,17 @@ def test_refusals_change_nothing(studio, scene, tmp_path, spoil, words):
 
 
 def test_a_camera_of_no_photo_is_refused(scene):
-    """Oracle: the sentence says what to choose."""
+    """Oracle: the message says what to choose."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
-    assert "no camera of a photo" in lab.error_of(
+    assert "not the camera of a photo" in lab.error_of(
         lambda: bpy.ops.gscore.compare_photo(camera="Camera")
     )
     assert "Select an imported camera" in lab.error_of(bpy.ops.gscore.compare_photo)
 
 
 def test_colours_of_the_photos_in_one_click(scene):
-    """Oracle: Blender's own names; a picture does not change for settings that already fit."""
+    """Oracle: Blender's own names; settings that already fit do not change a picture."""
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.exposure = 1.0
     from addon.render.operators import changes_colors
@@ -375,7 +375,7 @@ def test_colours_of_the_photos_in_one_click(scene):
 
 
 def test_pictures_are_kept_and_nothing_is_unsaved(studio, scene, tmp_path):
-    """Oracle: Blender's own mark of images to be saved, and the pictures in the file after it."""
+    """Oracle: Blender's own flag of unsaved images, and the pictures in the saved file."""
     for camera in studio[0].cameras[9:11]:  # the second time over the same images
         found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
         assert not any(image.is_dirty for image in bpy.data.images)
@@ -389,7 +389,7 @@ def test_pictures_are_kept_and_nothing_is_unsaved(studio, scene, tmp_path):
 
 
 def test_splats_that_the_view_hides_are_not_blamed_on_renders(studio):
-    """Oracle: the sentence, of splats that renders show and the viewport does not."""
+    """Oracle: the message about splats that are visible in renders, but not in the viewport."""
     bpy.data.objects["s"].hide_set(True)
     with pytest.raises(RuntimeError, match="show the splat object and its collection in the view"):
         bpy.ops.gscore.compare_photo(camera=studio[0].cameras[3].name)
@@ -397,8 +397,8 @@ def test_splats_that_the_view_hides_are_not_blamed_on_renders(studio):
 
 @pytest.fixture
 def bent(scene, tmp_path):
-    """The studio photographed through a lens of this bend: a pinhole's pixels are looked up where
-    the lens's equation, solved for each pixel of the photo, puts them."""
+    """The studio photographed through a lens with this distortion: pixels of a pinhole are sampled
+    by the lens's equation, solved for each pixel of the photo."""
 
     def make(k):
         model = read_colmap(STUDIO)
@@ -427,8 +427,8 @@ def bent(scene, tmp_path):
 
 @pytest.mark.parametrize("k", [-0.12, 0.1])
 def test_photos_of_lenses_that_bend_are_straightened_as_for_training(scene, bent, k):
-    """Oracle: the pinhole's picture before it was bent, moved to the principal point of the
-    straightened camera; and, to the byte, what a training makes of the photo."""
+    """Oracle: the pinhole's picture before the distortion, moved to the principal point of the
+    undistorted camera; and, to the byte, the undistorted photo of a training."""
     capture, pinhole, photo = bent(k)
     lab.prepare(scene)
     lab.add(scene, lab.blob())
@@ -451,7 +451,7 @@ def test_photos_of_lenses_that_bend_are_straightened_as_for_training(scene, bent
 
 
 def test_masks_of_lenses_that_bend_are_straightened_too(scene, bent):
-    """Oracle: the mask's rows, looked up where the lens has the rows of the straightened photo."""
+    """Oracle: the mask's rows, sampled where the lens has the rows of the undistorted photo."""
     capture, _, photo = bent(-0.12)
     camera = capture.cameras[0]
     own = stated(camera)

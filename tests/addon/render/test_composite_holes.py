@@ -1,5 +1,5 @@
-"""Meshes that are held out cut composites, the world too. Oracle: Cycles' own picture of the same
-meshes, and light from layer to layer."""
+"""Holdout meshes cut composites, including the world. Oracle: Cycles' own picture of the same
+meshes, and alpha blending of layers."""
 
 import bpy
 import numpy as np
@@ -17,8 +17,8 @@ SIZE, WORLD = (64, 48), (3.0, 1.0, 0.2)
 
 @pytest.fixture
 def lit(scene):
-    """A camera that looks down at a bright world, as Cycles shows it; its pixels are squares, as
-    those of the splats."""
+    """A camera that looks down at a bright world in Cycles, with a box filter like that of the
+    splats."""
     lab.prepare(scene, SIZE)
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 64, False
@@ -68,7 +68,7 @@ def of_collection(scene) -> bpy.types.Object:
 
 
 def by_nodes(scene) -> bpy.types.Object:
-    """Instances that geometry nodes make."""
+    """Instances made by geometry nodes."""
     mesh = bpy.data.meshes.new("corners")
     mesh.from_pydata([(-0.5, 0.1, 0), (0.4, 0.2, 0.3)], [], [])
     ob = bpy.data.objects.new("owner", mesh)
@@ -112,8 +112,8 @@ def as_curve(scene) -> bpy.types.Object:
 )
 @pytest.mark.parametrize("hidden", [False, True])
 def test_the_world_is_cut_as_by_cycles_alone(lit, tmp_path, held, hidden):
-    """Oracle: Cycles' picture before, with a mesh before what is held out and one behind it, and
-    again once all is taken away; the splats are out of sight, or not rendered."""
+    """Oracle: Cycles' picture before, with a mesh in front of the holdout and one behind it, and
+    again after the removal; the splats are out of view, or not rendered."""
     held(lit)
     plane(lit, 1.5, (0, 1, 0), -0.9, -0.5, "before")
     plane(lit, -1.0, (0, 0, 1), 0.6, 1.2, "behind")
@@ -127,7 +127,7 @@ def test_the_world_is_cut_as_by_cycles_alone(lit, tmp_path, held, hidden):
     np.testing.assert_allclose(got[cut], want[cut], atol=1e-3)
     inside = np.isin(want[..., 3], (0, 1))
     np.testing.assert_allclose(got[inside], want[inside], atol=1e-3)
-    # Meshes are looked for at 16 places of a pixel; where two edges cross in one, nobody knows how.
+    # Meshes are sampled at 16 points of a pixel; pixels where two edges cross are undefined.
     off = np.abs(got - want)[..., 3]
     assert (off > 0.1).sum() <= 6 and off.max() < 0.4 and off.mean() < 3e-3
     compositor.take_down(lit)
@@ -135,7 +135,7 @@ def test_the_world_is_cut_as_by_cycles_alone(lit, tmp_path, held, hidden):
 
 
 def only(scene, shown: bpy.types.Object, tmp_path) -> np.ndarray:
-    """What of the splats a scene renders without all others and without meshes."""
+    """Picture of some splats without all others and without meshes."""
     hidden = {ob: ob.hide_render for ob in scene.objects}
     for ob in hidden:
         ob.hide_render = ob != shown
@@ -150,9 +150,9 @@ def only(scene, shown: bpy.types.Object, tmp_path) -> np.ndarray:
 @pytest.mark.parametrize("soft", [1.1, -1.1])
 @pytest.mark.parametrize("cut", [False, True])
 def test_what_is_before_a_hole_stays(lit, tmp_path, alpha, shown, soft, cut):
-    """Oracle: light from layer to layer: soft splats and glass, each before or behind a plane that
-    is held out, and other splats that are, far behind it; the splats as their scene renders them by
-    themselves. What is before the plane stays, and the world shows beside it alone."""
+    """Oracle: alpha blending of layers: soft splats and glass, each in front of or behind a holdout
+    plane, and holdout splats far behind it; the splats as rendered alone by their scene. Layers in
+    front of the plane stay, and the world shows only outside of it."""
     glass(lit, shown, (0, 0, 1), alpha)
     near = lab.add(lit, lab.blob(60, center=(0, 0, soft), size=0.6), "near")
     far = lab.add(lit, lab.blob(60, center=(0.3, 0, -6.0), size=0.9, seed=9), "far")
@@ -171,7 +171,7 @@ def test_what_is_before_a_hole_stays(lit, tmp_path, alpha, shown, soft, cut):
     far.is_holdout, far.hide_render = True, not cut
     bpy.context.window.scene = lit
     got = lab.render_exr(tmp_path, "got")
-    # Depths change at the plane's edge, where what is before what is smoothed.
+    # Depths change at the plane's edge, where the depth order is smoothed.
     beside = np.abs(np.arange(SIZE[0]) - edge) > 6
     np.testing.assert_allclose(got[:, beside], want[:, beside], atol=8e-3)
     assert soft < 0 or got[:, :edge, 3].max() > 0.5
@@ -180,8 +180,8 @@ def test_what_is_before_a_hole_stays(lit, tmp_path, alpha, shown, soft, cut):
 
 @pytest.mark.parametrize("what", ["splats", "mesh", "both"])
 def test_edges_of_holes_in_opaque_things_show_no_world(lit, tmp_path, what):
-    """Oracle: by construction: a plane that is held out before something black and opaque, so that
-    nothing of a bright world shows along its edge."""
+    """Oracle: by construction: a holdout plane in front of a black, opaque object, so that nothing
+    of a bright world shows along its edge."""
     paint_world(lit, 9.0, 9.0, 9.0)
     lab.add(lit, lab.wall(0.0, (0, 0, 0), half=1.5 if what != "mesh" else 0.01))
     if what != "splats":
@@ -199,8 +199,8 @@ def test_edges_of_holes_in_opaque_things_show_no_world(lit, tmp_path, what):
 @pytest.mark.parametrize("turned", [0.0, 0.3, 1.2])
 @pytest.mark.parametrize("lens", [False, True])
 def test_edges_of_holes_show_no_mesh_through_splats(lit, tmp_path, turned, lens):
-    """Oracle: by construction: a plane that is held out before opaque black splats, so that nothing
-    of a bright mesh behind these shows along its edge, wherever in a pixel that is."""
+    """Oracle: by construction: a holdout plane in front of opaque black splats, so that nothing of
+    a bright mesh behind them shows along its edge, wherever in a pixel the edge is."""
     glass(lit, -0.5, (1, 1, 1), 1.0)
     lab.add(lit, lab.wall(0.0, (0, 0, 0), half=1.5))
     held = hole(lit)
@@ -218,8 +218,8 @@ def test_edges_of_holes_show_no_mesh_through_splats(lit, tmp_path, turned, lens)
 
 
 def test_a_hole_behind_meshes_changes_nothing(lit, tmp_path):
-    """Oracle: the picture without it, all over and along its edge: soft splats before an opaque
-    mesh before the hole."""
+    """Oracle: the picture without it, everywhere and along its edge: soft splats in front of an
+    opaque mesh in front of the hole."""
     glass(lit, 0.5, (0, 0, 1), 1.0)
     soft = lab.add(lit, lab.blob(60, center=(0, 0, 1.5), size=0.6))
     held = hole(lit, z=-0.5)
@@ -227,7 +227,7 @@ def test_a_hole_behind_meshes_changes_nothing(lit, tmp_path):
     compositor.set_up(lit)
     got = lab.render_exr(tmp_path, "held")
     held.hide_render = True
-    # Where the splats fade out, what is smoothed are their last thousandths.
+    # Where the splats fade out, only their last thousandths are smoothed.
     np.testing.assert_allclose(got, lab.render_exr(tmp_path, "want"), atol=8e-3)
     bpy.context.window.scene = compositor.set_up(lit)
     alpha = only(lit, soft, tmp_path)[:, : SIZE[0] // 2, 3]
@@ -274,7 +274,7 @@ def test_motion_blurs_a_hole(lit, tmp_path):
 
 
 def test_holes_come_and_go_with_what_is_held_out(lit, tmp_path):
-    """Oracle: the world where nothing is held out or rendered; the panel's sentence."""
+    """Oracle: the world where nothing is held out or rendered; the panel's message."""
     ob, color = hole(lit), pytest.approx((*WORLD, 1), abs=1e-3)
     ob.is_holdout, ob.data.materials[0] = False, emitter("black", (0, 0, 0))
     lab.add(lit, lab.wall(9.0, (0.9, 0.1, 0.1)))
@@ -305,7 +305,7 @@ def test_holes_come_and_go_with_what_is_held_out(lit, tmp_path):
 
 
 def test_the_panel_names_a_composite_of_an_earlier_version(lit):
-    """Oracle: its sentence, until the button is pressed."""
+    """Oracle: its message, until the button is pressed."""
     lab.add(lit, lab.wall(9.0, (0.9, 0.1, 0.1)))
     sentence = "An earlier version has set compositing up"
     assert sentence not in drawn(RenderPanel)

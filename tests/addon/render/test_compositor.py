@@ -1,4 +1,4 @@
-"""Splats among meshes. Oracle: what stands in front, by construction of the scene."""
+"""Splats among meshes. Oracle: the depth order by construction of the scene."""
 
 import bpy
 import numpy as np
@@ -23,7 +23,8 @@ RED, SIZE = (0.9, 0.1, 0.1), (64, 48)
 
 @pytest.fixture
 def mixed(scene):
-    """A red wall of splats at z = 1, a green plane before its left, a blue one behind its right."""
+    """A red wall of splats at z = 1, a green plane in front of its left, a blue one behind its
+    right."""
     lab.prepare(scene, SIZE)
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 4, False
@@ -51,7 +52,7 @@ def test_meshes_before_and_behind(mixed, tmp_path):
 
 
 def test_soft_splats_blend_with_meshes(mixed, tmp_path):
-    """Oracle: alpha over in linear light of what the two scenes render by themselves."""
+    """Oracle: alpha over in linear light of the two scenes' own renders."""
     bpy.data.objects.remove(bpy.data.objects["splats"])
     mixed.render.engine = "CYCLES"
     soft = lab.blob(60, center=(0, 0, 1.0), size=0.4)
@@ -65,7 +66,7 @@ def test_soft_splats_blend_with_meshes(mixed, tmp_path):
     over = splats + (1 - splats[..., 3:]) * meshes
     under = meshes + (1 - meshes[..., 3:]) * splats
     # Columns of the plane behind and of the one before, away from edges of the planes; where the
-    # splats fade out, what is smoothed are their last thousandths.
+    # splats fade out, only their last thousandths are smoothed.
     for columns, want in ((slice(35, 60), over), (slice(14, 28), under)):
         np.testing.assert_allclose(both[16:32, columns], want[16:32, columns], atol=3e-3)
     partly = (splats[16:32, 35:60, 3] > 0.1) & (splats[16:32, 35:60, 3] < 0.9)
@@ -73,8 +74,8 @@ def test_soft_splats_blend_with_meshes(mixed, tmp_path):
 
 
 def test_where_a_mesh_enters_the_splats_is_smooth(mixed, tmp_path):
-    """Oracle: a plane that leaves the wall of splats along an oblique line; each depth is one or
-    the other, so without smoothing no pixel is between red and green."""
+    """Oracle: a plane that intersects the wall of splats along an oblique line; each pixel has one
+    depth, so without smoothing none is between red and green."""
     bpy.data.objects.remove(bpy.data.objects["behind"])
     ob = bpy.data.objects["before"]
     for vertex in ob.data.vertices:
@@ -131,7 +132,7 @@ def test_again_brings_up_to_date(mixed, tmp_path):
 
 
 def test_the_view_is_followed(mixed, tmp_path):
-    """Oracle: camera and pixel aspect of the meshes' scene; a sentence where it is too late."""
+    """Oracle: camera and pixel aspect of the meshes' scene; an error if it is too late."""
     other = compositor.set_up(mixed)
     camera = bpy.data.objects.new("second", bpy.data.cameras.new("second"))
     mixed.collection.objects.link(camera)
@@ -141,12 +142,12 @@ def test_the_view_is_followed(mixed, tmp_path):
     other.camera = bpy.data.objects["Camera"]
     bpy.context.window.scene = other
     message = lab.error_of(lambda: lab.render_exr(tmp_path))
-    assert "looks through Camera" in message and "Composite Splats with Meshes" in message
+    assert "is Camera" in message and "Composite Splats with Meshes" in message
 
 
 def test_it_rests_while_the_splats_engine_renders(mixed, tmp_path):
-    """Oracle: the splats' own picture before the set-up; alpha is not counted twice. Meshes come
-    back with their engine."""
+    """Oracle: the splats' own picture before the set-up; alpha is not counted twice. Meshes are
+    rendered again with their engine."""
     mixed.render.film_transparent, mixed.render.engine = True, "GSCORE_SPLATS"
     soft = lab.add(mixed, lab.blob(60, center=(0, 0, 1.0), size=0.4), "soft")
     bpy.data.objects.remove(bpy.data.objects["splats"])
@@ -163,7 +164,7 @@ def test_it_rests_while_the_splats_engine_renders(mixed, tmp_path):
 
 
 def test_it_can_be_taken_down(mixed, tmp_path):
-    """Oracle: scenes, displays, film, the user's nodes and their links as they were before."""
+    """Oracle: scenes, displays, film, the user's nodes and their links as before."""
     tree = compat.make_compositor_tree(mixed)
     film = mixed.render.film_transparent = False
     ends = {(x.from_node.name, x.to_node.name) for x in tree.links}
@@ -177,7 +178,7 @@ def test_it_can_be_taken_down(mixed, tmp_path):
 
 
 def test_the_shutter_and_its_curve_are_followed(mixed):
-    """Oracle: what the curve of the splats' scene gives, and the settings of the meshes' scene."""
+    """Oracle: values of the curve of the splats' scene, and the settings of the meshes' scene."""
     scene = mixed
     other = compositor.set_up(scene)
     curve = scene.render.motion_blur_shutter_curve
@@ -201,7 +202,7 @@ def test_the_shutter_and_its_curve_are_followed(mixed):
 
 
 def test_markers_change_the_camera(mixed, tmp_path):
-    """Oracle: the splats' red fills less of the frame that is seen from twice as far."""
+    """Oracle: the splats' red fills less of a frame from twice the distance."""
     far = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
     mixed.collection.objects.link(far)
     far.location = (0, 0, 8)
@@ -222,7 +223,7 @@ def test_markers_change_the_camera(mixed, tmp_path):
 
 
 def test_nothing_happens_by_itself(scene):
-    """Oracle: scene and trees after import and a render by our engine."""
+    """Oracle: scene and trees after import and a render by the add-on's engine."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     bpy.ops.render.render()
@@ -237,7 +238,7 @@ def test_nothing_happens_by_itself(scene):
     ],
 )
 def test_refusals_leave_the_file_alone(mixed, spoil, words):
-    """Oracle: one sentence; as many scenes and node groups as before."""
+    """Oracle: one error; as many scenes and node groups as before."""
     spoil(mixed)
     counts = len(bpy.data.scenes), len(bpy.data.node_groups), mixed.render.film_transparent
     assert words in lab.error_of(bpy.ops.gscore.set_up_compositing)
@@ -249,7 +250,7 @@ def test_refusals_leave_the_file_alone(mixed, spoil, words):
 
 
 def in_collection(scene, ob) -> None:
-    """Put an object into a collection of its own."""
+    """Put an object into a new collection."""
     own = bpy.data.collections.new("own")
     scene.collection.children.link(own)
     own.objects.link(ob)
@@ -264,8 +265,8 @@ def switch(scene, name: str, *, on: bool) -> None:
 
 @pytest.mark.parametrize("hide", ["hide_render", "exclude", "indirect_only", "holdout"])
 def test_what_collections_hide_is_hidden_and_comes_back(mixed, tmp_path, hide):
-    """Oracle: what stands where, by construction, without the wall, whose hole shows no mesh behind
-    it either; then the picture of before."""
+    """Oracle: the scene by construction without the wall, whose hole shows no mesh behind it
+    either; then the earlier picture."""
     in_collection(mixed, bpy.data.objects["splats"])
     compositor.set_up(mixed)
     before = lab.render_exr(tmp_path, "before")
@@ -280,8 +281,8 @@ def test_what_collections_hide_is_hidden_and_comes_back(mixed, tmp_path, hide):
 
 
 def test_held_out_splats_hide_all_that_is_behind_them(mixed, tmp_path):
-    """Oracle: what stands where, by construction: a held-out wall before red splats and a blue
-    mesh, and behind a green one."""
+    """Oracle: the scene by construction: a holdout wall in front of red splats and a blue mesh, and
+    behind a green one."""
     lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.5), "cut")
     in_collection(mixed, bpy.data.objects["cut"])
     switch(mixed, "holdout", on=True)
@@ -299,8 +300,8 @@ def test_held_out_splats_hide_all_that_is_behind_them(mixed, tmp_path):
 
 @pytest.mark.parametrize("z", [1.02, 0.98])
 def test_a_catcher_before_splats_darkens_them(mixed, tmp_path, z):
-    """Oracle: where a mesh stands in the sun's way, by construction: the shadow lies on the splats
-    if the plane that catches it is a little before them, and below them otherwise."""
+    """Oracle: the shadow of a mesh by construction: it is on the splats if the shadow catcher is a
+    little in front of them, and covered by them otherwise."""
     bpy.data.objects.remove(bpy.data.objects["behind"])
     ground = plane(mixed, z, (1, 1, 1), -2.0, 2.0, "ground")
     ground.is_shadow_catcher = True
@@ -322,9 +323,9 @@ def test_a_catcher_before_splats_darkens_them(mixed, tmp_path, z):
 
 @pytest.mark.parametrize("lens", [False, True])
 def test_soft_splats_that_are_held_out_cut_softly(mixed, tmp_path, lens):
-    """Oracle: before a mesh that fills the picture, what the splats' scene renders by itself, and
-    of the mesh what all splats let through, told by the alpha of a render in which none is held
-    out. Through a lens too, but where the sharp picture, whose depths count, has nothing."""
+    """Oracle: in front of a mesh that fills the picture, the splats' scene alone, plus the mesh
+    times the transmittance of all splats, from the alpha of a render without holdouts. With depth
+    of field too, except where the sharp picture, whose depths are used, is empty."""
     for name in ("splats", "before", "behind"):
         bpy.data.objects.remove(bpy.data.objects[name])
     back = plane(mixed, -1.0, (0, 0, 1), -9.0, 9.0, "back")
@@ -352,9 +353,9 @@ def test_soft_splats_that_are_held_out_cut_softly(mixed, tmp_path, lens):
 @pytest.mark.parametrize("shown", [2.2, -2.2])
 @pytest.mark.parametrize("held", [1.1, -1.1])
 def test_what_is_held_out_lies_among_all_others(mixed, tmp_path, alpha, shown, held):
-    """Oracle: light from layer to layer: soft splats that are held out, and others, before or
-    behind a mesh that fills the picture, and a bright world behind all; the splats as their scene
-    renders them by themselves."""
+    """Oracle: alpha blending of layers: soft holdout splats, and others, in front of or behind a
+    mesh that fills the picture, and a bright world behind all; the splats as rendered alone by
+    their scene."""
     for name in ("splats", "before", "behind"):
         bpy.data.objects.remove(bpy.data.objects[name])
     paint_world(mixed, 3.0, 1.0, 0.2)
@@ -382,8 +383,8 @@ def test_what_is_held_out_lies_among_all_others(mixed, tmp_path, alpha, shown, h
 
 
 def test_edges_of_opaque_things_show_no_world(mixed, tmp_path):
-    """Oracle: what stands where, by construction: a black plane before an opaque red wall, so that
-    nothing of a bright green world shows where one goes over into the other."""
+    """Oracle: the scene by construction: a black plane in front of an opaque red wall, so that
+    nothing of a bright green world shows along the edge."""
     bpy.data.objects.remove(bpy.data.objects["behind"])
     ob = bpy.data.objects["before"]
     ob.data.materials[0] = emitter("dark", (0, 0, 0))
@@ -397,7 +398,7 @@ def test_edges_of_opaque_things_show_no_world(mixed, tmp_path):
 
 
 def test_held_out_splats_hide_the_world(mixed, tmp_path):
-    """Oracle: nothing in the hole, the world beside it and beyond a green mesh."""
+    """Oracle: nothing in the hole, the world next to it and behind a green mesh."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     bpy.data.objects.remove(bpy.data.objects["behind"])
     bpy.data.objects["splats"].is_holdout = True
@@ -409,7 +410,7 @@ def test_held_out_splats_hide_the_world(mixed, tmp_path):
 
 
 def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
-    """Oracle: what stands where, by construction; one that is held out later is named."""
+    """Oracle: the scene by construction; a later holdout is named."""
     compositor.set_up(mixed)
     before = lab.render_exr(tmp_path, "before")
     mixed.objects["before"].is_holdout = True
@@ -427,18 +428,18 @@ def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
 
 
 def test_views_of_several_cameras_are_refused_by_name(mixed, capfd):
-    """Oracle: what Blender prints: the sentence of the engine of the splats, and no other."""
+    """Oracle: Blender's output: the error of the splats' engine, and no other."""
     compositor.set_up(mixed)
     bpy.ops.render.render()
     assert "several cameras" not in capfd.readouterr().out
     mixed.render.use_multiview, mixed.render.views_format = True, "MULTIVIEW"
     bpy.ops.render.render()
-    assert "Views of several cameras are not rendered" in capfd.readouterr().out
+    assert "Multi-View is not supported" in capfd.readouterr().out
 
 
 def test_the_world_stays_behind_everything(mixed, tmp_path):
-    """Oracle: the meshes' own picture where no splats are, before and after; it follows the world;
-    the splats are where they are without one."""
+    """Oracle: the meshes' own picture where no splats are, before and after; it follows changes of
+    the world; the splats are as without a world."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     before = lab.render_exr(tmp_path, "before")
     assert before[2, 62] == pytest.approx((0.1, 0.2, 0.8, 1), abs=0.01)
@@ -459,7 +460,7 @@ def test_the_world_stays_behind_everything(mixed, tmp_path):
 
 
 def test_a_film_that_was_transparent_stays_so(mixed, tmp_path):
-    """Oracle: no scene for a world, and alpha 0 where nothing is."""
+    """Oracle: no scene for a world, and alpha 0 in empty areas."""
     mixed.world = bpy.data.worlds.new("unseen")
     compositor.set_up(mixed)
     assert len(bpy.data.scenes) == 2
@@ -467,8 +468,8 @@ def test_a_film_that_was_transparent_stays_so(mixed, tmp_path):
 
 
 def test_it_is_set_up_from_the_engine_of_splats(mixed, tmp_path):
-    """Oracle: the engine of before, which removing gives back; while ours renders, film and picture
-    are those without compositing."""
+    """Oracle: the earlier engine, which removing restores; with the add-on's engine, film and
+    picture are those without compositing."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     assert bpy.ops.gscore.use_engine() == {"FINISHED"}
     alone = lab.render_exr(tmp_path, "alone")
@@ -497,8 +498,8 @@ def test_an_engine_that_is_gone_is_replaced(mixed):
     [(), holdout_passes.NAMES[3:], holdout_passes.NAMES, ("World", *holdout_passes.NAMES)],
 )
 def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
-    """Oracle: the picture of a new set-up, in which splats and a mesh are held out, and one group,
-    though the file has an older one."""
+    """Oracle: the picture of a new set-up with holdout splats and a holdout mesh, and one group,
+    although the file has an older one."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     lab.add(mixed, lab.wall(1.5, (0.1, 0.1, 0.9), half=0.3), "cut").is_holdout = True
     mixed.objects["behind"].is_holdout = True
@@ -523,7 +524,7 @@ def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
 
 
 def test_what_is_chosen_afterwards_stays(mixed):
-    """Oracle: the user's engine, and the film of before where edges are not to blend."""
+    """Oracle: the user's engine, and the earlier film if edges should not blend."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     mixed.render.engine = "GSCORE_SPLATS"
     compositor.set_up(mixed)

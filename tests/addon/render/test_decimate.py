@@ -1,4 +1,4 @@
-"""Fewer splats. Oracle: how many there are, and pictures drawn anew."""
+"""Decimation. Oracle: the number of splats, and newly rendered pictures."""
 
 import bpy
 import numpy as np
@@ -11,7 +11,7 @@ from tests.addon import splat_scenes as lab
 
 
 def test_the_error_is_stated(scene: bpy.types.Scene) -> None:
-    """Oracle: PSNR of pictures of before and after, drawn here; the most important stay."""
+    """Oracle: PSNR of pictures before and after, rendered here; the most important splats stay."""
     before = lab.blob(600)
     ob = lab.add(scene, before)
     ob.location, ob.scale = (3, 1, 0), (2, 2, 2)
@@ -22,7 +22,7 @@ def test_the_error_is_stated(scene: bpy.types.Scene) -> None:
     for K, viewmat, width, height in views:
         seen = render(before, K, viewmat, width, height).alpha.squeeze()
         rows, columns = np.nonzero(seen > 0.2)
-        assert len(rows) > 1000  # they are looked at, and stand in the middle
+        assert len(rows) > 1000  # the cameras look at them, in the middle
         assert abs(rows.mean() - height / 2) < 25 and abs(columns.mean() - width / 2) < 25
     assert bpy.ops.gscore.decimate_splats(count=200) == {"FINISHED"}
     after = objects.read(ob)

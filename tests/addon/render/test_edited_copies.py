@@ -1,4 +1,4 @@
-"""Splats copied in Edit Mode, where each copy is a change to Blender."""
+"""Copies of splats in Edit Mode, where Blender reports each copy as a change."""
 
 import time
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.render import copies
+from addon.render import viewport_copies
 from addon.render.scene import Source, sources
 from tests.addon import splat_scenes as lab
 
@@ -16,10 +16,10 @@ COUNT = 300
 
 
 class Views:
-    """What views do: they copy where they are drawn, and are told of updates."""
+    """Fake views: they copy at each redraw, and receive updates."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.made, self.copied = copies.Copies(), 0
+        self.made, self.copied = viewport_copies.Copies(), 0
         frozen = Source.frozen_mesh
 
         def counted(source: Source) -> object:
@@ -29,12 +29,12 @@ class Views:
         monkeypatch.setattr(Source, "frozen_mesh", counted)
 
     def told(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-        """By two who listen, as in a window."""
+        """Pass updates to two listeners, as in a window."""
         self.made.forget_changed(depsgraph)
         self.made.forget_changed(depsgraph)
 
     def drawn(self) -> float:
-        """One redraw; the first splat's x."""
+        """Redraw; return the first splat's x."""
         found = sources(bpy.context.evaluated_depsgraph_get())
         placed, _ = self.made.copied(found)
         bpy.context.view_layer.update()
@@ -43,7 +43,7 @@ class Views:
 
 @pytest.fixture
 def views(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[Views]:
-    """Of one object in Edit Mode."""
+    """Views of one object in Edit Mode."""
     made, ob = Views(monkeypatch), lab.add(scene, lab.blob(COUNT))
     bpy.context.view_layer.objects.active = ob
     bpy.app.handlers.depsgraph_update_post.append(made.told)
@@ -55,7 +55,7 @@ def views(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[V
 
 
 def move(x: float) -> None:
-    """The first splat, as a user does."""
+    """Move the first splat, as a user does."""
     mesh = bpy.context.object.data
     editor = bmesh.from_edit_mesh(mesh)
     editor.verts.ensure_lookup_table()
@@ -80,8 +80,8 @@ def test_a_view_comes_to_rest_in_edit_mode(views: Views) -> None:
 def test_an_edit_that_comes_with_an_echo_shows_when_it_rests(
     views: Views, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the place that Blender has, though its update was taken for that of the copy."""
-    monkeypatch.setattr(copies, "_REST", 0.05)
+    """Oracle: Blender's position, although its update was taken for that of the copy."""
+    monkeypatch.setattr(viewport_copies, "_REST", 0.05)
     move(6.0)
     bpy.context.view_layer.update()
     views.drawn()  # differs from the copy before, so the next update counts
@@ -102,9 +102,11 @@ def test_an_edit_that_comes_with_an_echo_shows_when_it_rests(
 
 def test_slow_redraws_come_to_rest_too(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the number of copies, which ends although every echo is late at first."""
-    monkeypatch.setattr(copies, "_ECHO", 1e-9)
-    monkeypatch.setattr(copies, "_REST", 1e9)  # a slow machine may else rest in between
-    views.made = copies.Copies()
+    monkeypatch.setattr(viewport_copies, "_ECHO", 1e-9)
+    monkeypatch.setattr(
+        viewport_copies, "_REST", 1e9
+    )  # a slow machine may rest in between otherwise
+    views.made = viewport_copies.Copies()
     move(8.0)
     bpy.context.view_layer.update()
     for _ in range(8):
@@ -113,7 +115,8 @@ def test_slow_redraws_come_to_rest_too(views: Views, monkeypatch: pytest.MonkeyP
     for _ in range(20):
         assert views.drawn() == np.float32(8.0)
     assert views.copied == before
-    time.sleep(4 * copies._TOLD)  # nobody edits sooner, and fast redraws are over by then
+    # No user edits sooner, and fast redraws are finished by then.
+    time.sleep(4 * viewport_copies._SAME_UPDATE)
     move(9.0)
     bpy.context.view_layer.update()
     views.drawn()

@@ -1,4 +1,5 @@
-"""The render engine. Oracle, unless said otherwise: gscore.render of the same splats and camera."""
+"""The render engine. Oracle, unless stated otherwise: gscore.render of the same splats and
+camera."""
 
 import subprocess
 import sys
@@ -15,8 +16,8 @@ from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
 from addon.render import engine, panels, picture
-from addon.render.copies import Copies
 from addon.render.scene import sources
+from addon.render.viewport_copies import Copies
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
 
@@ -27,7 +28,7 @@ LEVEL = 1 / 255
 
 @pytest.mark.parametrize("light", [0.0, 0.2])
 def test_png_shows_the_values_of_gscore(scene, tmp_path, light):
-    """Colours come out as they are blended, over the world's colour, to one level of 8 bit."""
+    """Colours are those of blending over the world's colour, to one level of 8 bit."""
     camera = lab.prepare(scene, light=light)
     splats = lab.blob()
     lab.add(scene, splats)
@@ -81,7 +82,7 @@ def test_film_transparent(scene, tmp_path):
     lab.add(scene, splats)
     want = lab.truth(camera, splats, SIZE)
     exr = lab.render_exr(tmp_path)
-    # Blender's matrices are float32, as the places of splats in the two pictures are.
+    # Blender's matrices and the positions of splats in the two pictures are float32.
     np.testing.assert_allclose(exr[..., 3], want.alpha, atol=5e-6)
     assert 0.02 < (want.alpha > 0.5).mean() < 0.9
     seen = want.alpha > 0.05
@@ -97,7 +98,7 @@ def test_film_transparent(scene, tmp_path):
 
 
 def test_depth_pass(scene, tmp_path):
-    """Oracle: a wall of splats at a known distance; 1e10 beside it."""
+    """Oracle: a wall of splats at a known distance; 1e10 outside of it."""
     lab.prepare(scene)
     lab.add(scene, lab.wall(1.0, (0.9, 0.2, 0.1), half=0.5))
     scene.view_layers[0].use_pass_z = True
@@ -135,7 +136,7 @@ def test_border(scene, tmp_path, crop):
     [(0.0, 1.0, 0.0, 1.0), (0.97, 1.0, 0.98, 1.0), (0.0, 0.03, 0.0, 0.03), (0.1, 0.6, 0.5, 1)],
 )
 def test_any_border_fits_blenders_own(scene, tmp_path, border):
-    """Oracle: the same pixels of the whole picture, wherever the border lies."""
+    """Oracle: the same pixels of the whole picture, wherever the border is."""
     lab.prepare(scene, light=0.1)
     lab.add(scene, lab.blob(size=0.6))
     whole = lab.render_exr(tmp_path, "whole")
@@ -234,7 +235,7 @@ def _hide(ob: bpy.types.Object, how: str, scene: bpy.types.Scene) -> None:
 
 @pytest.mark.parametrize("how", ["object", "collection", "excluded", "viewport"])
 def test_hidden_objects(scene, tmp_path, how):
-    """Oracle: what is hidden from renders is not there, what is hidden in the viewport is."""
+    """Oracle: objects hidden in renders are not drawn, those hidden in the viewport are."""
     camera = lab.prepare(scene)
     shown, hidden = lab.blob(seed=1), lab.wall(2.0, (1, 0, 0))
     lab.add(scene, shown)
@@ -263,7 +264,7 @@ def test_collection_instances(scene, tmp_path):
 
 
 def test_filters_reach_the_render_if_wanted(scene, tmp_path):
-    """Oracle: the splats above the limit alone."""
+    """Oracle: only the splats above the limit."""
     camera = lab.prepare(scene)
     splats = lab.blob()
     ob = lab.add(scene, splats)
@@ -298,7 +299,7 @@ def test_animation_decodes_once(scene, tmp_path):
     engine.final_cache.clear()
     scene.frame_set(4)
     np.testing.assert_array_equal(lab.render_exr(tmp_path), last)
-    # An object that moves against the other is merged anew, not decoded.
+    # An object that moves relative to the other is merged again, but not decoded.
     decoded, merged = engine.final_cache.decoded, engine.final_cache.merged
     other.location.y = 0.3
     lab.render_exr(tmp_path)
@@ -306,7 +307,7 @@ def test_animation_decodes_once(scene, tmp_path):
 
 
 def test_edits_show_without_any_update_call(scene, tmp_path):
-    """Oracle: the eye's: a script paints a wall red and renders again."""
+    """Oracle: the colour: a script paints a wall red and renders again."""
     lab.prepare(scene)
     ob = lab.add(scene, lab.wall(1.0, (0.1, 0.1, 0.9)))
     before = lab.render_exr(tmp_path)[35, 45]
@@ -342,7 +343,7 @@ def test_splats_in_edit_mode(scene, tmp_path):
 
 
 def test_view_layers(scene, tmp_path):
-    """Oracle: each layer's own objects, told apart by colour in a multilayer result."""
+    """Oracle: each layer's own objects, identified by colour in a multilayer result."""
     lab.prepare(scene)
     left = bpy.data.collections.new("left")
     right = bpy.data.collections.new("right")
@@ -401,12 +402,12 @@ def two_minds(scene):
         (panorama, "Camera is mirrorball; panoramas"),
         (stretched, "splats cannot be rendered.*unevenly"),
         (no_attribute, "scale"),
-        (many_cameras, "Views of several cameras"),
+        (many_cameras, "Multi-View is not supported"),
         (two_minds, "Anti-Aliasing"),
     ],
 )
 def test_refusals_are_sentences(scene, tmp_path, spoil, words):
-    """Oracle: the message names what is wrong; nothing is written; the next render works."""
+    """Oracle: the message names the problem; nothing is written; the next render works."""
     import re
 
     lab.prepare(scene)
@@ -419,7 +420,7 @@ def test_refusals_are_sentences(scene, tmp_path, spoil, words):
 
 
 def test_missing_library_is_named(run_blender):
-    """Oracle: a fresh Blender whose gscore looks for its library where there is none."""
+    """Oracle: a fresh Blender whose gscore searches for its library in an empty folder."""
     script = f"""
 import atexit, os, sys
 os.environ["GSCORE_LIBRARY"] = "/nowhere/libgscore.so"
@@ -484,7 +485,7 @@ def test_blenders_panels_are_shown(panel, switch):
 
 
 def test_panels_of_its_own_are_shown_again(switch):
-    """Oracle: the lists of engines of panels that the add-on brings, after it was enabled again."""
+    """Oracle: the lists of engines of the add-on's panels, after it was enabled again."""
     own = [kind for kind in panels.CLASSES if issubclass(kind, bpy.types.Panel)]
     assert len(own) == 4
     switch(False)

@@ -1,5 +1,5 @@
-"""Instances of objects that are held out hide splats. Oracle: the picture with the same instances
-realised, by Blender's own node, or as objects of their own."""
+"""Instances of holdout objects hide splats. Oracle: the picture with the same instances realised,
+by Blender's own node, or as separate objects."""
 
 from collections.abc import Callable
 
@@ -26,7 +26,7 @@ SHAPES = ("object", "collection", "primitive", "nested")
 
 
 def link(collection: bpy.types.Collection, name: str, data: bpy.types.ID | None):
-    """A new object."""
+    """Link a new object."""
     ob = bpy.data.objects.new(name, data)
     collection.objects.link(ob)
     return ob
@@ -51,7 +51,7 @@ def points(name: str = "corners") -> bpy.types.Mesh:
 
 
 def on_points(shown: bpy.types.ID | None, *, realized: bool = False) -> bpy.types.NodeTree:
-    """Nodes that put an object, a collection or a cube of their own on points."""
+    """Nodes that instance an object, a collection or a cube on points."""
     tree = bpy.data.node_groups.new("On Points", "GeometryNodeTree")
     tree.is_modifier = True
     for way in ("INPUT", "OUTPUT"):
@@ -82,7 +82,7 @@ def on_points(shown: bpy.types.ID | None, *, realized: bool = False) -> bpy.type
 
 
 def a_collection() -> bpy.types.Collection:
-    """Two meshes and a text, one of them hidden, instanced around a place of its own."""
+    """Two meshes and a text, one of them hidden, with an instance offset."""
     group = bpy.data.collections.new("shown")
     link(group, "near", quad("near", 0.15)).location = 0.1, 0, 0.3
     link(group, "hidden", quad("hidden", 2.0)).hide_render = True
@@ -95,11 +95,12 @@ def a_collection() -> bpy.types.Collection:
 
 
 def owner(scene: bpy.types.Scene, shape: str) -> tuple[bpy.types.Object, Callable[[], None]]:
-    """An object in front of the splats whose nodes make instances, and what realises them."""
+    """An object in front of the splats whose nodes make instances, and the node that realises
+    them."""
     shown = None
     if shape in ("object", "nested"):
         shown = link(scene.collection, "shown", quad("shown", 0.2))
-        shown.location = 90, 0, 0  # itself out of sight
+        shown.location = 90, 0, 0  # itself out of view
     elif shape == "collection":
         shown = a_collection()
     if shape == "nested":
@@ -114,7 +115,7 @@ def owner(scene: bpy.types.Scene, shape: str) -> tuple[bpy.types.Object, Callabl
     modifier.node_group = on_points(shown)
 
     def realize() -> None:
-        if shape == "collection":  # what is hidden there would be realised too
+        if shape == "collection":  # hidden objects would be realised too
             shown.objects.unlink(bpy.data.objects["hidden"])
         modifier.node_group = on_points(shown, realized=True)
 
@@ -122,14 +123,14 @@ def owner(scene: bpy.types.Scene, shape: str) -> tuple[bpy.types.Object, Callabl
 
 
 def alike(got: np.ndarray, wanted: np.ndarray) -> None:
-    """Blender rounds places to single precision: one of a pixel's 16 looks may fall otherwise."""
+    """Compare pictures; Blender's float32 positions may change one of a pixel's 16 samples."""
     off = np.abs(got - wanted).max(-1)
     assert off.max() < 0.1 and (off > 1e-5).sum() <= 3
 
 
 @pytest.fixture
 def held(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """A scene of splats, on nothing."""
+    """A scene of splats, on an empty background."""
     lab.prepare(scene)
     scene.render.film_transparent = True
     lab.add(scene, lab.wall(0.0, (0.8, 0.4, 0.2), half=2.0))
@@ -138,7 +139,7 @@ def held(scene: bpy.types.Scene) -> bpy.types.Scene:
 
 @pytest.fixture(params=["as it comes", "walked"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both ways to the instances; before 4.5 there is one."""
+    """Both ways to read instances; before 4.5 there is one."""
     if request.param == "walked":
         monkeypatch.setattr(generated_instances, "has_to_be_walked", generated_instances.may_grow)
 
@@ -158,7 +159,7 @@ def test_instances_of_nodes_hide_what_is_behind_them(held, tmp_path, way, shape)
 
 @pytest.mark.parametrize("how", ["instance", "collection", "turned off", "not seen"])
 def test_where_the_object_itself_stands(held, tmp_path, way, how):
-    """Oracle: realised, in a collection that is held out or instanced; nothing of what is off."""
+    """Oracle: realised, in a holdout or instanced collection; nothing of disabled objects."""
     ob, realize = owner(held, "object")
     if how in ("instance", "collection"):
         group = bpy.data.collections.new("cut")
@@ -187,7 +188,7 @@ def test_where_the_object_itself_stands(held, tmp_path, way, how):
 
 
 def test_instances_on_corners_and_of_particles(held, tmp_path):
-    """Oracle: an object of its own at each corner; twenty particles of one mesh."""
+    """Oracle: a separate object at each corner; twenty particles of one mesh."""
     ob = link(held.collection, "owner", points())
     ob.is_holdout, ob.location = True, (0, 0, 1)
     shown = link(held.collection, "shown", quad("shown", 0.2))
@@ -217,7 +218,7 @@ def test_instances_on_corners_and_of_particles(held, tmp_path):
 
 
 def grow_hair(ob: bpy.types.Object, shown: bpy.types.Object, count: int) -> None:
-    """Let an object show another one many times, as hair."""
+    """Instance an object many times as hair of another one."""
     ob.modifiers.new("grass", "PARTICLE_SYSTEM")
     settings = ob.particle_systems[0].settings
     settings.type, settings.count = "HAIR", count
@@ -225,7 +226,7 @@ def grow_hair(ob: bpy.types.Object, shown: bpy.types.Object, count: int) -> None
 
 
 def counts() -> dict[tuple[int, float], int]:
-    """How often meshes hide, by their corners' number and largest coordinate."""
+    """Number of holdout meshes, by their number of corners and largest coordinate."""
     bpy.context.view_layer.update()
     found = HoldoutMeshes().of(bpy.context.evaluated_depsgraph_get())
     keys = [(len(m.triangles.vertices), round(float(m.triangles.vertices.max()), 2)) for m in found]
@@ -235,7 +236,7 @@ def counts() -> dict[tuple[int, float], int]:
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_what_an_instanced_object_makes_hides_alone(held, nested):
-    """Oracle: the emitter once and each of its hairs; nothing beside it in the collection."""
+    """Oracle: the emitter once and each of its hairs; nothing else in the collection."""
     group = bpy.data.collections.new("cut")
     link(group, "before", quad("before", 0.31))
     shown = link(held.collection, "shown", quad("shown", 0.2))
@@ -261,7 +262,7 @@ def test_what_an_instanced_object_makes_hides_alone(held, nested):
 @pytest.mark.parametrize("render", [False, True])
 @pytest.mark.parametrize("how", ["faces", "hair", "nodes", "in a collection", "in a set"])
 def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way, how, render):
-    """Oracle: what hides with Show Instancer, without the faces of the instancer."""
+    """Oracle: the holdouts with Show Instancer, without the faces of the instancer."""
     scene = held
     if how == "in a set":
         scene = held.background_set = bpy.data.scenes.new("set")
@@ -318,7 +319,7 @@ def test_instances_hide_without_their_instancer(held, tmp_path, monkeypatch, way
 
 
 def test_viewports_follow_what_nodes_make(held, way):
-    """Oracle: a look at the depsgraph without memory, at the same moment."""
+    """Oracle: reading the depsgraph without a cache, at the same time."""
     ob, _ = owner(held, "object")
     shared = HoldoutMeshes()
 
@@ -331,7 +332,7 @@ def test_viewports_follow_what_nodes_make(held, way):
         before = shared.of(bpy.context.evaluated_depsgraph_get())
         again = shared.of(bpy.context.evaluated_depsgraph_get())
         assert holdout_meshes.same_meshes(before, again)
-        assert before[0].triangles is again[0].triangles  # nothing is copied anew
+        assert before[0].triangles is again[0].triangles  # nothing is copied again
         for change in (
             lambda: setattr(ob.location, "x", 0.2),
             lambda: bpy.data.meshes["shown"].transform(np.diag([2.0, 1, 1, 1])),
@@ -380,15 +381,15 @@ def test_composites_have_them(held, tmp_path, shape):
 
 
 def test_too_many_triangles_are_refused(held, tmp_path, monkeypatch):
-    """Oracle: a sentence with both numbers, and no picture."""
+    """Oracle: an error with both numbers, and no picture."""
     owner(held, "object")
     monkeypatch.setattr(mesh_holdout, "MOST_TRIANGLES", 5)
-    with pytest.raises(RuntimeError, match="has 6 triangles with all its instances; splats can be"):
+    with pytest.raises(RuntimeError, match="have 6 triangles with all instances; the limit is"):
         lab.render_exr(tmp_path, "none")
 
 
 def test_what_makes_instances_is_not_said_to_hide_nothing(held):
-    """Oracle: the sentence on what has no faces, for curves without and with nodes."""
+    """Oracle: the message about objects without faces, for curves without and with nodes."""
     hair = link(held.collection, "hair", bpy.data.hair_curves.new("hair"))
     hair.is_holdout = True
     bpy.context.view_layer.update()
@@ -400,7 +401,7 @@ def test_what_makes_instances_is_not_said_to_hide_nothing(held):
 
 
 def test_points_that_become_faces_hide(held, way):
-    """Oracle: a cloud of points, which has no faces of its own, whose nodes make a cube."""
+    """Oracle: a point cloud, which has no faces itself, whose nodes make a cube."""
     tree = on_points(None)
     cube = next(n for n in tree.nodes if n.bl_idname == "GeometryNodeMeshCube")
     result = next(n for n in tree.nodes if n.bl_idname == "NodeGroupOutput")
@@ -415,7 +416,7 @@ def test_points_that_become_faces_hide(held, way):
 
 
 def test_a_viewport_that_begins_remembers_nothing(monkeypatch):
-    """Oracle: what was changed while no viewport was drawn, of which nobody told."""
+    """Oracle: changes made while no viewport was drawn, which were not reported."""
     shared = HoldoutMeshes()
     shared._known[1] = Triangles(np.zeros((3, 3)), np.zeros((1, 3), np.int32))
     monkeypatch.setattr(holdout_meshes, "SHARED", shared)

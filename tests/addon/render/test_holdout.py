@@ -1,4 +1,4 @@
-"""Splats that are held out. Oracle: the compositing formulas, on pictures of each object alone."""
+"""Holdout splats. Oracle: the compositing formulas, on pictures of each object alone."""
 
 import bpy
 import numpy as np
@@ -39,7 +39,7 @@ def cut(ob: bpy.types.Object, how: str) -> None:
 @pytest.mark.parametrize("how", ["object", "collection"])
 @pytest.mark.parametrize("transparent", [True, False])
 def test_a_veil_cuts_its_share_of_what_is_behind(scene, tmp_path, how, transparent):
-    """Oracle: (1 - its alpha) times what is seen without it, in straight colours."""
+    """Oracle: (1 - its alpha) times the picture without it, in straight colours."""
     camera = lab.prepare(scene, light=0.3)
     scene.render.film_transparent = transparent
     lab.add(scene, lab.blob())
@@ -55,7 +55,7 @@ def test_a_veil_cuts_its_share_of_what_is_behind(scene, tmp_path, how, transpare
 
 
 def test_what_is_before_it_stays(scene, tmp_path):
-    """Oracle: the picture of what is before it, alone; and an empty one of it alone."""
+    """Oracle: the picture of the splats in front of it alone; and an empty one of it alone."""
     lab.prepare(scene)
     scene.render.film_transparent = True
     lab.add(scene, lab.blob(center=(0, 0, 1.5), size=0.3))

@@ -1,4 +1,4 @@
-"""Oracle: pictures with a setting and without it, to the bit, and what the render reports."""
+"""Oracle: pictures with a setting and without it, to the bit, and the reports of the render."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ from tests.addon import splat_scenes as lab
 
 
 def shown() -> unsupported_settings.Shown:
-    """What the open file would render."""
+    """The `Shown` of the open file."""
     context = bpy.context
     context.view_layer.update()
     return unsupported_settings.Shown(
@@ -25,20 +25,20 @@ def shown() -> unsupported_settings.Shown:
 
 
 def others(scene: bpy.types.Scene) -> None:
-    """A mesh before the camera."""
+    """A mesh in front of the camera."""
     mesh = bpy.data.meshes.new("board")
     mesh.from_pydata([(-1, -1, 2), (1, -1, 2), (0, 1, 2)], [], [(0, 1, 2)])
     scene.collection.objects.link(bpy.data.objects.new("board", mesh))
 
 
 def catcher(scene: bpy.types.Scene) -> None:
-    """The same, for shadows alone."""
+    """The same, as a shadow catcher."""
     others(scene)
     bpy.data.objects["board"].is_shadow_catcher = True
 
 
 def composited(scene: bpy.types.Scene) -> None:
-    """The same, set up to be composited, and then the splats' engine."""
+    """The same, with compositing set up, and then the splats' engine."""
     others(scene)
     scene.render.engine = "CYCLES"
     compositor.set_up(scene, transparent=False)
@@ -51,7 +51,7 @@ def modified(scene: bpy.types.Scene) -> None:
 
 
 def striped_world(scene: bpy.types.Scene) -> None:
-    """A world with a texture in its color; the viewport's own color is that of before."""
+    """A world with a color texture; its viewport color stays the same."""
     tree = compat.world_nodes(scene.world)
     if tree is None:
         scene.world.use_nodes = True
@@ -62,19 +62,19 @@ def striped_world(scene: bpy.types.Scene) -> None:
 
 
 def override(scene: bpy.types.Scene) -> None:
-    """All in one material."""
+    """A material override."""
     bpy.context.view_layer.material_override = bpy.data.materials.new("clay")
 
 
 def mirror_ball(scene: bpy.types.Scene) -> None:
-    """A kind of panorama that the engine does not know."""
+    """An unsupported type of panorama."""
     data = scene.camera.data
     data.type = "PANO"
     compat.panorama_settings(data).panorama_type = "MIRRORBALL"
 
 
 def many_cameras(scene: bpy.types.Scene) -> None:
-    """Views by other cameras."""
+    """Multi-View with other cameras."""
     scene.render.use_multiview, scene.render.views_format = True, "MULTIVIEW"
 
 
@@ -92,14 +92,14 @@ def setting(path: str, value: object) -> Callable[[bpy.types.Scene], None]:
 
 WITHOUT_EFFECT = {
     "Clip End of Camera": setting("camera.clip_end", 3.5),
-    "World World is not one colour": striped_world,
+    "World World is not one uniform color": striped_world,
     "Composite Splats with Meshes renders both": others,
-    "with which compositing rests": composited,
+    "which disables compositing": composited,
     "shape keys of splats": modified,
     "Shadow Catcher of splats": setting("splats.is_shadow_catcher", True),
     "Shadow Catcher board is not drawn": catcher,
     "Material Override clay": override,
-    "there is no Mist": setting("layer.use_pass_mist", True),
+    "has no pass Mist": setting("layer.use_pass_mist", True),
     "Freestyle": setting("render.use_freestyle", True),
     "Simplify": setting("render.use_simplify", True),
     "Threads": setting("render.threads_mode", "FIXED"),
@@ -110,18 +110,18 @@ ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes", "Apply", "Join
 splats/test_mending.py."""
 REFUSED = {
     "mirrorball": mirror_ball,
-    "Views of several cameras": many_cameras,
+    "Multi-View is not supported": many_cameras,
 }
 
 
 def reported(capfd: pytest.CaptureFixture[str]) -> list[str]:
-    """The warnings that Blender itself has printed since it was asked last."""
+    """The warnings that Blender has printed since the last call."""
     lines = capfd.readouterr().out.splitlines()
     return [line.removeprefix("Warning: ") for line in lines if line.startswith("Warning: ")]
 
 
 def test_every_row_is_tried() -> None:
-    """The number of rows, and that of the ways to meet them."""
+    """The numbers of rows and of test cases for them."""
     assert len(unsupported_settings.CHECKS) == len(WITHOUT_EFFECT) + len(REFUSED) + len(ELSEWHERE)
 
 
@@ -129,7 +129,7 @@ def test_every_row_is_tried() -> None:
 def test_what_has_no_effect_is_said(
     scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str], words: str
 ) -> None:
-    """One sentence, in the panel and from the render; the picture is that of before."""
+    """One message, in the panel and from the render; the picture does not change."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     before = lab.render_exr(tmp_path, "before")
@@ -144,7 +144,7 @@ def test_what_has_no_effect_is_said(
 def test_what_is_held_out_and_has_no_faces_is_named(
     scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the volume's name, and not that of a mesh, which has an effect."""
+    """Oracle: the volume's name, and not that of a mesh, which does hide splats."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     others(scene)
@@ -165,7 +165,7 @@ def test_mattes_of_materials_are_named(scene: bpy.types.Scene) -> None:
     assert unsupported_settings.without_effect(shown()) == []
     layer.use_pass_cryptomatte_material = True
     (sentence,) = unsupported_settings.without_effect(shown())
-    assert "there is no Cryptomatte Material." in sentence
+    assert "has no pass Cryptomatte Material." in sentence
 
 
 @pytest.mark.parametrize("words", REFUSED)
@@ -180,7 +180,7 @@ def test_what_is_refused_is_said_before(scene: bpy.types.Scene, words: str) -> N
 
 
 def drawn() -> str:
-    """All labels of the Render panel, without spaces, for lines break where the region ends."""
+    """All labels of the Render panel, without spaces, because lines wrap at the region's width."""
     labels: list[str] = []
     layout = SimpleNamespace(prop=lambda *a, **k: None, operator=lambda *a, **k: None)
     layout.label = lambda text="", icon="": labels.append(text)
@@ -203,7 +203,7 @@ def test_an_animation_says_it_once(
 
 
 def test_white_balance_changes_colors(scene: bpy.types.Scene) -> None:
-    """Blender's switch of that name, where it has one."""
+    """Blender's switch of that name, if it has one."""
     view = scene.view_settings
     view.view_transform = "Standard"
     if not hasattr(view, "use_white_balance"):

@@ -23,7 +23,7 @@ SIZE = (90, 70)
 
 
 def several(scene: bpy.types.Scene, count: int = 4) -> list[bpy.types.Object]:
-    """Objects that lie among each other, with names and indices."""
+    """Overlapping objects with names and indices."""
     made = []
     for i in range(count):
         place = (0.35 * np.cos(2 * i), 0.35 * np.sin(2 * i), 0.2 * i)
@@ -35,7 +35,7 @@ def several(scene: bpy.types.Scene, count: int = 4) -> list[bpy.types.Object]:
 
 
 def matte(scene: bpy.types.Scene, folder, name: str, kind: str = "CryptoObject") -> np.ndarray:
-    """What the compositor's own Cryptomatte node picks, [H, W]."""
+    """Matte of the compositor's own Cryptomatte node, [H, W]."""
     tree = compat.make_compositor_tree(scene)
     node = tree.nodes.new("CompositorNodeCryptomatteV2")
     node.scene, node.layer_name, node.matte_id = scene, f"ViewLayer.{kind}", name
@@ -48,7 +48,7 @@ def matte(scene: bpy.types.Scene, folder, name: str, kind: str = "CryptoObject")
 
 
 def alone(scene: bpy.types.Scene, folder, ob: bpy.types.Object) -> np.ndarray:
-    """The alpha of an object of which the others hide what they do, [H, W]."""
+    """Alpha of an object with the others as holdouts, [H, W]."""
     others = [o for o in scene.objects if o.type == "MESH" and o != ob and not o.is_holdout]
     film_before, scene.render.film_transparent = scene.render.film_transparent, True
     for other in others:
@@ -61,7 +61,7 @@ def alone(scene: bpy.types.Scene, folder, ob: bpy.types.Object) -> np.ndarray:
 
 
 def fisheye(scene: bpy.types.Scene) -> None:
-    """All around."""
+    """A fisheye camera."""
     panoramic(scene, "equidistant")
 
 
@@ -71,7 +71,7 @@ def open_lens(scene: bpy.types.Scene) -> None:
 
 
 def motion(scene: bpy.types.Scene) -> None:
-    """One of the objects flies through."""
+    """One of the objects moves."""
     lab.moving(bpy.data.objects["Blob 1ä"], 0.5)
     scene.frame_set(5)
     scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
@@ -111,7 +111,7 @@ WAYS = (fisheye, open_lens, motion, held, held_mesh, orthographic, border, cropp
 
 @pytest.mark.parametrize("transparent", [True, False])
 def test_mattes_of_several_objects(scene, tmp_path, transparent):
-    """Within 1/255 of the oracle, and together what is not the background."""
+    """Within 1/255 of the oracle; their sum is the alpha of the picture."""
     lab.prepare(scene, SIZE, light=0.4)
     scene.render.film_transparent = transparent
     made, total = several(scene), np.zeros(SIZE[::-1], np.float32)
@@ -143,7 +143,7 @@ def test_what_is_held_out_has_no_matte(scene, tmp_path):
 
 
 def test_more_levels_than_objects_and_fewer(scene, tmp_path):
-    """Oracle: of two levels, what covers most and second most; of eight, all."""
+    """Oracle: with two levels, the two largest coverages; with eight, all."""
     lab.prepare(scene, SIZE)
     made = several(scene)
     layer = scene.view_layers[0]
@@ -175,7 +175,7 @@ def test_assets_are_the_uppermost_parents(scene, tmp_path):
 
 
 def test_instances_of_collections_share_a_matte(scene, tmp_path):
-    """Oracle: the alpha of both, which are alone in the picture."""
+    """Oracle: the alpha of both, the only objects of the picture."""
     lab.prepare(scene, SIZE)
     scene.render.film_transparent = True
     lab.add(scene, lab.blob(100, size=0.3), "one")
@@ -192,7 +192,7 @@ def test_instances_of_collections_share_a_matte(scene, tmp_path):
 
 
 def test_index_is_that_of_what_adds_most(scene, tmp_path):
-    """Oracle: the mattes; nothing where they add less than the threshold."""
+    """Oracle: the mattes; nothing where their sum is below the threshold."""
     lab.prepare(scene, SIZE)
     made = several(scene)
     layer = scene.view_layers[0]
@@ -208,18 +208,18 @@ def test_index_is_that_of_what_adds_most(scene, tmp_path):
 
 
 def test_the_index_pass_is_called_as_by_cycles(scene):
-    """Oracle: what Cycles itself registers."""
+    """Oracle: the name that Cycles registers."""
     names = []
     layer = scene.view_layers[0]
     layer.use_pass_object_index = True
-    from cycles.engine import list_render_passes  # only there once Blender's add-ons are
+    from cycles.engine import list_render_passes  # only available with Blender's add-ons
 
     names = [one[0] for one in list_render_passes(scene, layer)]
     assert compat.index_pass_name() in names
 
 
 def test_ids_are_those_of_the_specification():
-    """Oracle: the test vectors of MurmurHash3_x86_32, and floats that no program takes for none."""
+    """Oracle: the test vectors of MurmurHash3_x86_32, and normal floats."""
     assert cryptomatte.name_hash("") == 0
     assert cryptomatte.name_hash("test") == 0xBA6BD213
     assert cryptomatte.name_hash("Hello, world!") == 0xC0363E43
@@ -228,7 +228,7 @@ def test_ids_are_those_of_the_specification():
     ids = np.array([cryptomatte.id_of(name) for name in names])
     assert np.isfinite(ids).all() and (np.abs(ids) >= np.finfo(np.float32).tiny).all()
     (bits,) = struct.unpack("<I", cryptomatte.id_of("test").tobytes())
-    assert bits == 0xBA6BD213  # its exponent is an ordinary one, so that nothing changes
+    assert bits == 0xBA6BD213  # its exponent is normal, so that nothing changes
 
 
 def test_a_file_tells_its_names(scene, tmp_path):
@@ -255,7 +255,7 @@ def test_a_file_tells_its_names(scene, tmp_path):
 
 
 def test_nothing_is_drawn_for_mattes_that_nobody_wants(scene, tmp_path, monkeypatch):
-    """Oracle: drawings; one for every three objects more where they are wanted."""
+    """Oracle: the number of drawings; one more per three objects if mattes are requested."""
     drawings, drawn_before = [], pass_renderer.picture.draw
 
     def draw(*args, **options):
@@ -274,14 +274,14 @@ def test_nothing_is_drawn_for_mattes_that_nobody_wants(scene, tmp_path, monkeypa
 
 
 def offered() -> str:
-    """What the panel of passes shows."""
+    """Text of the panel of passes."""
     layout = Layout()
     panels.VIEWLAYER_PT_gscore_passes.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.text
 
 
 def test_the_panel_offers_them(scene):
-    """Oracle: the names of Blender's switches, and a sentence on what there is none of."""
+    """Oracle: the names of Blender's switches, and a message about missing passes."""
     lab.prepare(scene)
     before = offered()
     assert "<use_pass_cryptomatte_object>" in before and "no materials" in before
@@ -317,7 +317,7 @@ def test_a_composite_has_the_mattes_of_its_splats(scene, tmp_path):
 
 
 def faint() -> Splats:
-    """Hardly there."""
+    """A nearly transparent object."""
     splats = lab.blob(40)
     splats.opacities[:] = -3
     return splats

@@ -1,5 +1,5 @@
-"""Meshes that are held out hide the splats behind them. Oracle: pictures of the splats before a
-plane and of all, mixed by the share of a pixel that the plane covers."""
+"""Holdout meshes hide the splats behind them. Oracle: pictures of the splats in front of a plane
+and of all, mixed by the plane's coverage of a pixel."""
 
 import bpy
 import numpy as np
@@ -16,7 +16,7 @@ SIZE = 90, 70
 
 
 def plane(scene, *, z=0.0, left=-9.0, right=9.0, name="plane") -> bpy.types.Object:
-    """A square mesh across the z axis, held out."""
+    """A square holdout mesh across the z axis."""
     corners = [(left, -9, z), (right, -9, z), (right, 9, z), (left, 9, z)]
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
@@ -28,7 +28,7 @@ def plane(scene, *, z=0.0, left=-9.0, right=9.0, name="plane") -> bpy.types.Obje
 
 
 def column(x: float, camera: bpy.types.Object, depth: float) -> float:
-    """Where a place x at a depth is seen, pixels from the left."""
+    """Pixel column of a position x at a depth."""
     focal = camera.data.lens / camera.data.sensor_width * max(SIZE)
     return SIZE[0] / 2 + focal * x / depth
 
@@ -40,8 +40,8 @@ def place(column: float, camera: bpy.types.Object, depth: float) -> float:
 
 
 def mixed(camera: bpy.types.Object, splats: Splats, edge: float, light: float, *, full: bool):
-    """[H, W, 4] of a plane at depth 4 that covers what is to the left of a column, as the Combined
-    pass has it, colours straight and in sRGB."""
+    """Combined pass [H, W, 4] with a plane at depth 4 that covers everything left of a column, in
+    straight sRGB colours."""
     all_of, before = (lab.truth(camera, splats, SIZE, far=far) for far in (1e10, 4.0))
     share = np.clip(edge - np.arange(SIZE[0]), 0, 1)[None, :]
     alpha = share * before.alpha + (1 - share) * all_of.alpha
@@ -56,7 +56,7 @@ def mixed(camera: bpy.types.Object, splats: Splats, edge: float, light: float, *
 @pytest.mark.parametrize("how", ["object", "collection", "instance"])
 @pytest.mark.parametrize("transparent", [True, False])
 def test_a_plane_hides_what_is_behind_it(scene, tmp_path, how, transparent):
-    """A vertical edge a quarter of the way through a pixel, so that its mixture shows too."""
+    """A vertical edge at a quarter of a pixel, so that the mixture is tested too."""
     camera = lab.prepare(scene, light=0.3)
     scene.render.film_transparent = transparent
     splats = lab.blob()
@@ -87,7 +87,7 @@ def test_a_plane_hides_what_is_behind_it(scene, tmp_path, how, transparent):
 
 
 def test_the_viewport_shows_the_same(scene, tmp_path):
-    """Oracle: F12, pixel by pixel, from what viewports take of the depsgraph."""
+    """Oracle: F12, pixel by pixel, from the viewports' copies of the depsgraph."""
     camera = lab.prepare(scene)
     scene.render.film_transparent = True
     lab.add(scene, lab.blob())
@@ -104,7 +104,7 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
     got = film.shoot(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=3e-5)
-    assert holdout_meshes.same_meshes(view.held, shared.of(depsgraph))  # nothing is copied anew
+    assert holdout_meshes.same_meshes(view.held, shared.of(depsgraph))  # nothing is copied again
     ob.location.x += 0.1
     bpy.context.view_layer.update()
     assert not holdout_meshes.same_meshes(
@@ -113,7 +113,7 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
 
 
 def test_modifiers_count(scene, tmp_path):
-    """Oracle: a plane that is where the modifier puts this one."""
+    """Oracle: a plane at the modifier's position."""
     lab.prepare(scene)
     scene.render.film_transparent = True
     lab.add(scene, lab.blob())
@@ -152,7 +152,8 @@ def test_what_hides_nothing(scene, tmp_path, how):
 
 
 def test_orthographic_cameras_and_borders(scene, tmp_path):
-    """Oracle: all splats right of the edge, none left of it, for the plane is before them."""
+    """Oracle: all splats right of the edge, none left of it, because the plane is in front of
+    them."""
     camera = lab.prepare(scene)
     scene.render.film_transparent = True
     lab.add(scene, lab.blob())
@@ -173,7 +174,8 @@ def test_orthographic_cameras_and_borders(scene, tmp_path):
 
 
 def test_panoramas_have_the_hole(scene, tmp_path):
-    """Oracle: nothing where a box is around the camera but on one side; there all is as without."""
+    """Oracle: nothing in directions of a box around the camera; on its open side, the picture
+    without it."""
     camera = lab.prepare(scene, (64, 32))
     scene.render.film_transparent = True
     scene.render.engine = "CYCLES"
@@ -192,7 +194,7 @@ def test_panoramas_have_the_hole(scene, tmp_path):
 
 
 def test_moving_meshes_blur_the_edge(scene, tmp_path):
-    """Oracle: along the way of the edge, what it passes sooner is hidden longer."""
+    """Oracle: along the path of the edge, points that it passes sooner are hidden longer."""
     lab.prepare(scene)
     scene.render.film_transparent = True
     lab.add(scene, lab.wall(0.0, (0.8, 0.4, 0.2), half=2.0))
@@ -209,7 +211,7 @@ def test_moving_meshes_blur_the_edge(scene, tmp_path):
 
 
 def test_depths_are_those_of_what_shows(scene, tmp_path):
-    """Oracle: depths of the splats before the plane, and of all beside it."""
+    """Oracle: depths of the splats in front of the plane, and of all outside of it."""
     camera = lab.prepare(scene)
     splats = lab.blob()
     lab.add(scene, splats)
@@ -235,6 +237,6 @@ def test_a_slanted_plane_has_its_depth_everywhere(scene):
     found = mesh_holdout.hidden(view.held, view.camera)
     assert (found.share == 1).all()
     y = (35 - (np.arange(SIZE[1]) + 0.5)) / view.camera.K[1, 1]
-    # A point (x, y t, 4 - t) lies on the plane where z = y tan(0.9).
+    # A point (x, y t, 4 - t) is on the plane where z = y tan(0.9).
     wanted = np.broadcast_to((4 / (1 + y * np.tan(0.9)))[:, None], found.far.shape)
     np.testing.assert_allclose(found.far, wanted, rtol=1e-4)

@@ -1,4 +1,4 @@
-"""Panoramic cameras. Oracle, unless said otherwise: Cycles, in pictures of the same scene."""
+"""Panoramic cameras. Oracle, unless stated otherwise: Cycles, in pictures of the same scene."""
 
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ CAMERAS: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {
 
 
 def panoramic(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
-    """The scene's camera as one of `CAMERAS`, turned to some side; its settings."""
+    """The scene's camera as one of `CAMERAS`, rotated; return its settings."""
     size, settings = CAMERAS[name]
     camera = lab.prepare(scene, size)
     camera.location, camera.rotation_euler = (0.3, -0.2, 0.5), (1.2, 0.1, 0.4)
@@ -64,7 +64,7 @@ def panoramic(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
 
 
 def by_cycles(scene: bpy.types.Scene, folder: Path, count: int) -> np.ndarray:
-    """What Cycles renders, each pixel in its middle alone."""
+    """Picture by Cycles, sampled only at the pixels' middles."""
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = count, False
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
@@ -75,7 +75,7 @@ def by_cycles(scene: bpy.types.Scene, folder: Path, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_pixels_look_where_those_of_cycles_do(scene, tmp_path, name):
-    """Oracle: a world that shows its directions as colors, in Cycles."""
+    """Oracle: a world with directions as colors, in Cycles."""
     camera = panoramic(scene, name)
     tree = compat.world_nodes(scene.world)
     if tree is None:
@@ -113,7 +113,7 @@ def balls(places: np.ndarray, radius: float) -> Splats:
 
 
 def middle(picture: np.ndarray) -> np.ndarray:
-    """Middle of the light of a picture, x and y in pixels."""
+    """Centroid of the light of a picture, x and y in pixels."""
     light = picture[..., 0].astype(np.float64)
     y, x = np.mgrid[: light.shape[0], : light.shape[1]] + 0.5
     return np.array([(x * light).sum(), (y * light).sum()]) / light.sum()
@@ -122,7 +122,7 @@ def middle(picture: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ["whole sphere", "equidistant, wide, not square", "equisolid"])
 @pytest.mark.parametrize("way", [(0.3, 0.2, -1.0), (-1.0, 0.4, -0.9), (0.7, -0.75, -0.72)])
 def test_a_splat_lies_where_a_sphere_does(scene, tmp_path, name, way):
-    """Oracle: the middle of a small emissive sphere of meshes in Cycles, to half a pixel."""
+    """Oracle: the centroid of a small emissive mesh sphere in Cycles, to half a pixel."""
     camera = panoramic(scene, name)
     place = np.array(camera.matrix_world.to_3x3()) @ np.array(way) * 2
     place = place / np.linalg.norm(place) * 5 + np.array(camera.location)
@@ -145,7 +145,7 @@ def test_a_splat_lies_where_a_sphere_does(scene, tmp_path, name, way):
 
 
 def smooth(scene: bpy.types.Scene, folder: Path) -> np.ndarray:
-    """What Cycles renders, over whole pixels."""
+    """Picture by Cycles, averaged over whole pixels."""
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 64, False
     scene.cycles.pixel_filter_type = "BOX"
@@ -167,9 +167,9 @@ def test_sides_of_the_cube_meet_without_a_seam(scene, tmp_path):
 
 
 def test_patches_of_the_cube_leave_no_edges(scene, tmp_path):
-    """Oracle: the mean step from a column of pixels to the next, which where patches meet is of the
-    size of any other; likewise of rows. Of large splats that show through each other, which differ
-    most: an edge would be a step of ten to twenty times that."""
+    """Oracle: the mean step between adjacent columns of pixels, which is not larger at the borders
+    of patches; likewise of rows. With large, translucent splats, which differ most: an edge would
+    be a step of ten to twenty times that."""
     camera = lab.prepare(scene, (360, 180))
     camera.data.type, camera.rotation_euler, camera.location = "PANO", (HALF, 0, 0), (0, 0, 0)
     compat.panorama_settings(camera.data).panorama_type = "EQUIRECTANGULAR"
@@ -196,7 +196,7 @@ def test_patches_of_the_cube_leave_no_edges(scene, tmp_path):
 
 
 def test_clip_start_is_a_distance(scene, tmp_path):
-    """Oracle: the picture without what is nearer, in the corners of the cube too."""
+    """Oracle: the picture without nearer splats, in the corners of the cube too."""
     camera = lab.prepare(scene, (64, 32))
     camera.data.type, camera.data.clip_start = "PANO", 1.0
     compat.panorama_settings(camera.data).panorama_type = "EQUIRECTANGULAR"
@@ -226,7 +226,7 @@ def test_a_region_of_a_panorama(scene, tmp_path, crop):
 
 
 def test_depth_is_the_distance(scene, tmp_path):
-    """Oracle: the distance of a wall's points from the camera, whichever way they lie."""
+    """Oracle: the distance of a wall's points from the camera, in any direction."""
     camera = lab.prepare(scene, (160, 160))
     camera.data.type = "PANO"
     owner = compat.panorama_settings(camera.data)
@@ -254,7 +254,7 @@ def test_film_beyond_the_circle(scene, tmp_path):
 
 
 def test_a_panorama_that_moves_blurs(scene, tmp_path):
-    """Oracle: a turn of 36 degrees takes a tenth of the picture's width."""
+    """Oracle: a rotation of 36 degrees spans a tenth of the picture's width."""
     camera = lab.prepare(scene, (200, 40))
     camera.data.type = "PANO"
     compat.panorama_settings(camera.data).panorama_type = "EQUIRECTANGULAR"

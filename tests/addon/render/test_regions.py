@@ -23,8 +23,8 @@ PART = (30, 12, 52, 36)
 def looking(
     scene: bpy.types.Scene, perspective: str, shading: str = "RENDERED", *, local: bool = False
 ) -> SimpleNamespace:
-    """The context of a view that is limited to a part of itself; where it looks through a camera,
-    by the scene's region."""
+    """The context of a view with a render region; in camera perspective, with the scene's
+    region."""
     ob = lab.prepare(scene, SIZE)
     render = scene.render
     render.border_min_x, render.border_max_x = 0.25, 0.75
@@ -44,16 +44,16 @@ def looking(
 
 
 def projection(scene: bpy.types.Scene, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """Blender's own of the scene's camera, which fills a view of that size as far as it is as wide
-    as the picture."""
+    """Blender's own projection of the scene's camera in a view of that size, in which the picture
+    fills the width."""
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     return matrix_to_numpy(scene.camera.calc_matrix_camera(depsgraph, x=size[0], y=size[1]))
 
 
 def test_a_views_own_region(scene: bpy.types.Scene) -> None:
-    """Oracle: shares of the view by hand, from its upper left corner; none where it is off, in
-    Solid shading, and of Workbench, which draws everything; Material Preview has it."""
+    """Oracle: parts of the view by hand, from its upper left corner; none if it is off, in Solid
+    shading, and with Workbench, which draws everything; Material Preview has it."""
     context = looking(scene, "PERSP")
     window = projection(scene)
     want = 12, 7, 36, 49
@@ -76,7 +76,7 @@ def test_a_views_own_region(scene: bpy.types.Scene) -> None:
 def test_the_region_of_the_camera_that_is_looked_through(
     scene: bpy.types.Scene, kind: str, local: bool
 ) -> None:
-    """Oracle: shares of the camera's frame by hand: it fills the view, or is wider
+    """Oracle: parts of the camera's frame by hand: it fills the view, or is wider
     and lower than it."""
     context = looking(scene, "CAMERA", local=local)
     scene.camera.data.type = kind
@@ -107,14 +107,14 @@ def test_a_region_beside_the_view_is_a_pixel(scene: bpy.types.Scene) -> None:
 
 def shot(request: Request, factor: int = 1) -> np.ndarray:
     """[H, W, 4], the top row first."""
-    camera = smaller(request.camera, factor)  # as a painter asks
+    camera = smaller(request.camera, factor)  # as a painter requests it
     model = SplatCache().model(request.placed)
     return request.shoot(model, camera, lambda: False, CancelFlag())[::-1]
 
 
 def with_near_splat() -> Splats:
-    """The first is large, close to the camera of `splat_scenes.prepare` and left of what it sees:
-    its picture depends on where the edges of the view are."""
+    """The first splat is large, close to the camera of `splat_scenes.prepare` and left of its view:
+    its picture depends on the edges of the view."""
     splats = lab.blob(300)
     splats.means[0], splats.scales[0], splats.opacities[0] = (-0.9, 0.1, 3.2), np.log(0.3), 4
     return splats
@@ -138,8 +138,8 @@ def test_the_region_shows_what_the_view_does(
 
 
 def test_a_small_picture_of_a_region_stands_in_its_place(scene: bpy.types.Scene) -> None:
-    """Oracle: the mean places of light in the whole picture's pixels of the region, by hand, to
-    half a hundredth of its size; odd sizes, none of which a third of the pixels divides."""
+    """Oracle: centroids of light in the region's pixels of the whole picture, by hand, to 0.5 % of
+    its size; odd sizes that are not divisible by three."""
     lab.prepare(scene, SIZE)
     whole, _ = request_for(scene, lab.blob(1500), size=SIZE)
     whole = replace(whole, transparent=True)

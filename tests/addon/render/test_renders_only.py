@@ -1,4 +1,4 @@
-"""What views that look through a camera say that they leave out. Oracles are named in the tests."""
+"""Status text of camera views about effects that they lack. Oracles are named in the tests."""
 
 import bpy
 import pytest
@@ -8,28 +8,28 @@ from tests.addon import splat_scenes as lab
 
 
 def said(camera: bpy.types.Object | None) -> str:
-    """Of a view in the open file."""
+    """Status text of a view in the open file."""
     bpy.context.view_layer.update()
     return renders_only(bpy.context.evaluated_depsgraph_get(), camera)
 
 
 def lens(scene: bpy.types.Scene) -> None:
-    """One that blurs."""
+    """Depth of field."""
     scene.camera.data.dof.use_dof = True
 
 
 def shutter(scene: bpy.types.Scene) -> None:
-    """One that is open for a while."""
+    """Motion blur."""
     scene.render.use_motion_blur = True
 
 
 def panorama(scene: bpy.types.Scene) -> None:
-    """A camera of another kind."""
+    """A panoramic camera."""
     scene.camera.data.type = "PANO"
 
 
 def eyes(scene: bpy.types.Scene) -> None:
-    """Two pictures."""
+    """Stereo."""
     scene.render.use_multiview = True
 
 
@@ -52,8 +52,8 @@ def test_what_a_view_leaves_out_is_named(scene: bpy.types.Scene, words: str) -> 
 
 
 def test_what_has_no_effect_in_renders_is_not_named(scene: bpy.types.Scene) -> None:
-    """Oracle: panoramas are sharp at every distance; a layer may leave motion blur out; a shutter
-    that is open for no time blurs nothing. What is named comes in one sentence."""
+    """Oracle: panoramas are sharp at every distance; a layer may disable motion blur; a shutter
+    time of 0 blurs nothing. All effects are in one sentence."""
     lab.prepare(scene)
     for change in (lens, shutter, panorama):
         change(scene)

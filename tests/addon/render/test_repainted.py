@@ -1,5 +1,5 @@
-"""Colours and opacities that change before Blender's mesh does. Oracles: the values that were
-handed over, and a decoding of everything anew."""
+"""Colours and opacities that change before Blender's mesh does. Oracles: the given values, and a
+new decoding of everything."""
 
 import weakref
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ import pytest
 from addon import attributes
 from addon.attributes import BASE
 from addon.core import Splats
-from addon.render import copies
+from addon.render import viewport_copies
 from addon.render.copy_fingerprint import repainted_rows, trace_of
 from addon.render.mesh_copies import FrozenMesh, freeze
 from addon.render.model import SplatCache
@@ -23,7 +23,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene) -> bpy.types.Object:
-    """200 splats, one of them a vertex that was added by hand, without extent."""
+    """200 splats, one of them a vertex added by hand, with scale 0."""
     made = lab.add(scene, lab.blob(200))
     made.data.attributes[attributes.SCALE].data[7].vector = (0, 0, 0)
     bpy.context.view_layer.update()
@@ -31,9 +31,9 @@ def ob(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 @pytest.fixture
-def made() -> Iterator[copies.Copies]:
-    """Copies that hear of what changes."""
-    one = copies.Copies()
+def made() -> Iterator[viewport_copies.Copies]:
+    """Copies that receive depsgraph updates."""
+    one = viewport_copies.Copies()
 
     def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         one.forget_changed(depsgraph)
@@ -51,8 +51,8 @@ def painted(ob: bpy.types.Object, rows: np.ndarray) -> np.ndarray:
     return base
 
 
-def look(made: copies.Copies) -> Placed:
-    """What a redraw shows of the only object."""
+def look(made: viewport_copies.Copies) -> Placed:
+    """The placed object of a redraw."""
     (found,), _ = made.copied(sources(bpy.context.evaluated_depsgraph_get()))
     return found
 
@@ -64,7 +64,7 @@ def same(one: Splats, other: Splats) -> None:
 
 
 def test_paint_shows_before_and_after_it_is_written(ob, made) -> None:
-    """Oracle: the values handed over; once written, the mesh, with nothing left to do."""
+    """Oracle: the given values; once written, the mesh, with nothing left to do."""
     while not made.copied(sources(bpy.context.evaluated_depsgraph_get()))[1]:
         pass
     before = look(made).frozen
@@ -85,10 +85,10 @@ def test_paint_shows_before_and_after_it_is_written(ob, made) -> None:
 
 
 def test_a_copy_under_way_takes_the_paint(ob, made, monkeypatch) -> None:
-    """Oracle: the values handed over after the first attributes were copied."""
-    monkeypatch.setattr(copies, "COPY_BUDGET", 0.0)
+    """Oracle: the values given after the first attributes were copied."""
+    monkeypatch.setattr(viewport_copies, "COPY_BUDGET", 0.0)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    for _ in range(3):  # by name: position and the constant colour are there
+    for _ in range(3):  # by name: position and the constant colour are copied
         made.copied(sources(depsgraph))
     base = painted(ob, np.arange(50))
     made.repaint(ob.data.session_uid, base.copy())
@@ -129,7 +129,7 @@ def test_only_what_was_painted_is_decoded(ob, opacity_min: float) -> None:
 
 
 def test_only_paint_is_remembered_of_a_copy(ob) -> None:
-    """Oracle: which arrays of copies are still there when nobody else has them; and a decoding of
+    """Oracle: the arrays of copies that stay alive without other references; and a decoding of
     all."""
     (source,) = sources(bpy.context.evaluated_depsgraph_get())
     frozen, cache = freeze(ob.data, ob.name), SplatCache()
@@ -145,7 +145,7 @@ def test_only_paint_is_remembered_of_a_copy(ob) -> None:
 
 
 def test_what_makes_copies_differ(ob) -> None:
-    """Oracle: the rows that were changed; None where more was, or values are not finite."""
+    """Oracle: the changed rows; None if more has changed, or values are not finite."""
     one = freeze(ob.data, "one")
     base = one.base.copy()
     assert repainted_rows(trace_of(one), one.repainted(base.copy())).tolist() == []
@@ -159,7 +159,7 @@ def test_what_makes_copies_differ(ob) -> None:
 
 
 def test_selections_show_before_they_are_written(ob, made) -> None:
-    """Oracle: the marks handed over."""
+    """Oracle: the given marks."""
     while not made.copied(sources(bpy.context.evaluated_depsgraph_get()))[1]:
         pass
     marks = (np.arange(200) % 2).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Cycles ends rays among soft splats: told, and set right by a button."""
+"""Cycles ends rays among soft splats: a warning, and a button that fixes it."""
 
 from pathlib import Path
 
@@ -33,7 +33,8 @@ def picture(path: Path) -> np.ndarray:
 def test_when_it_is_told(
     scene: bpy.types.Scene, engine: str, display: str, hidden: bool, told: bool
 ) -> None:
-    """Oracle: which displays render as soft splats; the button ends it, once."""
+    """Oracle: the displays that render as soft splats; the button removes the warning, in one
+    press."""
     ob = lab.add(scene, lab.blob())
     ob.gscore.display, ob.hide_render = display, hidden
     scene.render.engine = engine
@@ -47,7 +48,7 @@ def test_when_it_is_told(
 
 
 def test_splats_behind_each_other_let_light_through(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: forty faint white splats in a row before a camera are brighter by the button."""
+    """Oracle: forty faint white splats in a row in front of a camera get brighter by the button."""
     splats = lab.blob(40)
     splats.means[:] = np.linspace(-1, 1, 40)[:, None] * (0, 1, 0)
     splats.scales[:], splats.opacities[:] = np.log(0.5), -3.5

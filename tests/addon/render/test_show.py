@@ -1,4 +1,4 @@
-"""The button Show Splats. Oracle: Blender's settings, and the splats' places by numpy."""
+"""The button Show Splats. Oracle: Blender's settings, and the splats' positions by numpy."""
 
 from pathlib import Path
 
@@ -29,8 +29,8 @@ def test_one_button_shows_splats(scene: bpy.types.Scene, tmp_path: Path) -> None
 
 
 def test_after_a_training_it_shows_what_was_trained(scene: bpy.types.Scene) -> None:
-    """Oracle: which is active then, with other splats active before; without a result, or with one
-    that was deleted, those that are there."""
+    """Oracle: the active object, with other splats active before; without a result, or with a
+    deleted one, the existing splats."""
     trained, other = lab.add(scene, lab.blob()), lab.add(scene, lab.blob())
     scene.gscore.result = trained
     bpy.context.view_layer.objects.active = other
@@ -71,7 +71,7 @@ def test_the_frame_is_around_what_stands_on_the_ground(scene: bpy.types.Scene) -
 
 
 def test_without_splats_it_is_a_sentence(scene: bpy.types.Scene) -> None:
-    """Oracle: what to do about it; an object without splats is named."""
+    """Oracle: the remedy in the message; an object without splats is named."""
     assert "import a splat" in lab.error_of(bpy.ops.gscore.show_splats)
     ob = lab.add(scene, lab.blob(0))
     bpy.context.view_layer.objects.active = ob

@@ -1,4 +1,4 @@
-"""Stereo pictures. Oracles: Cycles' own of a mesh in the same place, and pictures of one view."""
+"""Stereo pictures. Oracles: Cycles' own of a mesh at the same position, and single pictures."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ SIZE = (120, 80)
 
 @pytest.fixture
 def pair(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """A scene with a camera of two eyes, far apart."""
+    """A scene with a stereo camera with a large eye distance."""
     camera = lab.prepare(scene, SIZE)
     camera.rotation_euler.z = 0.4
     scene.render.film_transparent = True
@@ -40,7 +40,7 @@ def eyes(scene: bpy.types.Scene, folder: Path, name: str) -> tuple[np.ndarray, n
 @pytest.mark.parametrize("mode", ["OFFAXIS", "PARALLEL", "TOE"])
 @pytest.mark.parametrize("pivot", ["LEFT", "CENTER", "RIGHT"])
 def test_both_eyes_see_as_those_of_cycles(pair, tmp_path, mode, pivot):
-    """A small square of Cycles lies where a splat does, in the pictures of both eyes."""
+    """A small square in Cycles is at the position of a splat, in the pictures of both eyes."""
     stereo = pair.camera.data.stereo
     stereo.convergence_mode, stereo.pivot = mode, pivot
     pair.camera.data.shift_x = 0.07
@@ -63,8 +63,8 @@ def test_both_eyes_see_as_those_of_cycles(pair, tmp_path, mode, pivot):
 
 
 def test_everything_is_of_its_eye(pair, tmp_path):
-    """Oracle: pictures by a camera that stands where the eye does, for parallel eyes: picture,
-    depth, and mattes, with an open lens."""
+    """Oracle: pictures by a camera at the eye's position, for parallel eyes: picture, depth, and
+    mattes, with depth of field."""
     stereo = pair.camera.data.stereo
     stereo.convergence_mode, stereo.pivot = "PARALLEL", "CENTER"
     lab.add(pair, lab.blob(200), "one").pass_index = 3
@@ -113,8 +113,8 @@ def test_an_eye_alone(pair, tmp_path, monkeypatch):
 
 
 def test_without_eyes_there_is_a_picture(pair, tmp_path, capfd):
-    """Views may be taken away or be called otherwise. Oracle: the picture without stereo, of the
-    engine and of a composite."""
+    """Views may be removed or renamed. Oracle: the picture without stereo, of the engine and of a
+    composite."""
     lab.add(pair, lab.blob(200))
     pair.render.use_multiview = False
     wanted = lab.render_exr(tmp_path, "plain")
@@ -143,7 +143,7 @@ def test_composites_have_two_eyes(pair, tmp_path):
 
 
 def test_panoramas_have_one_eye(pair):
-    """Oracle: the sentence."""
+    """Oracle: the message."""
     lab.add(pair, lab.blob(20))
     panoramic(pair, "equidistant")
-    assert "Panoramas are not rendered in stereo" in lab.error_of(bpy.ops.render.render)
+    assert "Panoramas are not supported in stereo" in lab.error_of(bpy.ops.render.render)

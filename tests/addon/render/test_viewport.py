@@ -11,7 +11,7 @@ from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import CancelFlag, Splats, render
 from addon.process.reserved_memory import Memory
-from addon.render import copies, mesh_copies, picture, viewport
+from addon.render import mesh_copies, picture, viewport, viewport_copies
 from addon.render.mesh_copies import HIDDEN, SELECTED
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, sources
@@ -22,7 +22,7 @@ from tests.addon import splat_scenes as lab
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 def test_view_camera_is_the_camera_of_the_matrices(scene, kind):
-    """Oracle: `render_camera` of a Blender camera whose own matrices are handed over."""
+    """Oracle: `render_camera` of a Blender camera with the same matrices."""
     ob = lab.prepare(scene, (120, 70))
     ob.rotation_euler, ob.data.type = (0.3, -0.2, 0.9), kind
     ob.data.shift_x, ob.data.shift_y, ob.data.ortho_scale = 0.1, -0.07, 3.0
@@ -44,11 +44,11 @@ def test_view_camera_is_the_camera_of_the_matrices(scene, kind):
 
 
 def request_for(scene, splats, size=(96, 64), **options):
-    """A wish for a picture from the scene's camera."""
+    """A request for a picture from the scene's camera."""
     ob = lab.add(scene, splats)
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    made, complete = copies.Copies(), False
+    made, complete = viewport_copies.Copies(), False
     while not complete:
         placed, complete = made.copied(sources(depsgraph))
     return viewport.Request(
@@ -64,7 +64,7 @@ def request_for(scene, splats, size=(96, 64), **options):
 
 
 def wait(painter, seconds=20.0):
-    """Until the painter has finished what it was asked for."""
+    """Wait until the painter has finished its request."""
     until = time.monotonic() + seconds
     while painter.busy and time.monotonic() < until:
         time.sleep(0.01)
@@ -85,13 +85,14 @@ def test_painter_ends_with_the_full_picture(scene):
     np.testing.assert_allclose(lab.srgb(painter.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
     assert painter.fresh and not painter.problem
     painter.fresh = False
-    painter.ask(request)  # the same again: nothing to do
+    painter.ask(request)  # an equal request: nothing to do
     assert not painter.busy
     painter.close()
 
 
 def test_pictures_appear_while_the_view_turns(scene):
-    """Oracle: counting. Wishes come faster than any picture is drawn, as while a user orbits."""
+    """Oracle: the number of pictures. Requests come faster than pictures are drawn, as during an
+    orbit."""
     lab.prepare(scene, (96, 64))
     request, _ = request_for(scene, lab.veil(2000), size=(1200, 900))
     painter, shown = viewport.ViewPainter(SplatCache()), set()
@@ -108,7 +109,7 @@ def test_pictures_appear_while_the_view_turns(scene):
 
 
 def test_a_new_wish_stops_the_old_one(scene):
-    """Oracle: the clock; the old picture alone takes many times longer."""
+    """Oracle: the clock; the old picture would take many times longer."""
     lab.prepare(scene, (96, 64))
     quick, _ = request_for(scene, lab.veil())
     slow = replace(quick, camera=replace(quick.camera, width=3000, height=3000))
@@ -124,7 +125,7 @@ def test_a_new_wish_stops_the_old_one(scene):
 
 
 def test_problems_are_sentences(scene):
-    """Oracle: the sentence of the final render."""
+    """Oracle: the message of the final render."""
     lab.prepare(scene, (96, 64))
     request, ob = request_for(scene, lab.blob())
     placed = [type(p)(**{**vars(p), "matrix": np.diag([1.0, 2, 1, 1])}) for p in request.placed]
@@ -137,13 +138,14 @@ def test_problems_are_sentences(scene):
 
 
 def test_copying_is_spread_over_redraws(scene, monkeypatch):
-    """Oracle: no redraw copies more than one attribute once its time is up; all arrive."""
+    """Oracle: no redraw copies more than one attribute after its time limit; all are copied in the
+    end."""
     lab.prepare(scene)
     lab.add(scene, lab.blob(2000))
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    monkeypatch.setattr(copies, "COPY_BUDGET", 0.0)
-    made, redraws = copies.Copies(), 0
+    monkeypatch.setattr(viewport_copies, "COPY_BUDGET", 0.0)
+    made, redraws = viewport_copies.Copies(), 0
     shown = sources(depsgraph)
     while not (found := made.copied(shown))[1]:
         assert not found[0] and made.under_way(shown)
@@ -157,19 +159,19 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
 
 
 class _SlowMemory(Memory):
-    """Whose arrays are there from the second look on."""
+    """Fake memory whose arrays are ready from the second check on."""
 
     looks = 0
 
     @property
     def ready(self) -> bool:
-        """Every other time, if the thread has made it."""
+        """True at every other call, if the thread has allocated it."""
         self.looks += 1
         return self.looks % 2 == 0 and super().ready
 
 
 def test_a_copy_waits_for_memory(scene, monkeypatch):
-    """Oracle: a copy of the same mesh that makes its own; a step that waits copies nothing."""
+    """Oracle: a copy of the same mesh without the thread; a waiting step copies nothing."""
     ob = lab.add(scene, lab.blob(2000))
     monkeypatch.setattr(mesh_copies, "Memory", _SlowMemory)
     freezer, had, waits = mesh_copies.Freezer(ahead=0), 0, 0
@@ -184,14 +186,14 @@ def test_a_copy_waits_for_memory(scene, monkeypatch):
 
 @pytest.mark.parametrize("filtered", [False, True])
 def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: bool) -> None:
-    """Oracle: vertices selected and hidden by Blender's own operators. In Edit Mode a selection is
-    no change of geometry: splats are not copied again, but what is selected is."""
+    """Oracle: vertices selected and hidden by Blender's own operators. In Edit Mode a selection
+    does not change geometry: splats are not copied again, but the selection is."""
     ob = lab.add(scene, lab.blob(200))
     bpy.context.view_layer.objects.active = ob
     ob.gscore.opacity_min = 0.6 if filtered else 0.0
     keep = filters.visible_mask(ob)
     some = np.arange(200) % 3 == 0
-    made = copies.Copies()
+    made = viewport_copies.Copies()
     seen: list[bool] = []
 
     def copied() -> Placed:
@@ -221,7 +223,7 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
         look()
         before = copied().frozen.attributes["position"]
         bpy.app.handlers.depsgraph_update_post.remove(changed)
-        bpy.context.view_layer.update()  # what looking in Edit Mode has changed
+        bpy.context.view_layer.update()  # changed by reading in Edit Mode
         bpy.app.handlers.depsgraph_update_post.append(changed)
         for action, wanted in (("INVERT", ~some), ("SELECT", some | True)):
             bpy.ops.mesh.select_all(action=action)
@@ -236,14 +238,14 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
         assert (look() == HIDDEN).all()
         bpy.ops.object.mode_set(mode="OBJECT")
         bpy.context.view_layer.update()
-        assert look() is None  # as meshes do: what is hidden in Edit Mode shows outside of it
+        assert look() is None  # as for meshes: points hidden in Edit Mode are visible outside of it
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(changed)
 
 
 def test_what_is_hidden_and_selected_in_edit_mode(scene: bpy.types.Scene) -> None:
-    """Oracle: gscore.render of the splats that show, with the selected ones in the mixed color; in
-    Object Mode the whole picture. A second object, selected too, is not edited."""
+    """Oracle: gscore.render of the visible splats, with selected ones in the mixed color; in Object
+    Mode the whole picture. A second object, selected too, is not edited."""
     lab.prepare(scene, (96, 64))
     request, _ = request_for(scene, lab.blob())
     splats, marks = request.placed[0].frozen.read(), np.zeros(len(lab.blob()), np.uint8)
@@ -280,8 +282,8 @@ def test_what_is_hidden_and_selected_in_edit_mode(scene: bpy.types.Scene) -> Non
 
 
 def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
-    """Oracle: the picture of held out splats of which some were never there; a selection of them,
-    which have no color, changes nothing."""
+    """Oracle: the picture of holdout splats without the hidden ones; a selection of holdouts, which
+    have no color, changes nothing."""
     lab.prepare(scene, (96, 64))
     request, _ = request_for(scene, lab.blob(500))
     own = request.placed[0]

@@ -1,4 +1,4 @@
-"""The world of a view layer. Oracle: what Cycles shows of the same layer."""
+"""The world of a view layer. Oracle: Cycles' picture of the same layer."""
 
 import bpy
 import numpy as np
@@ -9,7 +9,7 @@ from tests.addon import splat_scenes as lab
 
 
 def world(light: float) -> bpy.types.World:
-    """A grey one."""
+    """A grey world."""
     made = bpy.data.worlds.new("other")
     made.color = (light,) * 3
     tree = compat.world_nodes(made)

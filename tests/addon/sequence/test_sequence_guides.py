@@ -1,5 +1,5 @@
-"""Meshes that guide a sequence. Oracle: the files that the trainer is told of, against the meshes
-of the scene at the frames of the timeline, and what the real trainer says it sees."""
+"""Guide meshes of a sequence. Oracle: the files passed to the trainer, compared with the meshes of
+the scene at the frames of the timeline, and the real trainer's output."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
 
 
 def a_wall(scene: bpy.types.Scene, name: str = "Wall") -> bpy.types.Object:
-    """A square in a collection of guides."""
+    """A square in a guide collection."""
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
     ob = bpy.data.objects.new(name, mesh)
@@ -45,20 +45,20 @@ def corners(path: Path) -> np.ndarray:
 
 
 def told(called: Path) -> Path:
-    """What the trainer is told of the surface."""
+    """The trainer's option for the surface mesh."""
     words = json.loads(called.read_text())
     return Path(words[words.index("--guide-surface") + 1])
 
 
 def bring_first(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
-    """The cameras of the first frame, upright."""
+    """Import the cameras of the first frame, upright."""
     bpy.ops.gscore.import_cameras(directory=str(tmp_path / "video" / "000000"), photos=False)
     return next(ob for ob in scene.objects if ob.type == "EMPTY")
 
 
 @pytest.fixture
 def wall(video: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:  # noqa: F811
-    """A wall that guides, and the cameras of the first frame."""
+    """A guide wall, and the cameras of the first frame."""
     ob = a_wall(video)
     bring_first(video, tmp_path)
     return ob
@@ -69,7 +69,7 @@ def test_meshes_that_move_are_written_at_each_frame(
     tmp_path: Path,
     play: Play,  # noqa: F811
 ) -> None:
-    """Frames 0, 4 and 12 are those 11, 12 and 14 of the timeline; the scene stays where it is."""
+    """Frames 0, 4 and 12 are 11, 12 and 14 of the timeline; the scene's frame does not change."""
     ob = a_wall(video)
     video.frame_set(7)
     text = panel()
@@ -117,7 +117,7 @@ def test_meshes_that_stand_still_are_one_file(
     video: bpy.types.Scene,  # noqa: F811
     play: Play,  # noqa: F811
 ) -> None:
-    """Oracle: the file; another shape replaces it; going on is told of none."""
+    """Oracle: the file; another shape replaces it; resuming passes none."""
     called = play({"say": DONE})
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
@@ -140,8 +140,8 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     tmp_path: Path,
     play: Play,  # noqa: F811
 ) -> None:
-    """Oracle: the files, after Start Over without a Python that runs, with a trainer that refuses
-    at once, and with one that trains."""
+    """Oracle: the files, after Start Over without a working Python, with a trainer that fails its
+    checks, and with one that trains."""
     for frame in (1, 4):
         wall.location.x = 0.1 * frame
         wall.keyframe_insert("location", frame=frame)
@@ -173,7 +173,7 @@ def test_folders_of_results_may_hold_braces(
     play: Play,  # noqa: F811
     moves: bool,
 ) -> None:
-    """Oracle: what gscore makes of the option for each frame, and the files that are there."""
+    """Oracle: gscore's value of the option for each frame, and the existing files."""
     for frame in (1, 4) if moves else ():
         wall.location.x = 0.1 * frame
         wall.keyframe_insert("location", frame=frame)
@@ -192,7 +192,7 @@ def test_what_a_sequence_does_not_see_is_told(
     play: Play,  # noqa: F811
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """Oracle: sentences on a hidden mesh, one that is not there at a frame, and Only Within."""
+    """Oracle: messages about a hidden mesh, one that is missing at a frame, and Only Within."""
     play({"say": DONE})
     ob, hidden = a_wall(video), a_wall(video, "Hidden")
     hidden.hide_set(True)
@@ -217,7 +217,7 @@ def test_what_a_sequence_does_not_see_is_told(
 
 @needs_trainer
 def test_a_real_sequence_is_guided(video: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811
-    """Oracle: config.json of each frame, and files that the trainer could read and see."""
+    """Oracle: config.json of each frame, and files that the trainer has read."""
     two_real_frames(video, tmp_path)
     bring_first(video, tmp_path)
     ob = a_wall(video)

@@ -1,4 +1,4 @@
-"""Oracle: the command line, a scripted `gscore sequence`, and what panels show of both."""
+"""Oracle: the command line, a scripted `gscore sequence`, and the panels' text about both."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from addon.core import SequenceIndex, SequenceOptions, options_of, read_splats, 
 from addon.panels.capture import CapturePanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.process import poll_timer
-from addon.sequence import arguments, registry, train_sequence
+from addon.sequence import arguments, job_registry, train_sequence
 from addon.training import facts
 from addon.training.options import Machine
 from gscore.io.sequences import write_sequence
@@ -43,15 +43,16 @@ def video(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
     prefs = preferences.get()
     before = prefs.python_path
     yield scene
-    for job in registry.JOBS.jobs():
+    for job in job_registry.JOBS.jobs():
         job.kill(wait=10)
-    registry.JOBS._jobs.clear()
+    job_registry.JOBS._jobs.clear()
     prefs.python_path = before
 
 
 @pytest.fixture
 def play(tmp_path: Path) -> Play:
-    """The preferences' Python becomes a fake that plays a script; gives where its call is noted."""
+    """Replace the preferences' Python by a fake that plays a script; return the file of its
+    arguments."""
 
     def choose(*script: dict) -> Path:
         preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
@@ -61,23 +62,23 @@ def play(tmp_path: Path) -> Play:
 
 
 def panel() -> str:
-    """What the panel shows, once the folders have been looked at."""
+    """Text of the panel, once the folders are scanned."""
     drawn(TrainSequencePanel)
     until(lambda: not poll_timer.poll() or "Searching" not in drawn(TrainSequencePanel))
     return drawn(TrainSequencePanel)
 
 
 def settle() -> str:
-    """The same, after everything that was looked up is old."""
-    registry.trained.expire()
+    """The same, after all lookups have expired."""
+    job_registry.trained.expire()
     drawn(TrainSequencePanel)
-    until(lambda: not registry.busy())
-    registry.collect()
+    until(lambda: not job_registry.busy())
+    job_registry.collect()
     return drawn(TrainSequencePanel)
 
 
 def leave(output: Path, numbers: tuple[int, ...]) -> None:
-    """What a training leaves."""
+    """Results of a training."""
     frames = [{"frame": n, "folder": f"frame_{n:06d}"} for n in numbers]
     for entry in frames:
         write_splats(output / entry["folder"] / "point_cloud.ply", splats(50 + entry["frame"]))
@@ -109,7 +110,7 @@ def test_from_button_to_timeline(video, tmp_path: Path, play: Play) -> None:
     assert line[line.index("--frames") + 1] == "0:12:4"
     assert line[line.index("-o") + 1] == str(output)
     text = settle()
-    assert "4 frames are complete, PSNR 31.23 dB in the mean." in text
+    assert "4 frames are complete, mean PSNR 31.23 dB." in text
     assert "4 of 4 frames are trained." in text and "(Import Splat Sequence)" in text
     bpy.ops.gscore.import_sequence(directory=str(output))
     video.frame_set(3)
@@ -118,7 +119,7 @@ def test_from_button_to_timeline(video, tmp_path: Path, play: Play) -> None:
 
 
 def test_stop_and_go_on(video, play: Play) -> None:
-    """The trainer is asked to stop; the button then resumes, and Start Over asks first."""
+    """The trainer is stopped; the button then resumes, and Start Over opens a dialog."""
     stopped = DONE | {"reason": "stopped", "frames": 1}
     play({"say": FRAME}, {"await": "stop"}, {"say": stopped})
     panel()
@@ -141,7 +142,7 @@ def test_stop_and_go_on(video, play: Play) -> None:
 
 
 def test_failures_are_told_where_the_button_is(video, play: Play) -> None:
-    """The sentence of the trainer; and of folders that hold no frames."""
+    """The error of the trainer; and of folders without frames."""
     play(
         {"say": {"event": "error", "type": "DatasetError", "message": "Frame 4 is broken."}},
         {"exit": 2},
@@ -157,7 +158,7 @@ def test_failures_are_told_where_the_button_is(video, play: Play) -> None:
 
 
 def test_what_is_missing_is_told_in_words_of_the_panel(video, tmp_path: Path) -> None:
-    """Oracle: the name of the field that takes the photos' folder; no flag of the command line."""
+    """Oracle: the name of the field of the photos' folder; no flag of the command line."""
     (tmp_path / "empty").mkdir()
     video.gscore.capture_path = str(tmp_path / "empty")
     name = video.gscore.bl_rna.properties["images"].name
@@ -166,7 +167,7 @@ def test_what_is_missing_is_told_in_words_of_the_panel(video, tmp_path: Path) ->
     facts.refresh(video)
     video.gscore.capture_path = str(STUDIO)
     until(lambda: "<images>" in drawn(CapturePanel))
-    assert name not in labels(CapturePanel)  # the field stands under its own name
+    assert name not in labels(CapturePanel)  # the field has its own name
 
 
 def test_arguments_are_those_of_a_training_and_its_own(scene) -> None:
@@ -185,7 +186,7 @@ def test_arguments_are_those_of_a_training_and_its_own(scene) -> None:
 
 
 def two_real_frames(video: bpy.types.Scene, tmp_path: Path) -> None:
-    """Frames 0 and 4 become the studio, for a few steps of the trainer that is named."""
+    """Make frames 0 and 4 from the studio, for a few steps of the given trainer."""
     for number in (0, 4):
         folder = tmp_path / "video" / f"{number:06d}" / "images"
         folder.rmdir()

@@ -1,4 +1,4 @@
-"""Oracle: the scene after a scripted `gscore sfm`, the real one's files, and what panels show."""
+"""Oracle: the scene after a scripted `gscore sfm`, the real one's files, and the panels' text."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from addon.panels.capture import CapturePanel
 from addon.panels.progress import ProgressPanel
 from addon.panels.train import TrainPanel
 from addon.sfm import find_cameras
-from addon.sfm.registry import JOBS
+from addon.sfm.job_registry import JOBS
 from addon.training import facts, registry, start_training, verb_job
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
@@ -62,7 +62,8 @@ def holiday(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]
 
 @pytest.fixture
 def play(tmp_path: Path) -> Play:
-    """The preferences' Python becomes a fake that plays a script; gives where its call is noted."""
+    """Replace the preferences' Python by a fake that plays a script; return the file of its
+    arguments."""
 
     def choose(*script: dict) -> Path:
         preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
@@ -72,7 +73,7 @@ def play(tmp_path: Path) -> Play:
 
 
 def _made(capture: Path) -> list[dict]:
-    """Steps of a script that leave the studio's model in a capture."""
+    """Steps of a script that write the studio's model to a capture."""
     model = STUDIO / "sparse" / "0"
     for file in model.iterdir():
         target = capture.parent / "waiting" / "sparse" / "0" / file.name
@@ -113,7 +114,7 @@ def test_from_button_to_cameras(holiday: bpy.types.Scene, tmp_path: Path, play: 
 
 
 def test_a_video_takes_frames_first(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
-    """Oracle: the script's events, and the name beside the video."""
+    """Oracle: the script's events, and the folder name next to the video."""
     (tmp_path / "walk.mp4").write_bytes(b"not looked into here")
     called = play({"say": FRAMES | {"eta_s": 5.0}}, {"await": "go"},
                   {"say": TAKEN | {"seconds": 1.0, "path": "p"}}, {"await": "stop"})  # fmt: skip
@@ -142,8 +143,8 @@ def test_a_video_takes_frames_first(holiday: bpy.types.Scene, tmp_path: Path, pl
 def test_a_search_follows_one_that_is_ending(
     holiday: bpy.types.Scene, tmp_path: Path, play: Play, late: str
 ) -> None:
-    """Oracle: the panel, and processes that need their time after Cancel: never two at once. What
-    the first has found after all is taken, and what waits can be cancelled too."""
+    """Oracle: the panel, and processes that end some time after Cancel: never two at a time.
+    Results of the first are still imported, and a waiting search can be cancelled too."""
     capture = tmp_path / "holiday-capture"
     ending = _made(capture) if late == "found" else [{"await": "go"}]
     play({"say": STEP | {"eta_s": 9.0}}, {"await": "stop"}, *ending)
@@ -175,7 +176,7 @@ def test_a_search_follows_one_that_is_ending(
 
 
 def test_a_package_that_is_missing(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
-    """Oracle: gscore's sentence, and the add-on's way to get the package."""
+    """Oracle: gscore's message, and the add-on's way to get the package."""
     message = 'Reading a video needs the package av; install it with: pip install "gscore[video]".'
     play({"say": {"event": "error", "message": message, "type": "BackendError"}}, {"exit": 2})
     with pytest.raises(RuntimeError, match="Make Environment in the add-on's preferences"):
@@ -191,8 +192,8 @@ def test_a_package_that_is_missing(holiday: bpy.types.Scene, tmp_path: Path, pla
 def test_cameras_come_into_the_scene_that_asked(
     holiday: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch, shown
 ) -> None:
-    """Another scene is in the window, or this one. Oracle: what either holds, selects and chooses;
-    no operator's context is overridden, which can crash Blender beside threads."""
+    """Another scene is in the window, or this one. Oracle: the objects, selection and settings of
+    both; no context override, which can crash Blender with running threads."""
     monkeypatch.setattr(bpy.types.Context, "temp_override", None)
     other, window = bpy.data.scenes.new("Other"), bpy.context.window_manager.windows[0]
     capture = tmp_path / "holiday-capture"
@@ -234,7 +235,7 @@ def test_another_capture_chosen_meanwhile_stays(
 def test_what_is_done_while_cameras_come(
     holiday: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch, by: str
 ) -> None:
-    """Oracle: the scene's objects and its capture; nothing of ours is left."""
+    """Oracle: the scene's objects and its capture; no data of the import are left."""
     monkeypatch.setattr(importing, "BUDGET", 0.0)
     capture = tmp_path / "holiday-capture"
     play(*_made(capture))
@@ -259,7 +260,7 @@ def test_what_is_done_while_cameras_come(
 def test_cameras_that_fail_to_come_are_not_tried_again(
     holiday: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    """Oracle: a sentence where memory is lacking, else the error itself, once."""
+    """Oracle: a message without memory, else the error itself, once."""
 
     def fails(*_: object, **__: object) -> Iterator[str]:
         yield "begun"
@@ -281,7 +282,7 @@ def test_cameras_that_fail_to_come_are_not_tried_again(
 
 
 def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
-    """Oracle: a sentence for each; no process is started."""
+    """Oracle: an error for each; no process is started."""
     called = play({"say": DONE})
     for photo in list((tmp_path / "holiday").iterdir())[2:]:
         photo.unlink()
@@ -299,7 +300,7 @@ def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play:
 
 @pytest.mark.skipif(not hasattr(bpy.types, "FileHandler"), reason="this Blender takes no drops")
 def test_videos_can_be_dropped() -> None:
-    """Oracle: what Blender registered."""
+    """Oracle: the handlers registered in Blender."""
     handler = bpy.types.GSCORE_FH_video
     assert ".mp4" in handler.bl_file_extensions.split(";")
     operator = bpy.ops.gscore.choose_video.get_rna_type()

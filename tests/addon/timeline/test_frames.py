@@ -86,10 +86,10 @@ def test_nothing_to_find(tmp_path: Path) -> None:
     """Oracle: sentences that name the folder, for each way in which there are no frames."""
     with pytest.raises(ValueError, match=r"cannot be read .No such file.*choose where it is now"):
         find_series(tmp_path / "gone")
-    with pytest.raises(ValueError, match="holds no frames: choose the folder"):
+    with pytest.raises(ValueError, match="has no frames: choose the output folder"):
         find_series(tmp_path)
     _touch(tmp_path / "a1.ply")
-    with pytest.raises(ValueError, match=r"no files called b#\.ply"):
+    with pytest.raises(ValueError, match=r"no files named b#\.ply"):
         find_series(tmp_path, "b#.ply")
     (tmp_path / "sequence.json").write_text("{")
     with pytest.raises(ValueError, match="not the list of a sequence's frames"):

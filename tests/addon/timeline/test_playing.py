@@ -13,9 +13,9 @@ import pytest
 from addon.core import Splats, read_splats, sh0_to_rgb, write_splats
 from addon.panels.sequence import SequencePanel
 from addon.process import poll_timer
-from addon.render.copies import Copies
 from addon.render.engine import final_cache
 from addon.render.scene import sources
+from addon.render.viewport_copies import Copies
 from addon.splats import objects
 from addon.timeline import frame_sync, importing, mesh
 from addon.timeline.async_import import SequenceComing
@@ -221,7 +221,7 @@ def test_edits_make_it_stand_still(scene, playing) -> None:
     points.keep(playing.data, keep)
     playing.data.update()
     bpy.context.view_layer.update()
-    assert playing.gscore_sequence.edited and "(Drop Edits and Play)" in drawn(SequencePanel)
+    assert playing.gscore_sequence.edited and "(Discard Edits and Play)" in drawn(SequencePanel)
     scene.frame_set(5)
     assert len(playing.data.vertices) == 100 and shown()[0][0] == 100
     bpy.ops.gscore.play_again()
@@ -285,7 +285,7 @@ def test_nothing_is_left_of_a_closed_file(scene, playing) -> None:
 def test_a_sequence_under_a_capture_needs_no_axis(scene, folder) -> None:
     """Oracle: the parent; a wrong folder leaves the scene as it was."""
     before = len(bpy.data.objects), len(bpy.data.meshes)
-    with pytest.raises(RuntimeError, match="holds no frames"):
+    with pytest.raises(RuntimeError, match="has no frames"):
         bpy.ops.gscore.import_sequence(directory=str(folder.parent))
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == before
 
@@ -446,7 +446,7 @@ def test_an_import_bit_by_bit(scene, folder, under) -> None:
 def test_an_import_bit_by_bit_that_fails(scene, folder) -> None:
     """Oracle: the sentences of the import at once, and an empty file."""
     options = {"called": "", "start": 1, "parent": None, "up": "-Y"}
-    with pytest.raises(ValueError, match="holds no frames"):
+    with pytest.raises(ValueError, match="has no frames"):
         come(SequenceComing(bpy.context, folder.parent, **options))
     coming = SequenceComing(bpy.context, folder, **options)
     coming.cancel()

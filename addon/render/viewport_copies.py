@@ -1,4 +1,4 @@
-"""Copies of the splats of viewports, made incrementally while earlier ones are drawn."""
+"""Viewport copies of splats, made incrementally while earlier copies are drawn."""
 
 import time
 from dataclasses import dataclass
@@ -12,64 +12,63 @@ from .scene import Placed, Source, place
 COPY_BUDGET = 0.003
 """Seconds that one redraw may spend on copying splats out of Blender."""
 EDITED_AT_ONCE = 200_000
-"""Splats in Edit Mode that are copied anew after each step of editing; of others only what is
-selected and hidden follows, and the rest after its end."""
+"""Most splats in Edit Mode that are copied again after each edit; of larger meshes only selection
+and visibility follow, and the rest when Edit Mode ends."""
 _ECHO = 0.25
-"""Seconds within which Blender tells of a change that a copy itself was: to copy a mesh in Edit
-Mode, its edits are taken over into it. Longer where redraws have turned out to take longer."""
+"""Seconds within which Blender reports the change that a copy itself causes: copying a mesh in
+Edit Mode writes its edits back to the mesh. Grows if redraws take longer."""
 _LONGEST_ECHO = 10.0
-"""At most so many seconds."""
-_TOLD = 0.005
-"""Seconds in which all who listen are told of one update."""
+"""Upper limit of that time, seconds."""
+_SAME_UPDATE = 0.005
+"""Seconds within which all handlers receive one update."""
 _REST = 0.5
-"""Seconds after which a copy is made once more where an update was taken for an echo: an edit may
-have come with it."""
+"""Seconds after which a copy is made once more if an update was ignored as an echo, because an edit
+may have come with it."""
 
 
 @dataclass
 class _Echo:
-    """What is known of the last copy of a mesh in Edit Mode."""
+    """State of the last copy of a mesh in Edit Mode."""
 
     at: float
-    """When it was made, seconds."""
+    """Time of the copy, seconds."""
     same: bool
-    """Whether it was as the one before, so that the next update tells of it alone."""
+    """Whether it equals the copy before, so that the next update reports only the copy."""
     checked: bool
-    """Whether it was made to see that nothing was missed."""
+    """Whether the copy was made to check that no edit was missed."""
     passed: float = 0.0
-    """When an update was taken for its echo; 0: none was."""
+    """Time of the update that was ignored as its echo; 0: none."""
     late: float = 0.0
-    """Seconds after which one came that was too late for an echo; 0: none did."""
+    """Delay of an update that was too late for an echo, seconds; 0: none."""
 
 
 class Copies:
-    """Of all viewports; used on the main thread only."""
+    """Copies for all viewports; main thread only."""
 
     def __init__(self) -> None:
         self._frozen: dict[int, FrozenMesh] = {}
         self._stale: dict[int, Frozen] = {}
         self._freezers: dict[int, Freezer] = {}
         self._unmarked: set[int] = set()
-        """Those in Edit Mode of which other splats may be selected."""
+        """Meshes in Edit Mode whose selection may have changed."""
         self._echoes: dict[int, _Echo] = {}
         self._echo = _ECHO
-        """Seconds, of this machine."""
+        """Echo time measured on this machine, seconds."""
 
     def clear(self) -> None:
-        """Let go of everything."""
+        """Drop all copies."""
         for kept in (self._frozen, self._stale, self._freezers, self._unmarked, self._echoes):
             kept.clear()
 
     def under_way(self, found: list[Source]) -> bool:
-        """Whether meshes of objects are copied bit by bit, or looked at once more when they rest,
-        for which a view must be drawn again. Frames that are read have views drawn when they
-        come."""
+        """Whether meshes of objects are still being copied or wait for a last check, so that views
+        must be redrawn. Frames being read request redraws themselves when they arrive."""
         doubtful = {uid for uid, echo in self._echoes.items() if echo.passed and not echo.checked}
         waits = doubtful | self._freezers.keys()
         return any(one.moment is None and one.uid in waits for one in found)
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Copy again what a depsgraph update says has changed."""
+        """Mark meshes that a depsgraph update reports as changed for a new copy."""
         for update in depsgraph.updates:
             uid = getattr(update.id.original, "session_uid", None)
             if isinstance(update.id, bpy.types.Object) and update.is_updated_geometry:
@@ -84,24 +83,24 @@ class Copies:
                 self._stale[uid] = self._frozen.pop(uid)
 
     def _is_echo(self, uid: int) -> bool:
-        """Whether an update tells of nothing but the last copy of a mesh in Edit Mode."""
+        """Whether an update reports only the last copy of a mesh in Edit Mode."""
         echo, now = self._echoes.get(uid), time.perf_counter()
         if echo is None or not echo.same:
             return False
         if now - echo.at > self._echo:
             echo.late = now - echo.at
             return False
-        if echo.passed and now - echo.passed > _TOLD:
+        if echo.passed and now - echo.passed > _SAME_UPDATE:
             return False
         echo.passed = echo.passed or now
         return True
 
     def repaint(self, uid: int, base: np.ndarray) -> None:
-        """Show a mesh with other colours and opacities than it has, until it is copied again.
+        """Show a mesh with other colours and opacities until it is copied again.
 
         Args:
-            uid: Session number of the mesh.
-            base: [N, 4] float32, contiguous, of `radiance:base`; from now on it belongs to this.
+            uid: Session uid of the mesh.
+            base: `radiance:base`, [N, 4] float32, contiguous; not copied.
         """
         for kept in (self._frozen, self._stale):
             if uid in kept and kept[uid].can_take(base):
@@ -110,18 +109,18 @@ class Copies:
             self._freezers[uid].repaint(base)
 
     def remark(self, uid: int, marks: np.ndarray | None) -> None:
-        """The same for what is selected and hidden, [N] uint8 as `FrozenMesh.marks`."""
+        """Show another selection and visibility, [N] uint8 as `FrozenMesh.marks`."""
         for kept in (self._frozen, self._stale):
             if uid in kept and (marks is None or len(kept[uid].vertices) == len(marks)):
                 kept[uid] = kept[uid].remarked(marks)
 
     def too_many(self, uid: int) -> bool:
-        """Whether a mesh is known, and has too many splats to be copied while it is edited."""
+        """Whether a mesh was copied before and is too large to be copied during edits."""
         known = self._frozen.get(uid, self._stale.get(uid))
         return known is not None and len(known.vertices) > EDITED_AT_ONCE
 
     def keep_only(self, found: list[Source]) -> None:
-        """Let go of what is not among these."""
+        """Drop copies of all other sources."""
         uids = {source.uid for source in found}
         for kept in (self._frozen, self._stale, self._freezers, self._echoes):
             for uid in kept.keys() - uids:
@@ -130,13 +129,14 @@ class Copies:
     def copied(
         self, found: list[Source], *, always_filtered: bool = False, spare: float = 0.0
     ) -> tuple[list[Placed], bool]:
-        """Some objects as they are, where their copying is under way as they were, or left out;
-        and whether all are as they are.
+        """Copies of objects, and whether all are up to date.
+
+        An object whose copy is in progress appears with its earlier copy, or not at all.
 
         Args:
             found: The objects.
             always_filtered: As `place`.
-            spare: Seconds that copying may take besides `COPY_BUDGET`.
+            spare: Seconds for copying in addition to `COPY_BUDGET`.
         """
         until = time.perf_counter() + COPY_BUDGET + spare
         placed, complete = [], True
@@ -149,7 +149,7 @@ class Copies:
         return placed, complete
 
     def _frame(self, source: Source) -> Frozen | None:
-        """The frame that an object shows; where it cannot be read, the last one, or its mesh."""
+        """The current frame of an object; if it cannot be read, the last one, or its mesh."""
         frame = source.moment.ready()
         if frame is not None:
             self._stale[source.uid] = frame
@@ -175,7 +175,7 @@ class Copies:
                 self._frozen[uid] = made = source.frozen_mesh()
                 same = stale is not None and stale.fingerprint == made.fingerprint
                 if same and np.array_equal(stale.marks, made.marks):
-                    self._frozen[uid] = stale  # so that no view has anything to do
+                    self._frozen[uid] = stale  # so that views have nothing to update
                 if same and echo is not None and echo.late:
                     self._echo = min(max(self._echo, 2 * echo.late), _LONGEST_ECHO)
                 at = time.perf_counter()
@@ -188,7 +188,7 @@ class Copies:
         self._unmarked.discard(uid)
         while uid not in self._frozen:
             freezer = self._freezers.pop(uid, None) or Freezer()
-            frozen = freezer.step(source.data, source.ob.name)  # which may refuse the mesh
+            frozen = freezer.step(source.data, source.ob.name)  # may raise for a bad mesh
             if frozen is None:
                 self._freezers[uid] = freezer
                 if freezer.waits or time.perf_counter() > until:
@@ -200,9 +200,9 @@ class Copies:
 
 
 def _is_edited(block: bpy.types.ID) -> bool:
-    """Whether a mesh is in Edit Mode, where a selection is a change, but none of its geometry."""
+    """Whether a mesh is in Edit Mode, where a selection updates it without a geometry change."""
     return isinstance(block, bpy.types.Mesh) and block.original.is_editmode
 
 
 SHARED = Copies()
-"""Those of this Blender session."""
+"""The copies of this Blender session."""

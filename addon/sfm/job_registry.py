@@ -1,4 +1,4 @@
-"""Registry of the SfM jobs of this Blender session; no bpy."""
+"""Job registry: the SfM jobs of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .job import SearchJob

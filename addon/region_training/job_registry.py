@@ -1,7 +1,7 @@
-"""Registry of the region trainings of this Blender session; no bpy."""
+"""Job registry: the region trainings of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .job import RegionJob
 
 JOBS: VerbJobs[RegionJob] = VerbJobs()
-"""Those of each capture."""
+"""Jobs by capture."""

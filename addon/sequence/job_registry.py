@@ -1,4 +1,4 @@
-"""Registry of the sequence trainings of this session, and cached facts of their folders; no bpy."""
+"""Job registry: the sequence trainings of this session, with cached facts of folders; no bpy."""
 
 from pathlib import Path
 
@@ -8,13 +8,13 @@ from ..training.verb_jobs import VerbJobs
 from .job import SequenceJob
 
 JOBS: VerbJobs[SequenceJob] = VerbJobs()
-"""Those of each source."""
+"""Jobs by source."""
 frames: Lookup[tuple[str, str], list[SequenceFrame]] = Lookup(
     lambda key: find_frames(DataConfig(source=Path(key[0]), images=key[1])), max_age=60.0
 )
 """A capture's frames, by its path and the name of its photo folder."""
 trained: Lookup[Path, SequenceIndex | None] = Lookup(read_sequence, max_age=3.0)
-"""What an output folder lists."""
+"""Index of an output folder."""
 
 
 def collect() -> bool:

@@ -1,4 +1,4 @@
-"""Registry of the depth jobs of this Blender session; no bpy."""
+"""Job registry: the depth jobs of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .job import DepthJob

@@ -1,7 +1,7 @@
-"""Registry of the errors jobs of this Blender session; no bpy."""
+"""Job registry: the errors jobs of this Blender session; no bpy."""
 
 from ..training.verb_jobs import VerbJobs
 from .errors_job import ErrorsJob
 
 JOBS: VerbJobs[ErrorsJob] = VerbJobs()
-"""Those of each run."""
+"""Jobs by run."""
