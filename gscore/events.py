@@ -24,6 +24,33 @@ class Event:
 Show = Callable[[Event], None]
 """Receives each event."""
 
+TOPICS = (
+    "region",
+    "masks",
+    "enough",
+    "stereo",
+    "drops",
+    "ensemble",
+    "depth",
+    "guide",
+    "exposure",
+    "poses",
+    "viewer",
+)
+"""Topics of decisions, in the order in which they are shown. `enough` means caps by the number of
+photos, `drops` dropout. Each is also a key of a `started` event in JSON, for versions without
+`decisions`."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Decision of a training for its photos and options."""
+
+    topic: str
+    """One of `TOPICS`."""
+    text: str
+    """Sentences for people."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Started(Event):
@@ -46,32 +73,15 @@ class Started(Event):
     """Models that are trained side by side, which begin alike."""
     left_s: float = math.nan
     """Seconds of training to expect up to the last step; NaN: not known."""
-    depth: str = ""
-    """Sentences on whether depth maps supervise, and why; empty: there are none, or none can be
-    used, which is a warning."""
-    stereo: str = ""
-    """A sentence on the points that stereo added, or why none; empty: nobody asked."""
-    drops: str = ""
-    """One on splats that are left out of steps for these photos; empty: none are, or the options
-    say so."""
-    ensemble: str = ""
-    """One on models that are trained side by side for these photos; empty: there is one, or the
-    options say so."""
-    exposure: str = ""
-    """A sentence on whether the exposure of photos is learnt; empty: nobody asked."""
-    poses: str = ""
-    """A sentence on whether training cameras stand where photos were taken; empty: nobody asked."""
-    viewer: str = ""
-    """A sentence on where viewers can connect to; empty: nowhere."""
-    enough: str = ""
-    """A sentence on steps that are left out because more do not help so few photos; empty: none."""
     mask_mode: str = "none"
     """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
-    region: str = ""
-    """A sentence on the part that is trained; empty: all is."""
-    guide: str = ""
-    """Sentences on the meshes that guide it; empty: there are none."""
+    decisions: list[Decision] = field(default_factory=list)
+    """Decisions for these photos and options, in the order in which they are shown."""
     config: dict[str, Any] = field(default_factory=dict)
+
+    def decision(self, topic: str) -> str:
+        """Text of the decision on `topic`; empty: there is none."""
+        return next((one.text for one in self.decisions if one.topic == topic), "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -422,7 +432,10 @@ def headline_psnr(metrics: Mapping[str, Any]) -> float | None:
 
 def to_line(event: Event) -> str:
     """The event as a line of `strict_json`."""
-    return strict_json({"event": event.kind} | asdict(event))
+    data = {"event": event.kind} | asdict(event)
+    if isinstance(event, Started):
+        data |= {topic: event.decision(topic) for topic in TOPICS}
+    return strict_json(data)
 
 
 def from_line(line: str) -> Event | None:
@@ -439,6 +452,13 @@ def from_line(line: str) -> Event | None:
         return None
     known = {name: data[name] for name in cls.__dataclass_fields__ if name in data}
     try:
+        if cls is Started:
+            known["decisions"] = _decisions(data)
         return cls(**known)
-    except TypeError:
+    except (KeyError, TypeError):
         return None
+
+
+def _decisions(data: dict[str, Any]) -> list[Decision]:
+    by_key = [{"topic": topic, "text": data[topic]} for topic in TOPICS if data.get(topic)]
+    return [Decision(str(one["topic"]), str(one["text"])) for one in data.get("decisions", by_key)]

@@ -54,8 +54,8 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Region
         row = layout.row(align=True)
         row.progress(factor=job.share, text=bar_text(job))
         row.operator("gscore.stop_region", text="", icon="SNAP_FACE")
-        if job.started is not None and job.started.region:
-            sentence(layout, context, job.started.region)
+        if job.started is not None and (region := job.started.decision("region")):
+            sentence(layout, context, region)
     elif job.wanted:
         layout.label(text="Importing the splats...", icon="TIME")
     if job.sentence:

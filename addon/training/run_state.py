@@ -103,10 +103,8 @@ class RunState:
     def decisions(self) -> list[str]:
         """What the training decided by what the capture is like, in sentences with the names of
         panels."""
-        if (told := self.started) is None:
-            return []
-        said = (told.enough, told.stereo, told.drops, told.ensemble, told.depth, told.guide)
-        return [panel_words(text) for text in (*said, told.exposure, told.poses) if text]
+        found = self.started.decisions if self.started else ()
+        return [panel_words(one.text) for one in found]
 
     @property
     def ended(self) -> bool:

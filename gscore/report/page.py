@@ -93,12 +93,12 @@ def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
 
 
 def _decided(metrics: dict[str, Any]) -> str:
-    """What the run decided by itself; cameras that it moved have a section of their own."""
-    told = (metrics.get("poses") or {}).get("why")
+    """Decisions of the run, without those that have a section of their own."""
+    shown = [(metrics.get(part) or {}).get("why") for part in ("depth", "poses")]
     items = "".join(
         f"<li>{html.escape(sentence)}</li>"
         for sentence in metrics.get("decided") or ()
-        if sentence != told
+        if sentence not in shown
     )
     return (
         f'<section class="decided"><h2>Decided by itself</h2><ul>{items}</ul></section>\n'

@@ -1,8 +1,8 @@
 """Preparation of a training: creates the trainer from options and capture, equal on every rank."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from ..datasets import load_dataset
 from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError, ConfigError
-from ..events import Event
+from ..events import TOPICS, Decision, Event
 from ..formats import Decoded
 from ..io.block_record import read_block
 from .depth.setup import DepthSetup, prepare_depth
@@ -24,7 +24,7 @@ from .distributed.consistency import crc_of
 from .distributed.process_group import ProcessGroup
 from .guide.setup import GuideSetup, prepare_guide
 from .model.training_frame import TrainingFrame
-from .photos.photo_loading import LoadedPhotos, load_photos, progress_of
+from .photos.photo_loading import load_photos, progress_of
 from .region.region_box import RegionBox
 from .region.region_photos import RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
@@ -33,33 +33,65 @@ from .views.exposure import Exposure
 from .views.photo_analysis import analyze_photos
 from .views.pose_check import PoseCheck
 
+_MASKS = {
+    "ignore": "Masks are used: masked pixels are neither trained nor measured. --mask-mode none "
+    "trains whole photos, composite only the subject.",
+    "composite": "Masks are used as the opacity of the subject, and only the subject is trained. "
+    "--mask-mode none trains whole photos, ignore does not constrain masked pixels.",
+}
+"""By `mask_mode`."""
+_KEPT = ("stereo", "drops", "ensemble", "exposure", "poses")
+"""Topics that a resumed run may not decide again: its earlier decisions still hold."""
 
-@dataclass
+
+@dataclass(kw_only=True)
 class Prepared:
     """A trainer before its first step, with the decisions and reports of its preparation."""
 
     trainer: Trainer
-    photos: Dataset
-    loaded: LoadedPhotos
-    enough: str
+    warnings: Sequence[str] = ()
+    """Warnings of reading the photos."""
+    enough: str = ""
     """Message on caps of steps and splats; empty: none applies."""
-    asked: dict[str, int]
+    asked: dict[str, int] = field(default_factory=dict)
     """Requested values of the options that were capped by the number of photos."""
-    region: str
-    """Message on the trained region, or on the cell in which splats are added; empty: no limit."""
-    depth: DepthSetup
-    guide: GuideSetup
-    stereo: StereoStart
-    exposure: Exposure
-    placing: PoseCheck
+    depth: DepthSetup = field(default_factory=DepthSetup)
+    guide: GuideSetup = field(default_factory=GuideSetup)
+    stereo: StereoStart = field(default_factory=StereoStart)
+    exposure: Exposure = field(default_factory=Exposure)
+    placing: PoseCheck = field(default_factory=PoseCheck)
+
+    @property
+    def mask_mode(self) -> str:
+        """Meaning of the capture's masks; `none` for a region, whose masks are computed."""
+        return "none" if self.trainer.region is not None else self.trainer.photos.mask_mode
+
+    def decisions(self, earlier: Mapping[str, str]) -> list[Decision]:
+        """Decisions in the order of `TOPICS`; `earlier`: texts by topic of the resumed run."""
+        trainer = self.trainer
+        texts = {topic: earlier.get(topic, "") for topic in _KEPT}
+        found = {
+            "region": trainer.region_words,
+            "masks": _MASKS.get(self.mask_mode, ""),
+            "enough": self.enough,
+            "stereo": self.stereo.why,
+            "drops": trainer.drop_words,
+            "ensemble": trainer.ensemble_words,
+            "depth": self.depth.decision,
+            "guide": self.guide.why,
+            "exposure": self.exposure.why,
+            "poses": self.placing.why,
+        }
+        texts |= {topic: text for topic, text in found.items() if text}
+        return [Decision(topic, texts[topic]) for topic in TOPICS if texts.get(topic)]
 
     def facts(self) -> dict[str, Any]:
         """Values that must be equal on all ranks, JSON values by name."""
-        trainer = self.trainer
+        trainer, photos = self.trainer, self.trainer.photos
         return {
-            "photos": f"{len(self.photos)} of hash {self.photos.content_hash()}",
+            "photos": f"{len(photos.scene.cameras.names)} of hash {photos.content_hash()}",
             "which photos are held out": crc_of(
-                {"train": torch.tensor(list(self.photos.train), dtype=torch.int64, device="cpu")}
+                {"train": torch.tensor(list(photos.train), dtype=torch.int64, device="cpu")}
             ),
             "the plan": repr(trainer.plan),
             "the dropout rate": trainer.drop_rate,
@@ -170,11 +202,9 @@ def prepare(
         )
     return Prepared(
         trainer=trainer,
-        photos=photos,
-        loaded=loaded,
+        warnings=[*photos.warnings, *loaded.warnings],
         enough=enough,
         asked=_asked_beyond(asked, config),
-        region=trainer.region_words,
         depth=depth,
         guide=guide,
         stereo=added,

@@ -80,25 +80,17 @@ def train(
         found = _prepared(beginning, data, emit, control, team)
         with memory_in_words():
             session = Session(
-                found.trainer,
+                found,
                 folder,
                 data,
                 emit=emit,
                 control=control,
                 lpips=lpips,
                 lpips_reason=lpips_reason,
-                depth=found.depth,
-                stereo=found.stereo,
-                exposure=found.exposure,
-                placing=found.placing,
                 viewers=viewers,
-                enough=found.enough,
-                asked=found.asked,
-                region=found.region,
-                guide=found.guide.why,
             )
             beginning.resume(found.trainer, session)
-            notes = (*found.photos.warnings, *found.loaded.warnings, *check_training(found.trainer))
+            notes = (*found.warnings, *check_training(found.trainer))
             if overwrite:
                 folder.clear()
             for message in notes:

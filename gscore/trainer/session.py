@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError
-from ..events import Eval, Event, Preview, Saved, Snapshot, Started, Warn, headline_psnr
+from ..events import Decision, Eval, Event, Preview, Saved, Snapshot, Started, Warn, headline_psnr
 from ..live.viewer_clients import ViewerClients
 from ..live.viewer_protocol import FrameRequest
 from ..metrics import Evaluation, Lpips, LpipsNet
@@ -22,8 +22,6 @@ from ..raster import backend
 from ..report import PictureCollector
 from ..text_format import count_words
 from .depth.report import DepthReport, measure_depth
-from .depth.setup import DepthSetup
-from .depth.stereo import StereoStart
 from .distributed.straggler_monitor import StragglerMonitor
 from .estimate.forecast import pace_now
 from .evaluation import Evaluator
@@ -32,13 +30,11 @@ from .files.run_folder import RunFolder
 from .files.run_outputs import RunOutputs
 from .files.run_result import TrainResult
 from .model.checkpoint_schema import as_records, as_str_dict, as_str_list
+from .prepare import Prepared
 from .step.step_result import StepResult
 from .stopping.controller import StoppingController
 from .stopping.progress_meter import ProgressMeter
 from .stopping.watchdog import Watchdog
-from .trainer import Trainer
-from .views.exposure import Exposure
-from .views.pose_check import PoseCheck
 
 _WARN_BAD_ROWS = (1, 100, 10_000)
 _WARN_LOST_ROWS = (1, 100, 10_000)
@@ -64,7 +60,7 @@ class Session:
 
     def __init__(
         self,
-        trainer: Trainer,
+        prepared: Prepared,
         folder: RunFolder,
         data: DataConfig,
         *,
@@ -72,19 +68,11 @@ class Session:
         control: Control,
         lpips: Lpips | LpipsNet | None,
         lpips_reason: str,
-        depth: DepthSetup | None = None,
-        stereo: StereoStart | None = None,
-        exposure: Exposure | None = None,
-        placing: PoseCheck | None = None,
         viewers: ViewerClients | None = None,
-        enough: str = "",
-        asked: Mapping[str, int] | None = None,
-        region: str = "",
-        guide: str = "",
     ) -> None:
-        """`enough`: message on caps of steps and splats; `asked`: requested values of the capped
-        options; `region`: message on the trained region; `guide`: messages on the guide meshes."""
-        self._trainer = trainer
+        """Create the session of a prepared trainer, in `folder`."""
+        self._prepared = prepared
+        self._trainer = trainer = prepared.trainer
         self._config = trainer.config
         self._folder = folder
         self._data = data
@@ -92,16 +80,8 @@ class Session:
         self._control = control
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = RunOutputs(trainer, folder, data)
-        self._depth = depth or DepthSetup()
-        self._stereo = stereo or StereoStart()
-        self._exposure = exposure or Exposure()
-        self._placing = placing or PoseCheck()
         self._viewers = viewers or ViewerClients()
-        self._enough = enough
-        self._asked = dict(asked or {})
-        self._decided_before: dict[str, str] = {}
-        self._region = region
-        self._guide = guide
+        self._earlier: dict[str, str] = {}
         pace = pace_now(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = ProgressMeter(
@@ -125,25 +105,11 @@ class Session:
         self._evals = as_records("evals", state["evals"])
         self._warnings = as_str_list("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
-        # A resumed run keeps its decisions, except for the caps, which are computed again.
-        self._decided_before = as_str_dict("decided", state.get("decided", {}))
-        self._decided_before.pop("enough", None)
+        self._earlier = as_str_dict("decided", state.get("decided", {}))
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
         if "watchdog" in state:
             self._watchdog.restore(state["watchdog"])
         self._trainer.rate_factor = self._watchdog.rate_factor
-
-    def _decided(self) -> dict[str, str]:
-        """Decisions for these photos: messages by topic."""
-        found = {
-            "enough": self._enough,
-            "stereo": self._stereo.why,
-            "drops": self._trainer.drop_words,
-            "ensemble": self._trainer.ensemble_words,
-            "exposure": self._exposure.why,
-            "poses": self._placing.why,
-        }
-        return self._decided_before | {topic: words for topic, words in found.items() if words}
 
     def warn(self, message: str, code: str = "") -> None:
         """Emit a warning, and keep it for the report."""
@@ -232,6 +198,7 @@ class Session:
 
     def _started(self) -> None:
         photos, cameras = self._trainer.photos, self._trainer.photos.scene.cameras
+        viewer = [Decision("viewer", self._viewers.why)] if self._viewers.why else []
         self._emit(
             Started(
                 source=str(self._data.source),
@@ -247,18 +214,8 @@ class Session:
                 threads=self._results.threads,
                 models=len(self._trainer.members),
                 left_s=self._meter.progress().eta_s,
-                depth=self._depth.decision,
-                stereo=self._stereo.why,
-                drops=self._trainer.drop_words,
-                ensemble=self._trainer.ensemble_words,
-                exposure=self._exposure.why,
-                poses=self._placing.why,
-                viewer=self._viewers.why,
-                enough=self._enough,
-                # The masks of a region are computed, and the region's own message covers them.
-                mask_mode="none" if self._region else photos.mask_mode,
-                region=self._region,
-                guide=self._guide,
+                mask_mode=self._prepared.mask_mode,
+                decisions=[*self._prepared.decisions(self._earlier), *viewer],
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
@@ -390,9 +347,9 @@ class Session:
             "warnings": self._warnings,
             "steering": self._steering.state(),
             "watchdog": self._watchdog.state(),
-            "stereo": self._stereo.added > 0,
-            "decided": self._decided(),
-            "asked": self._asked,
+            "stereo": self._prepared.stereo.added > 0,
+            "decided": {one.topic: one.text for one in self._prepared.decisions(self._earlier)},
+            "asked": self._prepared.asked,
         }
         self._trainer.collect()
         checkpoint.save(path, self._trainer, state)
@@ -414,7 +371,7 @@ class Session:
         trainer = self._trainer
         return measure_depth(
             trainer.photos,
-            self._depth,
+            self._prepared.depth,
             trainer.renderer.inverse_depth,
             interrupted=lambda: self._control.stopping,
         )
@@ -438,7 +395,7 @@ class Session:
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
         photo_parameters = self._results.write_photo_parameters(
-            self._exposure.numbers, self._placing.why
+            self._prepared.exposure.numbers, self._prepared.placing.why
         )
         self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
@@ -453,8 +410,8 @@ class Session:
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
             photo_parameters=photo_parameters,
-            decided=list(self._decided().values()),
-            asked=self._asked,
+            decided=[one.text for one in self._prepared.decisions(self._earlier)],
+            asked=self._prepared.asked,
             reason=reason,
         )
         result = TrainResult(

@@ -39,6 +39,7 @@ from gscore.stress.capture import toy_photos
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.model.training_frame import TrainingFrame
+from gscore.trainer.prepare import Prepared
 from gscore.trainer.session import Session
 from gscore.trainer.trainer import Trainer
 from tests import program_files
@@ -368,7 +369,7 @@ _PHOTOS = toy_photos()
 
 def _session(trainer: Trainer, root: Path) -> Session:
     return Session(
-        trainer,
+        Prepared(trainer=trainer),
         RunFolder(root),
         DataConfig(source=root),
         emit=lambda event: None,

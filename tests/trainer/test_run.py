@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import DataConfig, TrainConfig
+from gscore.commands.terminal.display import _texts
+from gscore.config import DataConfig, Stereo, Switch, TrainConfig
 from gscore.config_file import load_config
 from gscore.control import Control
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import (
+    TOPICS,
     Done,
     Eval,
     Event,
@@ -38,6 +40,7 @@ from gscore.io.runs import checkpoints_in, read_course
 from gscore.report import results
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
+from gscore.trainer.files.checkpoint import load
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
 from gscore.trainer.schedule import caps
@@ -80,7 +83,7 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
     (started,) = [event for event in events if isinstance(event, Started)]
     steps = 2 * started.train_views
     assert 10 < result.steps == started.iterations == steps < 40
-    assert started.enough.startswith(f"{steps} of 40 steps are taken")
+    assert started.decision("enough").startswith(f"{steps} of 40 steps are taken")
     assert (result.reason, load_config(out / "config.json")[1].iterations) == ("finished", steps)
     stored = load_config(out / "config.json")[1]
     assert train(stored, data, out, resume=True).ended_before
@@ -89,6 +92,27 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
     lower = replace(CONFIG, iterations=40, steps_a_photo=1)
     assert train(lower, data, out, resume=True).steps == longer.steps
     assert load_config(out / "config.json")[1].iterations == longer.steps
+
+
+def test_decisions_are_one_list_everywhere(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the list of the first event, in the order of the topics: the terminal, metrics.json
+    and the checkpoint have its texts, and so has the event of the resumed run."""
+    config = replace(CONFIG, iterations=4, splats_a_photo=1, max_splats=10**6)
+    config = replace(config, exposure=Switch.AUTO, refine_poses=Switch.AUTO, stereo=Stereo.AUTO)
+    data, out, events = data_of(capture), tmp_path / "run", list[Event]()
+    result = train(config, data, out, events.append)
+    (started,) = [event for event in events if isinstance(event, Started)]
+    texts = {one.topic: one.text for one in started.decisions}
+    assert {"enough", "stereo", "exposure", "poses"} <= set(texts) and all(texts.values())
+    assert list(texts) == [topic for topic in TOPICS if topic in texts]
+    assert result.metrics["decided"] == list(texts.values())
+    assert load(RunFolder(out).checkpoint(4)).session["decided"] == texts
+    assert list(_texts(started))[2:] == list(texts.values())
+    again: list[Event] = []
+    stored = replace(load_config(out / "config.json")[1], iterations=6)
+    train(stored, data, out, again.append, resume=True)
+    (resumed,) = [event for event in again if isinstance(event, Started)]
+    assert resumed.decisions == started.decisions and resumed.step == 4
 
 
 def test_a_run_tells_everything_in_order_and_leaves_all_files(

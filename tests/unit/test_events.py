@@ -5,7 +5,19 @@ import math
 
 import pytest
 
-from gscore.events import KINDS, Done, Eval, Failed, Progress, Started, Warn, from_line, to_line
+from gscore.events import (
+    KINDS,
+    TOPICS,
+    Decision,
+    Done,
+    Eval,
+    Failed,
+    Progress,
+    Started,
+    Warn,
+    from_line,
+    to_line,
+)
 
 PROGRESS = Progress(
     step=3,
@@ -62,6 +74,43 @@ def test_fields_of_later_versions_are_skipped() -> None:
     """Oracle: the event without them."""
     data = json.loads(to_line(PROGRESS)) | {"mood": "good"}
     assert from_line(json.dumps(data)) == PROGRESS
+
+
+DECISIONS = [Decision("enough", "Fewer steps."), Decision("depth", "Depth is not used.")]
+STARTED = Started(
+    source="s",
+    output="o",
+    iterations=9,
+    step=0,
+    train_views=7,
+    test_views=1,
+    splats=10,
+    width=4,
+    height=3,
+    isa="avx2",
+    threads=2,
+    left_s=5.0,
+    decisions=DECISIONS,
+)
+
+
+def test_decisions_are_read_from_either_kind_of_key() -> None:
+    """Oracle: the same decisions, listed, and as the keys by topic that were there before the list;
+    the keys of today's events are those of then."""
+    data = json.loads(to_line(STARTED))
+    assert data["decisions"][0] == {"topic": "enough", "text": "Fewer steps."}
+    assert (data["enough"], data["depth"]) == ("Fewer steps.", "Depth is not used.")
+    assert all(data[topic] == "" for topic in TOPICS if topic not in ("enough", "depth"))
+    assert from_line(json.dumps(data)) == STARTED
+    del data["decisions"]
+    assert from_line(json.dumps(data)) == STARTED
+    assert (STARTED.decision("depth"), STARTED.decision("poses")) == ("Depth is not used.", "")
+
+
+@pytest.mark.parametrize("value", [3, None, [3], ["topic"], [{"topic": "depth"}], {"depth": "no"}])
+def test_damaged_decisions_are_no_event(value) -> None:
+    """Oracle: None, as for any other damaged line."""
+    assert from_line(json.dumps(json.loads(to_line(STARTED)) | {"decisions": value})) is None
 
 
 def test_kinds_are_those_of_the_protocol() -> None:

@@ -33,13 +33,6 @@ from ...events import (
 from ...text_format import count_words, number, quality_words, size_words, time_words
 from .status import Status, clock
 
-_MASKS = {
-    "ignore": "Masks are used: masked pixels are neither trained nor measured. --mask-mode none "
-    "trains whole photos, composite only the subject.",
-    "composite": "Masks are used as the opacity of the subject, and only the subject is trained. "
-    "--mask-mode none trains whole photos, ignore does not constrain masked pixels.",
-}
-"""By `mask_mode`."""
 _STOPS = ("paused", "measuring")
 """Phases without steps, which are shown; the number of splats implies the others."""
 
@@ -191,8 +184,7 @@ def _texts(event: Event) -> Iterator[str]:
         case Started() if event.step:
             # What was found of the photos was said when it began.
             yield going_on_text(event)
-            if event.viewer:
-                yield event.viewer
+            yield from filter(None, [event.decision("viewer")])
         case Started():
             yield (
                 f"{count_words(event.train_views, 'training view')}, "
@@ -203,13 +195,7 @@ def _texts(event: Event) -> Iterator[str]:
                 f"{count_words(event.splats, 'splat')} to start with{_each(event)}; "
                 f"{count_words(event.threads, 'thread')}, {event.isa}"
             )
-            if event.region:
-                yield event.region
-            if sentence := _MASKS.get(event.mask_mode):
-                yield sentence
-            said = (event.enough, event.stereo, event.drops, event.ensemble, event.depth)
-            said += (event.guide, event.exposure, event.poses, event.viewer)
-            yield from filter(None, said)
+            yield from (decision.text for decision in event.decisions)
         case Warn():
             yield f"Warning: {event.message}"
 

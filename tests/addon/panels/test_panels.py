@@ -16,6 +16,7 @@ from addon.splats import objects
 from addon.training import registry
 from addon.training.curve import LOSS_COLOR, PSNR_COLOR, Curve
 from addon.training.run_state import FINISHED, PAUSED, RunState
+from gscore.events import Decision
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout, drawn
 
@@ -254,9 +255,11 @@ def test_decisions_are_told_in_words_of_panels(
     state = running()
     monkeypatch.setattr(progress, "job", lambda _: SimpleNamespace(state=state))
     assert drawn(progress.DecisionsPanel) == ""
-    state.started = replace(
-        state.started, depth="Depth is not used; --depth-mode on uses it.", enough="Enough steps."
-    )
+    decisions = [
+        Decision("enough", "Enough steps."),
+        Decision("depth", "Depth is not used; --depth-mode on uses it."),
+    ]
+    state.started = replace(state.started, decisions=decisions)
     told = drawn(progress.DecisionsPanel)
     assert told == 'Enough steps. Depth is not used; "Use Depth: Always" uses it.'
 

@@ -182,7 +182,7 @@ def test_maps_that_are_not_wanted_are_no_warning(deep: Path, tmp_path: Path) -> 
     config = TrainConfig(iterations=2, max_splats=200, sh_degree=0, depth_mode=Switch.OFF)
     data = DataConfig(source=deep, depths="depths", depth_align="official")
     train(config, data, tmp_path / "o", events.append)
-    said = next(e for e in events if isinstance(e, Started)).depth
+    said = next(e for e in events if isinstance(e, Started)).decision("depth")
     assert said == "Depth maps are read for the report only (depth_mode off)."
     assert not [e for e in events if isinstance(e, Warn) and e.code == "depth"]
 

@@ -338,8 +338,8 @@ def test_a_run_says_what_guides_it_and_goes_on(
     events: list[Event] = []
     whole = train(config, data, tmp_path / "whole", events.append)
     started = next(event for event in events if isinstance(event, Started))
-    assert started.guide.startswith("Surface mesh wall.ply covers")
-    assert "Free-space mesh wall.ply" in started.guide
+    assert started.decision("guide").startswith("Surface mesh wall.ply covers")
+    assert "Free-space mesh wall.ply" in started.decision("guide")
     assert not [e for e in events if isinstance(e, Warn) and "wall" in e.message]
     half = next((tmp_path / "whole").glob("checkpoints/*30*"))
     moved = wall(tmp_path / "moved.ply")  # it may lie elsewhere

@@ -108,7 +108,7 @@ def test_a_run_says_what_it_trains(capture: Path, tmp_path: Path) -> None:
     config = replace(CONFIG, region=tmp_path / "r.json")
     result = train(config, DataConfig(source=capture, eval=True), tmp_path / "out",
                    on_event=told.append)  # fmt: skip
-    (sentence,) = [event.region for event in told if isinstance(event, Started)]
+    (sentence,) = [event.decision("region") for event in told if isinstance(event, Started)]
     assert "show the region are trained" in sentence
     assert result.metrics is not None and result.metrics["psnr_masked"] > 0
 

@@ -180,7 +180,7 @@ def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.log(diagonal).mean(axis=0), 0, atol=1e-12)
     assert np.abs(np.log(diagonal)).max() > 0.005, "nothing was learnt"
     (started,) = (event for event in told if isinstance(event, Started))
-    assert started.exposure == "The exposure of each photo is optimised (requested)."
+    assert started.decision("exposure") == "The exposure of each photo is optimised (requested)."
     assert result.metrics["exposure"]["learnt"] is True
 
 
