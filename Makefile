@@ -21,7 +21,7 @@ DEMO_BLENDER ?= newest
 # What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth wheel clean
+.PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth docs wheel clean
 
 # Lists what follows the two # of each target.
 help:  ## this list
@@ -167,6 +167,9 @@ bench: $(LIBRARY)  ## speed of the rasterizer here
 # EXPERIMENT="--model FILE.onnx".
 experiment-depth: $(LIBRARY)  ## with and without depth, from 6 to 50 views: out/experiment-depth/
 	$(BIN)/python -m experiments.depth $(EXPERIMENT)
+
+docs: $(DEVELOPED) $(LIBRARY)  ## the API reference into out/docs/index.html; a warning is an error
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs/api out/docs
 
 wheel: $(INSTALLED)  ## gscore's wheel into dist/
 	$(BIN)/python -m pip wheel -qq --no-deps --wheel-dir dist .

@@ -8,45 +8,47 @@ import bpy
 from ..interface.base_operator import BaseOperator
 
 _ROOT = Path(__file__).parents[2]
-_PLACES = (_ROOT / "manual.html", _ROOT / "docs" / "blender.md")
-"""In the extension, and in a checkout."""
+_INSTALLED, _DOCS = _ROOT / "manual.html", _ROOT / "docs"
+"""All pages in one in the extension; the pages in a checkout."""
 _SECTIONS = {
-    "trainer_python": "install",
-    "capture": "capture",
-    "sfm": "capture",
-    "cameras": "cameras",
-    "depth": "depth",
-    "training": "train",
-    "splats": "result",
-    "splats.edit_operators": "edit",
-    "splats.select_operators": "edit",
-    "paint": "paint",
-    "error_maps": "error-maps",
-    "region_training": "steer-training",
-    "render": "render",
-    "live": "displays",
-    "timeline": "sequences",
-    "sequence": "sequences",
+    "trainer_python": "blender/install.md#install",
+    "capture": "blender/cameras.md#capture",
+    "sfm": "blender/cameras.md#capture",
+    "cameras": "blender/cameras.md#cameras",
+    "depth": "blender/training.md#depth",
+    "training": "blender/training.md#train",
+    "splats": "blender/splats.md#result",
+    "splats.edit_operators": "blender/editing.md#edit",
+    "splats.select_operators": "blender/editing.md#edit",
+    "paint": "blender/editing.md#paint",
+    "error_maps": "blender/splats.md#error-maps",
+    "region_training": "blender/steering.md#steer-training",
+    "render": "blender/rendering.md#render",
+    "live": "blender/splats.md#displays",
+    "timeline": "blender/sequences.md#sequences",
+    "sequence": "blender/sequences.md#sequences",
 }
-"""Rooms, or modules of them, and the headings under which they stand; else the whole way."""
-_WHOLE_WAY = "from-photos-to-splats"
+"""Sections by folder or module of the add-on."""
+_TOUR = "blender.md#from-photos-to-splats"
+"""The section of all others."""
 
 
 def page() -> Path:
-    """The manual's file.
+    """The manual's first page.
 
     Raises:
         ValueError: it is missing.
     """
-    found = next((place for place in _PLACES if place.is_file()), None)
+    found = next((p for p in (_INSTALLED, _DOCS / "blender.md") if p.is_file()), None)
     if found is None:
-        raise ValueError(f"There is no {_PLACES[0]}; install the add-on again.")
+        raise ValueError(f"{_INSTALLED} is missing; install the add-on again.")
     return found
 
 
 def manual_map() -> tuple[str, list[tuple[str, str]]]:
-    """The manual's address, and the anchor of each operator and setting of the add-on."""
+    """The manual's address, and the rest of the address for each operator and setting."""
     own, found = __package__.removesuffix("panels"), []
+    first = page()
     for kind in (*bpy.types.Operator.__subclasses__(), *bpy.types.PropertyGroup.__subclasses__()):
         if not kind.__module__.startswith(own):
             continue
@@ -54,8 +56,11 @@ def manual_map() -> tuple[str, list[tuple[str, str]]]:
             name = f"bpy.ops.{kind.bl_idname}*"
         else:
             name = f"bpy.types.{kind.__name__}.*"
-        found.append((name.lower(), f"#{_section(kind.__module__.removeprefix(own))}"))
-    return page().as_uri(), found
+        section = _section(kind.__module__.removeprefix(own))
+        if first == _INSTALLED:
+            section = f"{first.name}#{section.partition('#')[2]}"
+        found.append((name.lower(), f"/{section}"))
+    return first.parent.as_uri(), found
 
 
 def draw_help(layout: bpy.types.UILayout) -> None:
@@ -78,7 +83,7 @@ class OpenManual(BaseOperator, bpy.types.Operator):
 
 def _section(module: str) -> str:
     room = module.partition(".")[0]
-    return _SECTIONS.get(module) or _SECTIONS.get(room) or _WHOLE_WAY
+    return _SECTIONS.get(module) or _SECTIONS.get(room) or _TOUR
 
 
 CLASSES = (OpenManual,)

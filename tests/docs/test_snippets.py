@@ -29,6 +29,7 @@ from tests.docs.small_studio import ROOT, write_small_studio, write_small_video
 PAGES = (
     "README.md",
     "docs/python.md",
+    "docs/extending.md",
     "docs/budgets.md",
     "docs/sequences.md",
     "docs/metrics.md",
@@ -37,6 +38,8 @@ PAGES = (
 STEPS = 20
 SMALL = {
     "iterations=1500": f"iterations={STEPS}",
+    "STEPS = 1500": f"STEPS = {STEPS}",
+    "step % 300 == 299": "step % 5 == 4",
     "--iterations 2000": f"--iterations {STEPS}",
     "--next-iterations 500": "--next-iterations 10",
     "--next-iterations 250": "--next-iterations 5",
@@ -180,6 +183,7 @@ def run_page(page: str, *, slow: bool) -> int:
 COUNTS = {
     "README.md": 7,
     "docs/python.md": 2,
+    "docs/extending.md": 1,
     "docs/budgets.md": 4,
     "docs/sequences.md": 1,
     "docs/convert.md": 4,

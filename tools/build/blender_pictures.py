@@ -13,17 +13,27 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tools.window import programs  # noqa: E402 - the path comes first
+from gscore.commands.pictures.video import write_video  # noqa: E402 - the path comes first
+from tools.window import programs  # noqa: E402
 
 PAGES = ROOT / "docs" / "blender"
 SCRIPT = ROOT / "tools" / "window" / "pictures_scene.py"
 SCREENS = (1060, 820), (1060, 1180)
 """Of the window before there are splats, and then."""
+VIEW, SMALL = (60, 80, 775, 795), (560, 560)
+"""Part of the screen that is the view, and its size in the animation."""
 LONGEST = 900
-WHOLE = "capture", "training", "viewport"
+WHOLE = tuple(f"tour-{number:02}" for number in range(1, 11))
+ANIMATION = "growing"
+"""Frames of the training, as an animated WebP for the README."""
+RATE, LAST = 6, 2.0
+"""Frames per second of the video and the animation; seconds of its last frame."""
 MONTAGES = {
     "region": {"region": "1060x960+0+0"},
     "handles": {"handles": "1060x780+0+400"},
@@ -43,14 +53,19 @@ def main() -> None:
         sys.exit(problem)
     with tempfile.TemporaryDirectory() as place:
         first, second = Path(place, "first"), Path(place, "second")
-        shutil.copytree(ROOT / "examples" / "studio", first / "studio")
+        first.mkdir()
+        photos = sorted((ROOT / "examples" / "studio" / "images").iterdir())
+        write_video(first / "walk.mp4", (np.asarray(Image.open(p)) for p in photos), fps=RATE)
         (first / "python").write_text(sys.executable)
         take(blender, first, SCREENS[0])
         kept = shutil.ignore_patterns("profile", "packages", "*.png", "seen.json")
         shutil.copytree(first, second, ignore=kept)
         take(blender, second, SCREENS[1])
         shots = {file.stem: file for file in Path(place).glob("*/*.png")}
-        for name in sys.argv[1:] or (*WHOLE, *MONTAGES):
+        for name in sys.argv[1:] or (*WHOLE, *MONTAGES, ANIMATION):
+            if name == ANIMATION:
+                animate([shots[shot] for shot in sorted(shots) if shot.startswith(ANIMATION)])
+                continue
             parts = MONTAGES.get(name, {name: ""})
             command = ["convert"]
             for part, cut in parts.items():
@@ -58,6 +73,17 @@ def main() -> None:
             target = PAGES / f"{name}.jpg"
             subprocess.run([*command, "+append", "-quality", "82", str(target)], check=True)
             print(target.relative_to(ROOT))
+
+
+def animate(shots: list[Path]) -> None:
+    """Write the animation from screens of a training, without Blender's header and sidebar."""
+    frames = [Image.open(shot).convert("RGB").crop(VIEW).resize(SMALL) for shot in shots]
+    target = PAGES / f"{ANIMATION}.webp"
+    pauses = [1000 // RATE] * (len(frames) - 1) + [round(1000 * LAST)]
+    frames[0].save(
+        target, save_all=True, append_images=frames[1:], duration=pauses, loop=0, quality=70
+    )
+    print(target.relative_to(ROOT))
 
 
 def take(blender: str, folder: Path, size: tuple[int, int]) -> None:

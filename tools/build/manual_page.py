@@ -2,10 +2,23 @@
 network address."""
 
 import html
+import os
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-PAGES = ("blender.md", "blender-details.md")
+PAGES = (
+    "blender.md",
+    "blender/install.md",
+    "blender/cameras.md",
+    "blender/training.md",
+    "blender/steering.md",
+    "blender/splats.md",
+    "blender/editing.md",
+    "blender/rendering.md",
+    "blender/sequences.md",
+    "blender/scripts.md",
+    "blender/troubleshooting.md",
+)
 """Files of docs/, in order; no two have a heading of the same name."""
 
 _STYLE = (
@@ -18,15 +31,18 @@ _ITEM = re.compile(r"^(\s*)(-|\d+\.) (.*)$")
 
 
 def manual(docs: Path) -> str:
-    """The Markdown of all pages in one, whose links to one another lead to headings in it."""
+    """The Markdown of all pages in one; links between pages lead to headings in it."""
     texts = {name: (docs / name).read_text(encoding="utf-8") for name in PAGES}
     first = {name: anchor(text.splitlines()[0].lstrip("# ")) for name, text in texts.items()}
-    known = "|".join(map(re.escape, PAGES))
-    return re.sub(
-        rf"\]\(({known})(?:#([^)]*))?\)",
-        lambda found: f"](#{found[2] or first[found[1]]})",
-        "\n".join(texts.values()),
-    )
+
+    def inside(text: str, folder: PurePosixPath) -> str:
+        def link(found: re.Match[str]) -> str:
+            page = os.path.normpath(folder / found[1])
+            return f"](#{found[2] or first[page]})" if page in first else found[0]
+
+        return re.sub(r"\]\(([^):#]+\.md)(?:#([^)]*))?\)", link, text)
+
+    return "\n".join(inside(text, PurePosixPath(name).parent) for name, text in texts.items())
 
 
 def manual_page(markdown: str) -> str:

@@ -1,10 +1,10 @@
 """Picture scene, inside a Blender with a window: draws the sidebar's panels for docs/.
 
 `blender --factory-startup --enable-event-simulate -P tools/window/pictures_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER/studio is a capture, and
-FOLDER/python names the Python that trains it; where FOLDER/figure.blend is there already, its
-splats are shown. Leaves FOLDER/seen.json, that file and pictures of the screen, of which
-`tools/build/blender_pictures.py` makes those of pages.
+PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER/walk.mp4 is a video,
+FOLDER/python names the Python that trains. Without FOLDER/figure.blend it takes the tour from a
+video to a render, with it the other pictures of its splats. Leaves FOLDER/seen.json, that file and
+pictures of the screen, from which `tools/build/blender_pictures.py` makes those of pages.
 """
 
 import shutil
@@ -23,18 +23,19 @@ from mathutils import Matrix, Quaternion, Vector  # noqa: E402
 from addon.panels import CLASSES  # noqa: E402
 
 IS_TRAINED = (FOLDER / "figure.blend").exists()
-OPEN = {"capture", "cameras", "train"}, {"result", "filters", "region", "sequence"}
-"""Of the panels, while there is nothing trained yet, and then; besides those of a training."""
+OPEN = {"progress"}, {"result", "filters", "region", "sequence"}
+"""Open panels of the tour, and of the pictures of its result."""
 for panel in CLASSES:
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
-    if name in OPEN[not IS_TRAINED] | {"render"}:
-        panel.bl_options = {"DEFAULT_CLOSED"}
-    elif name in OPEN[IS_TRAINED]:
+    if name in OPEN[IS_TRAINED]:
         panel.bl_options = set()
+    elif name in {"capture", "cameras", "train", "result", "render"}:
+        panel.bl_options = {"DEFAULT_CLOSED"}
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.process import poll_timer  # noqa: E402
+from addon.sfm import find_cameras  # noqa: E402
 from addon.trainer_python import setup  # noqa: E402
 from addon.training.run_state import RunState  # noqa: E402
 from addon.training.start_training import job_of  # noqa: E402
@@ -43,6 +44,10 @@ from tools.window.desk import Teller, area, at_rest, leaving, region, send, shoo
 Teller.LONGEST = 200.0
 WIDER = 60
 """Pixels by which the sidebar is drawn out, for labels that would be cut."""
+CREAM = 0.85, 0.8, 0.7
+"""Color of the blouse."""
+CAPTURE, CAMERAS, TRAIN = 0, 1, 3
+"""Rows of panels in the sidebar, while all are closed."""
 seen: dict = {"log": []}
 python = (FOLDER / "python").read_text().strip()
 bpy.context.preferences.addons["addon"].preferences.python_path = python
@@ -90,20 +95,6 @@ def open_sidebar() -> Iterator[object]:
         yield 0.2
 
 
-def clicked(row: int) -> Iterator[object]:
-    """A click on the header of the panel that is so many closed ones below the first: it closes."""
-    window, shown = bpy.context.window_manager.windows[0], sidebar()
-    place = {"x": shown.x + 60, "y": shown.y + shown.height - 14 - 28 * row}  # as headers are high
-    window.event_simulate("MOUSEMOVE", "NOTHING", **place)
-    yield 0.2
-    for value in ("PRESS", "RELEASE"):
-        window.event_simulate("LEFTMOUSE", value, **place)
-        yield 0.3
-    place["x"] = area().x + area().width // 3
-    window.event_simulate("MOUSEMOVE", "NOTHING", **place)
-    yield 0.5
-
-
 def look_at_figure() -> None:
     """From the front and somewhat above, as large as the view's height."""
     view = space().region_3d
@@ -125,35 +116,104 @@ def trained() -> bool:
     return state().ended and not any(f.waits() for f in poll_timer.POLLERS)
 
 
-def training() -> Iterator[object]:
-    """A capture, its training on the way, and its splats at the end."""
-    settings = bpy.context.scene.gscore
+def toggled(row: int) -> Iterator[object]:
+    """A click on a header of the sidebar, which opens or closes its panel.
+
+    Args:
+        row: Number of closed panels above it.
+    """
+    window, shown = bpy.context.window_manager.windows[0], sidebar()
+    place = {"x": shown.x + 60, "y": shown.y + shown.height - 14 - 28 * row}  # height of a header
+    window.event_simulate("MOUSEMOVE", "NOTHING", **place)
+    yield 0.2
+    for value in ("PRESS", "RELEASE"):
+        window.event_simulate("LEFTMOUSE", value, **place)
+        yield 0.3
+    place["x"] = area().x + area().width // 3
+    window.event_simulate("MOUSEMOVE", "NOTHING", **place)
+    yield 0.5
+
+
+def searched() -> bool:
+    """Whether the search for cameras has ended and its capture is imported."""
+    ends = not any(f.waits() for f in poll_timer.POLLERS)
+    return ends and any("gs_viewmat" in ob for ob in bpy.data.objects)
+
+
+def tour() -> Iterator[object]:
+    """The ten pictures from a video to a render, and frames of the training."""
+    scene, settings = bpy.context.scene, bpy.context.scene.gscore
+    bpy.context.preferences.addons["addon"].preferences.live_seconds = 1.0
     bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "figure.blend"))
     for ob in list(bpy.data.objects):
         bpy.data.objects.remove(ob)
     yield from open_sidebar()
-    settings.capture_path, settings.output_path = "//studio", "//studio_splats"
-    settings.preset = "normal"
-    press("gscore.import_cameras", directory=str(FOLDER / "studio"))
+    yield from toggled(CAPTURE)
+    press("gscore.choose_video", filepath=str(FOLDER / "walk.mp4"))
+    yield 4.0
+    shoot(FOLDER / "tour-01.png")
+    press("gscore.find_cameras")
+    yield lambda: find_cameras.job_of(scene).share > 0.5
+    yield 1.0
+    shoot(FOLDER / "tour-02.png")
+    yield searched
     yield 3.0
-    look_at_figure()
-    yield 1.0
-    shoot(FOLDER / "capture.png")
+    yield from toggled(CAPTURE)
+    yield from toggled(CAMERAS)
+    shoot(FOLDER / "tour-03.png")
+    yield from toggled(CAMERAS)
+    yield from toggled(TRAIN)
     settings.preset = "preview"
-    for row in (0, 1, 3):  # Depth between is closed
-        yield from clicked(row)
+    yield 4.0
+    shoot(FOLDER / "tour-04.png")
+    yield from toggled(TRAIN)
     press("gscore.train")
-    yield lambda: state().share > 0.6 and settings.result is not None
-    yield at_rest
-    yield 1.0
-    shoot(FOLDER / "training.png")
-    yield trained
+    shown, number = 0, 0
+    while not trained():
+        yield 0.2
+        if settings.result is not None and state().step > shown:
+            shown, number = state().step, number + 1
+            shoot(FOLDER / f"growing-{number:03}.png")
+            if state().share > 0.5 and not (FOLDER / "tour-05.png").exists():
+                shoot(FOLDER / "tour-05.png")
     press("gscore.show_splats")
-    look_at_figure()
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "viewport.png")
+    shoot(FOLDER / "tour-06.png")
     bpy.ops.wm.save_mainfile()
+    yield from finished(settings.result)
+
+
+def finished(ob: bpy.types.Object) -> Iterator[object]:
+    """The last four of the ten: filters, an edit, a comparison and a render."""
+    choose(ob)
+    window = bpy.context.window_manager
+    space().shading.type = "SOLID"
+    ob.gscore.opacity_min, ob.gscore.size_max = 0.1, 0.1
+    window.gscore_histograms = True
+    yield at_rest
+    yield 1.0
+    shoot(FOLDER / "tour-07.png")
+    window.gscore_histograms = False
+    press("gscore.reset_filters")
+    press("gscore.select_by_color", picked=True, color=CREAM, tolerance=0.2)
+    yield lambda: bpy.context.mode == "EDIT_MESH"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    press("gscore.grade_splats", gain=(1.3, 0.4, 0.4), only_selected=True)
+    yield 3.0
+    yield at_rest
+    shoot(FOLDER / "tour-08.png")
+    press("gscore.use_camera", index=0, look_through=False)
+    press("gscore.compare_photo")
+    yield lambda: "GS Comparison" in bpy.data.images
+    yield 4.0
+    shoot(FOLDER / "tour-09.png")
+    with bpy.context.temp_override(window=window.windows[0]):
+        bpy.ops.render.render("INVOKE_DEFAULT", use_viewport=True)
+    yield 2.0
+    yield lambda: not bpy.app.is_job_running("RENDER")
+    yield 4.0
+    shoot(FOLDER / "tour-10.png")
 
 
 def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
@@ -286,4 +346,4 @@ def result() -> Iterator[object]:
     yield from question()
 
 
-Teller(result() if IS_TRAINED else training(), leaving(FOLDER, seen))
+Teller(result() if IS_TRAINED else tour(), leaving(FOLDER, seen))

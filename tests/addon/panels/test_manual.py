@@ -23,44 +23,55 @@ def headings(markdown: str) -> list[str]:
     return [anchor(title) for title in re.findall(r"(?m)^#+ (.*)$", without_code)]
 
 
-HEADINGS = headings((DOCS / PAGES[0]).read_text(encoding="utf-8"))
-"""Of the page that opens in a checkout."""
-
-
 def looked_up(name: str) -> str:
     """URL that *Online Manual* opens."""
     return bl_operators.wm.WM_OT_doc_view_manual._lookup_rna_url(name, verbose=False)
 
 
+@pytest.mark.parametrize("installed", [False, True])
 @pytest.mark.parametrize(
-    ("name", "section"),
+    ("name", "page", "section"),
     [
-        ("bpy.ops.gscore.train", "train"),
-        ("bpy.ops.gscore.find_cameras", "capture"),
-        ("bpy.ops.gscore.import_cameras", "cameras"),
-        ("bpy.ops.gscore.import_splats", "result"),
-        ("bpy.ops.gscore.compare_photo", "render"),
-        ("bpy.ops.gscore.paint_mask", "steer-training"),
-        ("bpy.ops.gscore.grade_splats", "edit"),
-        ("bpy.ops.gscore.paint_splats", "paint"),
-        ("bpy.types.BrushSettings.radius", "paint"),
-        ("bpy.ops.gscore.make_environment", "install"),
-        ("bpy.ops.gscore.measure_errors", "error-maps"),
-        ("bpy.types.SequenceSettings.speed", "sequences"),
+        ("bpy.ops.gscore.train", "training", "train"),
+        ("bpy.ops.gscore.find_cameras", "cameras", "capture"),
+        ("bpy.ops.gscore.import_cameras", "cameras", "cameras"),
+        ("bpy.ops.gscore.import_splats", "splats", "result"),
+        ("bpy.ops.gscore.compare_photo", "rendering", "render"),
+        ("bpy.ops.gscore.paint_mask", "steering", "steer-training"),
+        ("bpy.ops.gscore.grade_splats", "editing", "edit"),
+        ("bpy.ops.gscore.paint_splats", "editing", "paint"),
+        ("bpy.types.BrushSettings.radius", "editing", "paint"),
+        ("bpy.ops.gscore.make_environment", "install", "install"),
+        ("bpy.ops.gscore.measure_errors", "splats", "error-maps"),
+        ("bpy.types.SequenceSettings.speed", "sequences", "sequences"),
     ],
 )
-def test_buttons_and_fields_have_their_place(name: str, section: str) -> None:
-    """Each is known to Blender, and links to an existing heading."""
+def test_buttons_and_fields_have_their_place(
+    name: str,
+    page: str,
+    section: str,
+    installed: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Oracle: the pages of a checkout and their headings; the one page of the extension."""
+    expected = DOCS / "blender" / f"{page}.md"
+    assert section in headings(expected.read_text(encoding="utf-8"))
+    if installed:
+        expected = tmp_path / "manual.html"
+        expected.write_text(manual_page(manual(DOCS)), encoding="utf-8")
+        monkeypatch.setattr(shown, "_INSTALLED", expected)
     found = urlsplit(looked_up(name))
-    assert found.fragment == section and section in HEADINGS
-    assert Path(unquote(found.path)) == shown.page()
+    assert (Path(unquote(found.path)), found.fragment) == (expected, section)
 
 
 def test_everything_of_the_addon_is_in_it() -> None:
     """Oracle: the add-on's operators, and the sections of the map."""
     for verb in dir(bpy.ops.gscore):
         assert looked_up(f"bpy.ops.gscore.{verb}"), verb
-    assert {section[1:] for _, section in shown.manual_map()[1]} <= set(HEADINGS)
+    for _, place in shown.manual_map()[1]:
+        page, _, section = place.partition("#")
+        assert section in headings((DOCS / page[1:]).read_text(encoding="utf-8")), place
     assert looked_up("bpy.ops.object.delete").startswith("https://docs.blender.org/")
 
 
@@ -70,7 +81,7 @@ def test_the_button_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(webbrowser, "open", opened.append)
     assert bpy.ops.gscore.open_manual() == {"FINISHED"}
     assert opened == [shown.page().as_uri()]
-    monkeypatch.setattr(shown, "_PLACES", (Path("/gone/manual.html"),))
+    monkeypatch.setattr(shown, "_DOCS", Path("/gone"))
     with pytest.raises(RuntimeError, match="install the add-on again"):
         bpy.ops.gscore.open_manual()
 
@@ -87,6 +98,7 @@ def test_the_page_has_all_of_the_manual() -> None:
     links = re.findall(r'href="([^"]*)"', page)
     assert all(link.startswith(("#", "https://")) for link in links)
     assert {link[1:] for link in links if link.startswith("#")} <= set(wanted)
-    between = [name for page in PAGES for name in re.findall(rf"\]\({page}#([^)]*)\)", MARKDOWN)]
+    names = "|".join(Path(page).stem for page in PAGES)
+    between = re.findall(rf"\]\((?:blender/)?(?:{names})\.md#([^)]*)\)", MARKDOWN)
     assert between and {f"#{name}" for name in between} <= set(links)
     assert "<img" not in page and "![" not in page and "**" not in page
