@@ -124,7 +124,7 @@ class Trainer:
         self.config = config
         self.photos = photos
         self._given = start is not None
-        self._judge(known)
+        self._decide_by_photos(known)
         self.team = team
         """Process group of a distributed training; None: one process."""
         self.frame = frame or TrainingFrame.of(photos.scene, near=config.near)
@@ -543,7 +543,7 @@ class Trainer:
             out |= member.tensors()
         return out | self.photo_parameters.tensors()
 
-    def _judge(self, known: float | None, models: int | None = None) -> None:
+    def _decide_by_photos(self, known: float | None, models: int | None = None) -> None:
         """Decide on dropout and ensemble by the share of pixels with `known` depth; `models` is
         the number of models if it was decided before."""
         config, mask_mode = self.config, self.photos.mask_mode
@@ -606,7 +606,7 @@ class Trainer:
         length = self.config.iterations
         if self.config.time_budget:
             length = as_int("iterations", state.get("iterations", length), low=1)
-        self._judge(known, models)
+        self._decide_by_photos(known, models)
         self.replan(length)
         rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
         self._rasterizer.release()

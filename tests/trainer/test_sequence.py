@@ -332,7 +332,7 @@ def test_overwriting_a_sequence_spares_what_is_not_of_it(frames: Path, tmp_path:
     train_sequence(config, data, out, options=options, overwrite=True)
     assert [(out / name).read_text() for name in kept] == ["x"] * 3
     (out / "frame_000005" / "config.json").write_text("{}")
-    with pytest.raises(ConfigError, match=r"frame_000005 holds .* no config\.json by gscore"):
+    with pytest.raises(ConfigError, match=r"frame_000005 has .* no config\.json by gscore"):
         train_sequence(config, data, out, options=options, overwrite=True)
     assert (out / "frame_000000" / "point_cloud.ply").is_file(), "nothing was removed before"
 

@@ -70,8 +70,8 @@ def prepare_depth(
             )
         return DepthSetup()
     facts = coverage(photos.scene, photos.train)
-    wanted, _ = decide(config.depth_mode, facts, usable=len(photos.train))
-    priors = load_priors(data, photos, together=wanted, on_progress=on_progress)
+    needed, _ = decide(config.depth_mode, facts, usable=len(photos.train))
+    priors = load_priors(data, photos, together=needed, on_progress=on_progress)
     usable = sum(
         1
         for i in photos.train
@@ -93,7 +93,7 @@ def prepare_depth(
                 "No points are added from depth maps (depth_points), because the run starts from "
                 "splats (start_splats)."
             )
-    if supervises and (count := _points_wanted(resolved)):
+    if supervises and (count := _points_to_add(resolved)):
         # With few splats in total, those that start on walls are missing on the subject.
         most = config.max_splats // SPLATS_A_POINT if config.depth_points < 0 else None
         added = depth_points(photos, priors.views, count=count, seed=config.seed, most=most)
@@ -126,7 +126,7 @@ def _weight_words(first: float, last: float) -> str:
     return f"The depth loss has a weight of {first:.3g} at first and {last:.3g} at the end."
 
 
-def _points_wanted(config: TrainConfig) -> int:
+def _points_to_add(config: TrainConfig) -> int:
     """Most points to add: 0 for existing splats, and automatically only with a depth loss."""
     if config.start_splats is not None:
         return 0

@@ -135,20 +135,20 @@ def estimate(
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
     rest = maps + stay + max(needed(config.max_splats, largest), at_start)
     anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
-    held = photo_memory(photos, config, anew=anew)
+    cached = photo_memory(photos, config, anew=anew)
     reading = stay + decoding  # before everything else is there
-    kept = cache_bytes(config, photos, all_of_them=held, rest=max(rest, reading), free=free)
+    kept = cache_bytes(config, photos, all_of_them=cached, rest=max(rest, reading), free=free)
     if kept is not None or anew:
         rest += decoding
     if kept is not None:
-        kept = cache_bytes(config, photos, all_of_them=held, rest=rest, free=free)
-    held = held if kept is None else kept
+        kept = cache_bytes(config, photos, all_of_them=cached, rest=rest, free=free)
+    cached = cached if kept is None else kept
     rest = max(rest, reading)
-    fits = free is None or rest + held <= free
+    fits = free is None or rest + cached <= free
     fitting_splats, fitting_width = 0, 0
     if not fits and free is not None:
         widest = int(widths.max(initial=1))
-        room = 0.9 * free - held - maps - stay - (0 if kept is None else decoding)
+        room = 0.9 * free - cached - maps - stay - (0 if kept is None else decoding)
 
         def fit(splats: int, width: int) -> bool:
             # Photos beyond the cache are decoded repeatedly, so only the largest view must fit.
@@ -179,9 +179,9 @@ def estimate(
         seconds = pace * max(paced(*case, drops=n > 0) for n, case in enumerate(expected))
     return Estimate(
         seconds=seconds,
-        peak_bytes=RUNTIME + rest + held,
+        peak_bytes=RUNTIME + rest + cached,
         free_bytes=free,
-        photo_bytes=held,
+        photo_bytes=cached,
         photos_kept=kept is None,
         photos_anew=anew and kept is None,
         fits=fits,

@@ -59,7 +59,7 @@ def prepare_guide(
         ConfigError: no training photo shows a mesh.
     """
     found: dict[str, Sequence[MeshView | None]] = {}
-    digest, words, warnings = hashlib.sha256(), [], []
+    digest, messages, warnings = hashlib.sha256(), [], []
     for role, path in (("surface", config.guide_surface), ("free", config.guide_free)):
         if path is None:
             continue
@@ -72,7 +72,7 @@ def prepare_guide(
             raise ConfigError(_unseen(path, mesh, photos))
         observed = measure_mesh_support(views, photos)
         support = total_support(observed)
-        words.append(_words(role, path, views, support))
+        messages.append(_message(role, path, views, support))
         warnings += _position_warnings(path, support)
         found[role] = weighted_views(views, observed) if role == "surface" else views
     if not found:
@@ -85,12 +85,12 @@ def prepare_guide(
         surface=surface,
         free=found.get("free", ()),
         digest=digest.hexdigest()[:16],
-        why=" ".join(words),
+        why=" ".join(messages),
         warnings=tuple(warnings),
     )
 
 
-def _words(
+def _message(
     role: str, path: Path, views: Sequence[MeshView | None], support: MeshSupportTotals
 ) -> str:
     shown = [view for view in views if view is not None]

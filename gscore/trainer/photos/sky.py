@@ -90,7 +90,7 @@ def _colors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return [N, 3] mean colours, 0 to 1, of the photos that show the positions `means`, and [N]
     numbers of these photos."""
-    sums, seen = np.zeros((len(means), 3)), np.zeros(len(means), int)
+    sums, hits = np.zeros((len(means), 3)), np.zeros(len(means), int)
     for view in views:
         photo, mask = Image.fromarray(photos.image(view)), photos.mask(view)
         side = max(1, max(photo.size) // _ACROSS)
@@ -106,14 +106,14 @@ def _colors(
         across, down = (np.floor(at[shown] / z[shown] / side).astype(int) for at in (x, y))
         good = counts[down, across]
         sums[shown[good]] += small[down[good], across[good]]
-        seen[shown[good]] += 1
-    return sums / np.maximum(seen, 1)[:, None], seen
+        hits[shown[good]] += 1
+    return sums / np.maximum(hits, 1)[:, None], hits
 
 
-def _spread(colors: np.ndarray, seen: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return `colors`, [N, 3], where directions `ahead` in no photo (`seen` is 0) get the mean of
+def _spread(colors: np.ndarray, hits: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """Return `colors`, [N, 3], where directions `ahead` in no photo (`hits` is 0) get the mean of
     the nearest ones in photos, or grey without any."""
-    known, unknown = np.flatnonzero(seen), np.flatnonzero(seen == 0)
+    known, unknown = np.flatnonzero(hits), np.flatnonzero(hits == 0)
     if len(known) == 0:
         return np.full_like(colors, 0.5)
     found = colors.copy()

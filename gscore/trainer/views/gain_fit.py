@@ -16,7 +16,7 @@ _SMALLEST = 1e-3
 """Smallest scale of residuals in ln colour: one byte step of white is four times that."""
 
 
-def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
+def fit_gains(colors: TrackColors, expected: np.ndarray) -> np.ndarray:
     """Return ln gains of the photos, zero on average, [V, 3] float64.
 
     With c the colour of a point in a photo: ln c = colour of the point + gain of the photo +
@@ -24,16 +24,16 @@ def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
     all channels, are recomputed in each round.
 
     Args:
-        seen: Colours of points in photos; V photos.
+        colors: Colours of points in photos; V photos.
         expected: [V, 3] float64: expected ln gains, for example from EXIF; the result for photos
             that share no point with others.
     """
-    _, point = np.unique(seen.point, return_inverse=True)
-    views, points = seen.views, int(point.max(initial=-1)) + 1
-    weight, gains = np.ones(len(seen)), expected.copy()
-    for _ in range(_ROUNDS if len(seen) else 0):
-        gains = _solved(seen, point, points, weight, expected)
-        rest = seen.log_color - gains[seen.view]
+    _, point = np.unique(colors.point, return_inverse=True)
+    views, points = colors.views, int(point.max(initial=-1)) + 1
+    weight, gains = np.ones(len(colors)), expected.copy()
+    for _ in range(_ROUNDS if len(colors) else 0):
+        gains = _solved(colors, point, points, weight, expected)
+        rest = colors.log_color - gains[colors.view]
         residual = rest - _mean_by(point, rest, weight, points)[point]
         length = np.sqrt((residual**2).mean(axis=1))
         limit = _TUNING * max(_SIGMA * float(np.median(length)), _SMALLEST)
@@ -43,19 +43,19 @@ def fit_gains(seen: TrackColors, expected: np.ndarray) -> np.ndarray:
 
 
 def _solved(
-    seen: TrackColors, point: np.ndarray, points: int, weight: np.ndarray, expected: np.ndarray
+    colors: TrackColors, point: np.ndarray, points: int, weight: np.ndarray, expected: np.ndarray
 ) -> np.ndarray:
     """Weighted least squares: gains [V, 3], with the point colours eliminated."""
     from scipy import sparse
 
     of_point = np.maximum(np.bincount(point, weight, points), 1e-12)
-    pairs = sparse.csr_matrix((weight, (point, seen.view)), (points, seen.views))
+    pairs = sparse.csr_matrix((weight, (point, colors.view)), (points, colors.views))
     scaled = sparse.diags(1.0 / of_point) @ pairs
     matrix = -(pairs.T @ scaled).toarray()
-    np.einsum("ii->i", matrix)[:] += np.bincount(seen.view, weight, seen.views) + _PRIOR
-    rest = seen.log_color - _mean_by(point, seen.log_color, weight, points)[point]
+    np.einsum("ii->i", matrix)[:] += np.bincount(colors.view, weight, colors.views) + _PRIOR
+    rest = colors.log_color - _mean_by(point, colors.log_color, weight, points)[point]
     right = np.stack(
-        [np.bincount(seen.view, weight * rest[:, c], seen.views) for c in range(3)], axis=1
+        [np.bincount(colors.view, weight * rest[:, c], colors.views) for c in range(3)], axis=1
     )
     return np.linalg.solve(matrix, right + _PRIOR * expected)
 

@@ -26,48 +26,48 @@ class PointObservations:
     """[M, 2] float64, x / z and y / z."""
 
 
-def residuals(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
+def residuals(viewmat: np.ndarray, observed: PointObservations) -> np.ndarray:
     """Return [M, 2]: reprojected minus observed x / z and y / z; NaN behind the camera."""
-    local = seen.points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    local = observed.points @ viewmat[:3, :3].T + viewmat[:3, 3]
     z = np.where(local[:, 2] > 0, local[:, 2], np.nan)
-    return local[:, :2] / z[:, None] - seen.rays
+    return local[:, :2] / z[:, None] - observed.rays
 
 
-def median_residual(viewmat: np.ndarray, seen: PointObservations) -> float:
+def median_residual(viewmat: np.ndarray, observed: PointObservations) -> float:
     """Median length of the residuals, x / z; infinite without points."""
-    length = np.linalg.norm(residuals(viewmat, seen), axis=1)
+    length = np.linalg.norm(residuals(viewmat, observed), axis=1)
     return (
         float(np.median(np.where(np.isfinite(length), length, np.inf))) if len(length) else np.inf
     )
 
 
-def resection_pose(viewmat: np.ndarray, seen: PointObservations) -> np.ndarray:
+def resection_pose(viewmat: np.ndarray, observed: PointObservations) -> np.ndarray:
     """Return the camera pose, [4, 4], of the smallest reprojection error; the given one with fewer
     than twelve points or if no better pose is found.
 
     Iteratively reweighted least squares over the motion of `moved_pose`, with Cauchy weights.
     """
-    if len(seen.points) < _LEAST:
+    if len(observed.points) < _LEAST:
         return viewmat
     pose = viewmat
     for _ in range(_ROUNDS):
-        step = _step(pose, seen)
+        step = _step(pose, observed)
         if step is None:
             break
         pose = moved_pose(pose, step)
         if np.abs(step).max() < 1e-9:
             break
-    better = median_residual(pose, seen) < median_residual(viewmat, seen)
+    better = median_residual(pose, observed) < median_residual(viewmat, observed)
     return pose if better and np.isfinite(pose).all() else viewmat
 
 
-def _step(pose: np.ndarray, seen: PointObservations) -> np.ndarray | None:
+def _step(pose: np.ndarray, observed: PointObservations) -> np.ndarray | None:
     """Motion [6] of one Gauss-Newton step; None without a solution."""
-    off = residuals(pose, seen)
+    off = residuals(pose, observed)
     good = np.isfinite(off).all(axis=1)
     if good.sum() < _LEAST:
         return None
-    local = seen.points[good] @ pose[:3, :3].T + pose[:3, 3]
+    local = observed.points[good] @ pose[:3, :3].T + pose[:3, 3]
     off = off[good]
     length = np.linalg.norm(off, axis=1)
     scale = _TUNING * max(float(np.median(length)), _FLOOR)
