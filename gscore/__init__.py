@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from .presets import PRESETS
     from .raster.api import Rendered, render
     from .raster.autograd import RasterAux, RasterOutput, rasterize
-    from .raster.backend import CancelFlag
     from .raster.loss import ImageLoss, image_loss
+    from .raster.native_library import CancelFlag
     from .scene import Cameras, PointCloud, Scene
     from .sequence_options import SequenceOptions
     from .splats import Splats
@@ -44,7 +44,7 @@ _HOME = {
     "BackendError": "errors",
     "Background": "config",
     "Cameras": "scene",
-    "CancelFlag": "raster.backend",
+    "CancelFlag": "raster.native_library",
     "Cancelled": "errors",
     "ConfigError": "errors",
     "Control": "control",

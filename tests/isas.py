@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from gscore.raster import backend
+from gscore.raster import native_library
 
 
-@pytest.fixture(params=backend.available_isas())
+@pytest.fixture(params=native_library.available_isas())
 def isa(request: pytest.FixtureRequest) -> Iterator[str]:
     """The instruction set in use."""
-    before = backend.isa()
-    backend.set_isa(request.param)
+    before = native_library.isa()
+    native_library.set_isa(request.param)
     yield request.param
-    backend.set_isa(before)
+    native_library.set_isa(before)

@@ -1,4 +1,4 @@
-// Turns the bytes of a fuzzer into numbers, and arrays whose ends are watched.
+// Bytes of a fuzzer as numbers, and output arrays with guard words.
 #pragma once
 
 #include <cstdint>
@@ -40,7 +40,7 @@ class Bytes {
         return w;
     }
 
-    // A number from a table of those that break things, any bits at all, or a number around zero.
+    // A number from a table of hostile ones, with random bits, or around zero.
     float hostile() {
         using L = std::numeric_limits<float>;
         static const float table[] = {0.0f,     -0.0f,     1.0f,    -1.0f,   L::quiet_NaN(), L::infinity(), -L::infinity(),
@@ -64,7 +64,7 @@ class Bytes {
     size_t left_;
 };
 
-// Uniform numbers that depend on a seed alone; the standard library's distributions differ between machines.
+// Uniform numbers that depend only on a seed; the standard library's distributions differ between machines.
 class Noise {
   public:
     explicit Noise(uint32_t seed) : state_(seed * 2654435761u + 12345u) {}
@@ -77,7 +77,7 @@ class Noise {
     uint32_t state_;
 };
 
-// An output array between guard words, filled with a NaN that no arithmetic makes.
+// An output array between guard words, filled with a NaN that no arithmetic produces.
 class Output {
   public:
     explicit Output(size_t size) : words_(size + 2 * kGuard, kUntouched) {}

@@ -1,4 +1,4 @@
-// Adam on hostile gradients and rates: nothing crashes, bad rows are counted and left out, others move as without them.
+// Adam on hostile gradients and rates: no crash, bad rows are counted and skipped, others are unaffected by them.
 #include "adam_state.h"
 
 using fuzz::AdamState;
@@ -9,12 +9,12 @@ using fuzz::Noise;
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     Bytes in(data, size);
     Noise noise(in.word());
-    // Now and then more rows than a chunk of the library, in narrow tensors: time is for inputs, not for rows.
+    // Sometimes more rows than a chunk of the library, but in narrow tensors, to stay fast.
     const uint8_t few = in.byte(), steps = 1 + in.byte() % 6;
     const bool many = few >= 248;
     const size_t n = many ? 1020 + (few - 248) * 16u : 1 + few % 80;
     AdamState all(n, 1 + in.byte() % 4, noise), late(n, 1 + in.byte() % (many ? 5 : 45), noise);
-    for (uint8_t &lag : late.lag) // as after many steps; some rows are as late as a row can be
+    for (uint8_t &lag : late.lag) // as after many steps; some rows have the maximum lag
         lag = noise(0, 1) < 0.8f ? uint8_t(noise(0, 9)) : uint8_t(GS_ADAM_LAGS - 1 - int(noise(0, 3)));
     for (size_t k = 1; k < late.drift.size(); ++k)
         late.drift[k] = late.drift[k - 1] + noise(0, 0.01f);

@@ -1,4 +1,4 @@
-// Making up for skipped steps: what a camera sees is among it, previews change nothing, threads make no difference.
+// Lazy Adam sync: rows visible to a camera are updated, previews change nothing, threads make no difference.
 #include "adam_state.h"
 #include "scene.h"
 
@@ -33,8 +33,8 @@ bool same_row(const AdamState &a, const AdamState &b, size_t row) {
     return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) && a.lag[row] == b.lag[row];
 }
 
-// Whether the camera turns and moves the world without stretching it, and its numbers leave float32 room for pixels: the
-// bounds of splats on screen presume both.
+// Whether the camera is rigid and its numbers leave enough float32 precision for pixels: the bounds of splats on screen
+// assume both.
 bool is_usual(const gs_camera &c) {
     for (const float v : {c.fx, c.fy, c.cx, c.cy})
         if (!(std::fabs(v) < 1e5f))
@@ -102,7 +102,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     }
     REQUIRE(equal(seen, caught_up(&scene.camera, 3, &status)) && status == GS_OK);
 
-    // Into another array: the same values, and nothing else changes.
+    // With an output array: the same values, and nothing else changes.
     Output values(before.param.size());
     AdamState untouched = before;
     const gs_adam_tensor tensor = untouched.view(mode, kRate, step);

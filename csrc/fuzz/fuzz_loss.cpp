@@ -1,4 +1,4 @@
-// The fused loss on hostile pictures: nothing crashes, finite pictures give a finite loss and gradient.
+// The fused loss on hostile pictures: no crash, and finite pictures give a finite loss and gradient.
 #include "bytes.h"
 #include "gscore.h"
 

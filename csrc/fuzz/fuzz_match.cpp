@@ -1,5 +1,4 @@
-// Descriptors of any numbers: every row is written and nothing beyond, a match is one of both sides, and what is matched
-// is nearer than what is asked for.
+// Matching of any descriptors: every row and nothing beyond is written, and matches are mutual and within the limits.
 #include "bytes.h"
 #include "gscore.h"
 

@@ -1,5 +1,6 @@
-// Depth of meshes of any corners and triangles: nothing is written beyond the picture, every pixel is written, depths are
-// those of corners, and what is no mesh is refused.
+// Depth of meshes of any corners and triangles: every pixel and nothing beyond is written, depths are within those of
+// the
+// corners, and invalid meshes are refused.
 #include "scene.h"
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Forward and backward on hostile splats, cameras and options: nothing crashes, and what comes out keeps its promises.
+// Forward and backward on hostile splats, cameras and options: no crash, and the results are as the header states.
 #include "scene.h"
 
 #include <limits>

@@ -1,5 +1,6 @@
-// Depth from photos and maps against each other on any warps and numbers: nothing is written beyond the arrays, what is
-// written is what the header promises, threads make no difference.
+// Stereo sweep and check on any warps and numbers: nothing is written beyond the arrays, results are as the header
+// states,
+// threads make no difference.
 #include "scene.h"
 
 using fuzz::Bytes;
@@ -8,7 +9,7 @@ using fuzz::Output;
 
 namespace {
 
-// A photo of spots that repeat, so that windows are alike in several places.
+// A photo with a repeating pattern, so that windows match in several places.
 std::vector<uint8_t> photo(size_t count, Noise &noise, bool flat) {
     std::vector<uint8_t> grey(count);
     for (size_t i = 0; i < count; ++i)

@@ -1,4 +1,5 @@
-// Runs a fuzz target on files and on bytes from a seed, FUZZ_SEED or a fixed one: every compiler can do this, in tests and under sanitizers.
+// Runs a fuzz target on files and on bytes from a seed, FUZZ_SEED or a fixed one, with any compiler, in tests and under
+// sanitizers.
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>

@@ -113,14 +113,14 @@ inline void damage(Scene &s, Bytes &in) {
             }
     } else {
         int32_t *const numbers[] = {&c.width, &c.height, &o.threads, &s.sh_degree, &c.orthographic, &s.sh_rest};
-        // Small, so that what is accepted stays quick; the arrays hold what they hold, so sh_rest only shrinks.
+        // Small, so that accepted inputs stay fast; the arrays keep their sizes, so sh_rest only shrinks.
         const int32_t value = int32_t(in.byte()) - 8;
         int32_t &number = *numbers[what % 6];
         number = &number == &s.sh_rest ? std::min(value, s.sh_rest) : &number == &o.threads ? value % 9 : value;
     }
 }
 
-// A scene in front of the camera, drawn from a seed; then single numbers of it are replaced.
+// A random scene in front of the camera; then single numbers are replaced.
 inline Scene read_scene(Bytes &in) {
     Scene s;
     use_isa(in.byte());

@@ -1,7 +1,7 @@
 // Adam driver: constants of a step, tables for pending steps, rows in parallel.
 #include "adam.h"
 
-#include "dispatch.h"
+#include "cpu_dispatch.h"
 #include "parallel.h"
 #include "thread_count.h"
 

@@ -1,9 +1,9 @@
 // C API entry points: check arguments, call, turn exceptions into statuses.
 #include "adam.h"
-#include "dispatch.h"
+#include "cpu_dispatch.h"
 #include "match.h"
 #include "mesh_depth.h"
-#include "packing.h"
+#include "row_packing.h"
 #include "pull.h"
 #include "raster.h"
 #include "stereo.h"
@@ -57,7 +57,7 @@ gs_status check_splats(const gs_splats &s) {
     if (s.sh_rest != 0 && s.sh_rest != 3 && s.sh_rest != 8 && s.sh_rest != 15 && s.sh_rest != 24)
         return fail(GS_BAD_ARGUMENT, "splats.sh_rest must be 0, 3, 8, 15 or 24, got %d", s.sh_rest);
     if (s.sh_degree < 0 || s.sh_degree > 4 || (s.sh_degree + 1) * (s.sh_degree + 1) - 1 > s.sh_rest)
-        return fail(GS_BAD_ARGUMENT, "splats.sh_degree must be 0 to 4 and at most what sh_rest = %d holds, got %d",
+        return fail(GS_BAD_ARGUMENT, "splats.sh_degree must be 0 to 4 and at most the degree of sh_rest = %d, got %d",
                     s.sh_rest, s.sh_degree);
     if (s.count > 0 && (!s.means || !s.quats || !s.scales || !s.opacities || !s.sh0 || (s.sh_rest && !s.shN)))
         return fail(GS_BAD_ARGUMENT, "an array of splats is null");
@@ -66,10 +66,10 @@ gs_status check_splats(const gs_splats &s) {
 
 gs_status check_camera(const gs_camera &c) {
     if (c.width < 1 || c.width > 65536 || c.height < 1 || c.height > 65536)
-        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px a side, got %d x %d", c.width, c.height);
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px per side, got %d x %d", c.width, c.height);
     for (const float v : c.viewmat)
         if (!std::isfinite(v))
-            return fail(GS_BAD_ARGUMENT, "camera.viewmat holds a value that is not finite");
+            return fail(GS_BAD_ARGUMENT, "camera.viewmat has a value that is not finite");
     if (!(c.fx > 0 && c.fy > 0 && std::isfinite(c.fx) && std::isfinite(c.fy)))
         return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(c.fx), double(c.fy));
     if (!std::isfinite(c.cx) || !std::isfinite(c.cy))
@@ -137,7 +137,7 @@ gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs
     if ((options->outputs & GS_OUT_INVERSE_DEPTH && !image->inverse_depth) ||
         (options->outputs & GS_OUT_DEPTH && !image->depth) ||
         (options->outputs & GS_OUT_MEDIAN_DEPTH && !image->median_depth))
-        return fail(GS_BAD_ARGUMENT, "gs_raster_forward: an output that was asked for has no array");
+        return fail(GS_BAD_ARGUMENT, "gs_raster_forward: a requested output has no array");
     return guarded("gs_raster_forward", [&] {
         const gs_status s = raster->forward(*splats, *camera, *options, *image);
         if (s == GS_TOO_MANY)
@@ -195,7 +195,7 @@ gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_res
     if (!raster || !args || !result || !args->image || !args->target)
         return fail(GS_BAD_ARGUMENT, "gs_image_loss: an argument is null");
     if (args->width < 1 || args->width > 65536 || args->height < 1 || args->height > 65536)
-        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px a side, got %d x %d", args->width, args->height);
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px per side, got %d x %d", args->width, args->height);
     if (args->mask_mode < GS_MASK_NONE || args->mask_mode > GS_MASK_IGNORE ||
         (args->mask_mode != GS_MASK_NONE && !args->mask))
         return fail(GS_BAD_ARGUMENT, "mask_mode must be 0, 1 or 2, with a mask unless 0; got %d", args->mask_mode);
@@ -223,9 +223,10 @@ gs_status check_tensor(const gs_adam_tensor &t, int64_t count) {
     if (count > 0 && (!t.param || !t.moment1 || !t.moment2))
         return fail(GS_BAD_ARGUMENT, "an array of a tensor is null");
     if (t.mode != GS_ADAM_ALL && (!t.drift || (count > 0 && (!t.seen || !t.lag))))
-        return fail(GS_BAD_ARGUMENT, "tensor.seen, lag and drift are needed unless every row moves");
+        return fail(GS_BAD_ARGUMENT, "tensor.seen, lag and drift are needed unless the mode is GS_ADAM_ALL");
     if (t.photos < 0 || (t.photos > 1 && t.mode != GS_ADAM_ALL))
-        return fail(GS_BAD_ARGUMENT, "tensor.photos must be at least 0, and at most 1 where rows wait, got %d", t.photos);
+        return fail(GS_BAD_ARGUMENT, "tensor.photos must be at least 0, and at most 1 unless the mode is GS_ADAM_ALL, got %d",
+                    t.photos);
     return GS_OK;
 }
 
@@ -259,12 +260,12 @@ gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats
     if (const gs_status s = check_tensor(*tensor, splats->count))
         return s;
     if (tensor->mode == GS_ADAM_ALL)
-        return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: rows of this tensor never skip a step");
+        return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: tensor.mode must not be GS_ADAM_ALL");
     if (camera) {
         if (const gs_status s = check_camera(*camera))
             return s;
         if (camera->orthographic)
-            return fail(GS_UNSUPPORTED, "gs_adam_catch_up: parallel rays are for pictures only");
+            return fail(GS_UNSUPPORTED, "gs_adam_catch_up: orthographic cameras are not supported");
         if (splats->count > 0 && (!splats->means || !splats->scales))
             return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: means or scales are null");
         if (!(eps2d > 0 && eps2d < 1e6f))
@@ -299,7 +300,7 @@ gs_status check_packing(const gs_row_table *tables, int32_t table_count, int64_t
     if (!tables || table_count < 1 || table_count > GS_ROW_TABLES_MAX)
         return fail(GS_BAD_ARGUMENT, "there must be 1 to %d tables, got %d", GS_ROW_TABLES_MAX, tables ? table_count : 0);
     if (rows < 0 || rows > INT32_MAX || count < 0 || count > rows)
-        return fail(GS_BAD_ARGUMENT, "%lld rows cannot be packed of tables of %lld", (long long)count, (long long)rows);
+        return fail(GS_BAD_ARGUMENT, "%lld rows cannot be packed from tables of %lld", (long long)count, (long long)rows);
     if (const gs_status s = check_threads(threads))
         return s;
     if (count == 0)
@@ -318,7 +319,7 @@ gs_status check_packing(const gs_row_table *tables, int32_t table_count, int64_t
 gs_status packing_status(int64_t out_of_range) {
     if (out_of_range < 0)
         return GS_OK;
-    return fail(GS_BAD_ARGUMENT, "packed row %lld is for no row of the tables", (long long)out_of_range);
+    return fail(GS_BAD_ARGUMENT, "packed row %lld has a row index out of range", (long long)out_of_range);
 }
 
 } // namespace
@@ -329,7 +330,7 @@ gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t 
         if (const gs_status s = check_packing(tables, table_count, rows, packed, count, threads))
             return s;
         if (!places && count > 0)
-            return fail(GS_BAD_ARGUMENT, "the places of the rows are null");
+            return fail(GS_BAD_ARGUMENT, "places is null");
         return packing_status(gs::pack_rows(tables, table_count, rows, places, packed, count, threads));
     });
 }
@@ -347,17 +348,17 @@ namespace {
 
 gs_status check_side(const char *what, int32_t width, int32_t height) {
     if (width < 2 || width > GS_STEREO_SIDE_MAX || height < 2 || height > GS_STEREO_SIDE_MAX)
-        return fail(GS_BAD_ARGUMENT, "%s must be 2 to %d px a side, got %d x %d", what, GS_STEREO_SIDE_MAX, width, height);
+        return fail(GS_BAD_ARGUMENT, "%s must be 2 to %d px per side, got %d x %d", what, GS_STEREO_SIDE_MAX, width, height);
     return GS_OK;
 }
 
 gs_status check_warp(const gs_stereo_warp &warp) {
     for (const float v : warp.rotation)
         if (!std::isfinite(v))
-            return fail(GS_BAD_ARGUMENT, "a warp holds a value that is not finite");
+            return fail(GS_BAD_ARGUMENT, "a warp has a value that is not finite");
     for (const float v : warp.translation)
         if (!std::isfinite(v))
-            return fail(GS_BAD_ARGUMENT, "a warp holds a value that is not finite");
+            return fail(GS_BAD_ARGUMENT, "a warp has a value that is not finite");
     return GS_OK;
 }
 
@@ -379,7 +380,7 @@ gs_status check_sweep(const gs_stereo_sweep_args &a) {
     if (const gs_status s = check_side("the reference", a.width, a.height))
         return s;
     if (!(a.farthest >= 0 && a.nearest > a.farthest && std::isfinite(a.nearest)))
-        return fail(GS_BAD_ARGUMENT, "inverse depths must rise from 0 or more, got %g to %g", double(a.farthest),
+        return fail(GS_BAD_ARGUMENT, "inverse depths must be at least 0 and increase, got %g to %g", double(a.farthest),
                     double(a.nearest));
     if (a.planes < GS_STEREO_PLANES_MIN || a.planes > GS_STEREO_PLANES_MAX)
         return fail(GS_BAD_ARGUMENT, "planes must be %d to %d, got %d", GS_STEREO_PLANES_MIN, GS_STEREO_PLANES_MAX,
@@ -397,7 +398,7 @@ gs_status check_sweep(const gs_stereo_sweep_args &a) {
 
 gs_status check_witnesses(const gs_stereo_check_args &a) {
     if (a.witness_count < 0 || a.witness_count > 255 || (a.witness_count > 0 && !a.witnesses))
-        return fail(GS_BAD_ARGUMENT, "there must be 0 to 255 witnesses, got %d", a.witness_count);
+        return fail(GS_BAD_ARGUMENT, "witness_count must be 0 to 255, got %d", a.witness_count);
     for (int32_t i = 0; i < a.witness_count; ++i) {
         const gs_stereo_witness &witness = a.witnesses[i];
         if (const gs_status s = check_side("a witness", witness.width, witness.height))
@@ -446,17 +447,17 @@ namespace {
 
 gs_status check_mesh(const gs_mesh &mesh) {
     if (mesh.corner_count < 0 || mesh.corner_count > INT32_MAX || mesh.triangle_count < 0)
-        return fail(GS_BAD_ARGUMENT, "a mesh has 0 to 2147483647 corners and 0 triangles or more, got %lld and %lld",
+        return fail(GS_BAD_ARGUMENT, "a mesh must have 0 to 2147483647 corners and 0 or more triangles, got %lld and %lld",
                     (long long)mesh.corner_count, (long long)mesh.triangle_count);
     if ((mesh.corner_count > 0 && !mesh.corners) || (mesh.triangle_count > 0 && !mesh.triangles))
         return fail(GS_BAD_ARGUMENT, "the corners or triangles of a mesh are null");
     for (int64_t i = 0; i < 3 * mesh.corner_count; ++i)
         if (!(std::fabs(mesh.corners[i]) <= gs::kMeshLargest))
-            return fail(GS_BAD_ARGUMENT, "corner %lld of a mesh is not finite or too far away", (long long)(i / 3));
+            return fail(GS_BAD_ARGUMENT, "corner %lld of a mesh is not finite or above 1e50", (long long)(i / 3));
     for (int64_t i = 0; i < 3 * mesh.triangle_count; ++i)
         if (mesh.triangles[i] < 0 || mesh.triangles[i] >= mesh.corner_count)
-            return fail(GS_BAD_ARGUMENT, "triangle %lld of a mesh names corner %d of %lld", (long long)(i / 3),
-                        mesh.triangles[i], (long long)mesh.corner_count);
+            return fail(GS_BAD_ARGUMENT, "triangle %lld of a mesh has corner index %d, expected less than %lld",
+                        (long long)(i / 3), mesh.triangles[i], (long long)mesh.corner_count);
     return GS_OK;
 }
 
@@ -466,7 +467,7 @@ gs_status gs_mesh_depth(const gs_mesh *mesh, int32_t width, int32_t height, floa
     if (!mesh || !inverse_depth)
         return fail(GS_BAD_ARGUMENT, "gs_mesh_depth: an argument or an array is null");
     if (width < 1 || width > 65536 || height < 1 || height > 65536)
-        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px a side, got %d x %d", width, height);
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px per side, got %d x %d", width, height);
     if (const gs_status s = check_mesh(*mesh))
         return s;
     gs::mesh_depth(*mesh, width, height, inverse_depth);
@@ -477,7 +478,7 @@ namespace {
 
 gs_status check_descriptors(const gs_descriptors &d) {
     if (d.count < 0 || d.count > GS_DESCRIPTORS_MAX || (d.count > 0 && !d.values))
-        return fail(GS_BAD_ARGUMENT, "a photo has 0 to %d descriptors, and they are not null; got %d", GS_DESCRIPTORS_MAX,
+        return fail(GS_BAD_ARGUMENT, "descriptors must be 0 to %d per photo and not null, got %d", GS_DESCRIPTORS_MAX,
                     d.count);
     return GS_OK;
 }

@@ -1,7 +1,7 @@
 // Feature matching driver: compares the descriptors of two photos and filters the nearest pairs.
 #include "match.h"
 
-#include "dispatch.h"
+#include "cpu_dispatch.h"
 
 #include <vector>
 

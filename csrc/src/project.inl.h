@@ -17,13 +17,13 @@ struct Row3 {
 
 static inline Vec dot3(Vec ax, Vec ay, Vec az, Vec bx, Vec by, Vec bz) { return fma(ax, bx, fma(ay, by, az * bz)); }
 
-// One splat per lane, everything the forward and the backward pass both need.
+// State of one splat per lane, for the forward and backward pass.
 struct Lanes {
     Vec mean[3], quat[4], quat_length, scale[3], opacity;
-    Vec see_through;      // 1 - opacity without its rounding, which near 1 leaves nothing; filled where raw
+    Vec see_through;      // 1 - opacity, without cancellation near 1; set if raw
     Vec cam[3], inverse_z;
-    Vec ratio[2];         // x / z, y / z; not filled for parallel rays, as the next two
-    Vec ratio_clamped[2]; // as the Jacobian uses it
+    Vec ratio[2];         // x / z, y / z; like the next two not set for parallel rays
+    Vec ratio_clamped[2]; // clamped for the Jacobian
     Mask unclamped[2];
     Vec jac_diagonal[2];  // J = [d0 0 o0; 0 d1 o1]
     Vec jac_offset[2];
@@ -34,13 +34,12 @@ struct Lanes {
     Vec minor[3];         // of columns 12, 20, 01
     Vec cov_xx, cov_xy, cov_yy, det0, det;
     Vec compensation;     // opacity factor
-    Mask compensated;     // where its floor does not act
+    Mask compensated;     // where it is above its floor
     Vec mean2d[2];
     Vec sigma_opacity;    // after compensation
 };
 
-// Half-widths of the region in which J is evaluated, as multiples of the focal length: outside it, x / z is clamped to
-// it, since the linearisation degenerates far off screen.
+// Limits of x / z and y / z in J, to which they are clamped, because the linearisation degenerates far off screen.
 struct Limits {
     float low[2], high[2];
     explicit Limits(const gs_camera &c) {
@@ -52,18 +51,18 @@ struct Limits {
     }
 };
 
-// Means in the camera; returns the lanes between its planes.
+// Means in the camera frame; returns the lanes between near and far plane.
 GS_INLINE Mask place(const gs_splats &in, const gs_camera &camera, const uint32_t *id, Lanes &s) {
     const float *w = camera.viewmat;
     gather<3>(in.means, in.count, id, s.mean);
     for (int i = 0; i < 3; ++i)
         s.cam[i] = fma(set1(w[4 * i]), s.mean[0],
                        fma(set1(w[4 * i + 1]), s.mean[1], fma(set1(w[4 * i + 2]), s.mean[2], set1(w[4 * i + 3]))));
-    // Comparisons with NaN are false, so a broken row fails here or below.
+    // Comparisons with NaN are false, so an invalid row fails here or below.
     return both(gt(s.cam[2], set1(camera.near_plane)), ge(set1(camera.far_plane), s.cam[2]));
 }
 
-// Quaternions as they are stored, scales and opacities as they are drawn; returns the lanes whose numbers are finite.
+// Loads quaternions, and activated scales and opacities; returns the lanes with finite numbers.
 GS_INLINE Mask read_shape(const gs_splats &in, const uint32_t *id, Lanes &s) {
     Vec poison = {};
     gather<4>(in.quats, in.count, id, s.quat);
@@ -87,7 +86,7 @@ GS_INLINE Mask read_shape(const gs_splats &in, const uint32_t *id, Lanes &s) {
     return ge(poison, Vec{});
 }
 
-// Normalises the quaternions and makes R and W R of them; returns the lanes whose quaternions have a length.
+// Normalises the quaternions and computes R and W R; returns the lanes with a non-zero quaternion.
 GS_INLINE Mask rotate(const float *w, Lanes &s) {
     // Divided by the largest component first, so that no length over- or underflows.
     Vec largest = {};
@@ -121,7 +120,7 @@ GS_INLINE Mask rotate(const float *w, Lanes &s) {
     return ok;
 }
 
-// Means on the screen, J and what it makes of W R S.
+// Projected means, J, J W R and M.
 GS_INLINE void linearise(const gs_camera &camera, const Limits &limits, Lanes &s) {
     s.inverse_z = 1.0f / s.cam[2];
     const float focal[2] = {camera.fx, camera.fy}, center[2] = {camera.cx, camera.cy};
@@ -145,7 +144,7 @@ GS_INLINE void linearise(const gs_camera &camera, const Limits &limits, Lanes &s
     }
 }
 
-// The 2D covariance and the opacity after compensation; returns the lanes in which both can be drawn.
+// 2D covariance and compensated opacity; returns the lanes in which both are valid.
 GS_INLINE Mask spread(const gs_options &options, Lanes &s) {
     for (int k = 0; k < 3; ++k) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
@@ -173,7 +172,7 @@ GS_INLINE Mask spread(const gs_options &options, Lanes &s) {
     return both(ok, both(ge(s.sigma_opacity, set1(GS_ALPHA_MIN)), ge(set1(3e38f), s.sigma_opacity)));
 }
 
-// Fills `s` for the splats id[0..kLanes); returns the lanes that can be drawn as far as the geometry says.
+// Fills `s` for the splats id[0..kLanes); returns the lanes with valid geometry.
 static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, const gs_options &options,
                                  const Limits &limits, const uint32_t *id, Lanes &s) {
     Mask ok = place(in, camera, id, s);
@@ -247,7 +246,7 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             alive &= bits(ge(set1(kColorMax), c)); // NaN fails
         IVec ids;
         std::memcpy(&ids, id, sizeof ids);
-        // As Projected has them.
+        // In the form of `Projected`.
         const Vec columns[4][4] = {{s.mean2d[0], s.mean2d[1], ua, ub},
                                    {vc, log2_opacity, color[0], color[1]},
                                    {color[2], s.inverse_z, s.cam[2], ex},
@@ -261,7 +260,7 @@ static void project(const ProjectArgs &a, int64_t chunk) {
             for (int k = 0; k < 4; ++k)
                 std::memcpy(reinterpret_cast<char *>(out + visible) + k * sizeof(Vec4), &rows[k][l], sizeof(Vec4));
             const float z = out[visible].channel[kChannelZ];
-            uint32_t key; // z is positive: its bits order like its values
+            uint32_t key; // z is positive, so its bits have the order of its values
             std::memcpy(&key, &z, sizeof key);
             keys[visible] = key;
             if (a.radii)
@@ -272,7 +271,7 @@ static void project(const ProjectArgs &a, int64_t chunk) {
     a.visible[chunk] = visible;
 }
 
-// Gradient of the normalised quaternion and the rotation matrix it makes, per lane.
+// Gradient from the rotation matrix to the quaternion, per lane.
 static inline void quat_backward(const Lanes &s, const Vec v_rot[3][3], Vec v_quat[4]) {
     const Vec w = s.quat[0], x = s.quat[1], y = s.quat[2], z = s.quat[3];
     Vec v[4];
@@ -317,7 +316,7 @@ static inline void zero_culled_rows(const ProjectBackwardArgs &a, int64_t begin,
         zero_rows(a.grads, next, end, a.forward.splats->sh_rest);
 }
 
-// The moments of a splat: those of its entries, always added in the order of its tiles, whatever thread drew them.
+// Sum of the moments of a splat's entries, always in the order of its tiles, for any number of threads.
 static inline Moments merge_moments(const Moments *of_list, Span span) {
     const Moments *moments = of_list + span.begin;
     Vec4 sum[kMomentCount / 4] = {};
@@ -331,8 +330,8 @@ static inline Moments merge_moments(const Moments *of_list, Span span) {
 
 // Gradient with respect to M = J W R S. With G the matrix of second moments of d and Q the conic, that with respect to
 // the covariance is Q G Q / 2, hence (Q G Q) M. G itself is not needed: Q d = (ua u, ub u + vc v) / kHalfLog2E.
-// ln(compensation) = (ln det0 - ln det) / 2 adds -log_gain Q M for its second half. In double: for needles entries of
-// Q G Q are ten thousand times what is left of the product.
+// ln(compensation) = (ln det0 - ln det) / 2 adds -log_gain Q M for its second term. In double, because for needles
+// entries of Q G Q are ten thousand times the product.
 static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec guv, Vec gvv, Vec log_gain,
                                        Vec v_m[2][3]) {
     DVec m[2][3];
@@ -342,7 +341,7 @@ static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec
     const DVec xx = m[0][0] * m[0][0] + m[0][1] * m[0][1] + m[0][2] * m[0][2] + double(eps2d);
     const DVec yy = m[1][0] * m[1][0] + m[1][1] * m[1][1] + m[1][2] * m[1][2] + double(eps2d);
     const DVec xy = m[0][0] * m[1][0] + m[0][1] * m[1][1] + m[0][2] * m[1][2];
-    // From the minors, as in float: of needles longer than 1e7 px nothing is left of xx yy - xy^2 even in double.
+    // From the minors, as in float: for needles longer than 1e7 px, xx yy - xy^2 cancels even in double.
     DVec det = double(eps2d) * (xx + yy - double(eps2d));
     for (int k = 0; k < 3; ++k) {
         const DVec minor = m[0][k] * m[1][(k + 1) % 3] - m[0][(k + 1) % 3] * m[1][k];
@@ -363,7 +362,7 @@ static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec
     }
 }
 
-// What the forward pass and the blending left of kLanes splats.
+// Results of the forward pass and of blending for kLanes splats.
 struct Blended {
     uint32_t id[kLanes];
     alignas(64) float sums[kMomentCount][kLanes];
@@ -371,7 +370,7 @@ struct Blended {
     Vec sum(MomentIndex k) const { return load(sums[k]); }
 };
 
-// Reads the `lanes` slots from `first` on; lanes beyond them repeat the first splat, with sums of zero.
+// Loads `lanes` slots from `first` on; further lanes repeat the first splat, with sums of zero.
 GS_INLINE void read_blended(const ProjectBackwardArgs &a, const Moments *moments, int64_t first, int lanes, Blended &b) {
     std::memset(b.sums, 0, sizeof b.sums);
     std::memset(b.color, 0, sizeof b.color);
@@ -393,7 +392,7 @@ GS_INLINE void read_blended(const ProjectBackwardArgs &a, const Moments *moments
     }
 }
 
-// The part of the compensation of opacities in the gradient with respect to M that its minors carry.
+// Adds the first term of the opacity compensation, through the minors, to the gradient with respect to M.
 GS_INLINE void compensation_backward(const Lanes &s, Vec g_sum, Vec v_m[2][3]) {
     const Vec gain = keep(s.compensated, g_sum / s.det0);
     for (int k = 0; k < 3; ++k) {
@@ -406,7 +405,7 @@ GS_INLINE void compensation_backward(const Lanes &s, Vec g_sum, Vec v_m[2][3]) {
     }
 }
 
-// From the gradient with respect to M = J W R S to those of J, W R and S.
+// Gradients with respect to J, W R and S from that with respect to M = J W R S.
 GS_INLINE void product_backward(const Lanes &s, bool raw, const Vec v_m[2][3], Vec v_jac_diagonal[2],
                                 Vec v_jac_offset[2], Vec v_world_rot[3][3], Vec v_scale[3]) {
     for (int k = 0; k < 3; ++k) {
@@ -424,7 +423,7 @@ GS_INLINE void product_backward(const Lanes &s, bool raw, const Vec v_m[2][3], V
     }
 }
 
-// The gradient of the mean in the camera, from those of J, of the mean on the screen and of the two depths.
+// Gradient with respect to the mean in the camera frame, from those of J, the projected mean and the two depths.
 GS_INLINE void screen_backward(const Lanes &s, const gs_camera &camera, const Vec v_jac_diagonal[2],
                                const Vec v_jac_offset[2], const Vec v_mean2d[2], Vec v_inverse_z, Vec v_z,
                                Vec v_cam[3]) {
@@ -440,7 +439,7 @@ GS_INLINE void screen_backward(const Lanes &s, const gs_camera &camera, const Ve
     v_cam[2] = fnma(s.inverse_z * s.inverse_z, v_inverse_z, v_z);
 }
 
-// Writes the gradients of the SH coefficients; fills that of the way from the camera's centre to the mean.
+// Writes the gradients of the SH coefficients; returns that of the vector from the camera centre to the mean.
 GS_INLINE void color_backward(const ProjectBackwardArgs &a, const Lanes &s, const Blended &b, int lanes,
                               Vec v_from_center[3]) {
     Vec v_color[3];
@@ -479,7 +478,7 @@ GS_INLINE void view_backward(const Lanes &s, const float *view, int lanes, const
     }
 }
 
-// Gradients of the first `lanes` splats of `s`: writes those of their parameters, adds up those of the camera.
+// Gradients of the first `lanes` splats of `s`: writes those of their parameters, accumulates those of the camera.
 GS_INLINE void lanes_backward(const ProjectBackwardArgs &a, const Lanes &s, const Blended &b, int lanes,
                               Vec view_sums[12]) {
     const gs_splats &in = *a.forward.splats;

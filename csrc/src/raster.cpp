@@ -1,7 +1,7 @@
 // Rasterizer driver: project, sort, bin, blend; and the backward pass.
 #include "raster.h"
 
-#include "dispatch.h"
+#include "cpu_dispatch.h"
 #include "loss.h"
 #include "parallel.h"
 #include "thread_count.h"
@@ -91,8 +91,9 @@ gs_status gs_raster::bin(const BinArgs &args, uint32_t tiles, int threads) {
             moment_begin[c] += uint32_t(instances_[i]->size);
     }
 
-    // Ranges of chunks are counted independently, then scattered to their tiles with one cursor per (range, tile), which
-    // keeps the order of memory whatever the number of ranges.
+    // Ranges of chunks are counted independently, then scattered to their tiles with one cursor per (range, tile), so
+    // the
+    // order of entries does not depend on the number of ranges.
     const int ranges = int(std::clamp<int64_t>(chunks / 2, 1, std::min(64, 2 * threads)));
     uint32_t *const cursor = tile_cursor_.ensure(size_t(ranges) * tiles);
     const Span *const spans = spans_.get();

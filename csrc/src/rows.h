@@ -6,7 +6,7 @@
 namespace gs::GS_NAMESPACE {
 
 #if defined(GS_ISA_AVX512) || defined(GS_ISA_AVX2)
-// Transposes the 4 x 4 blocks that lie in the same 128 bits of four vectors; doing it twice undoes it.
+// Transposes the 4 x 4 blocks in the same 128 bits of four vectors; its own inverse.
 static inline void transpose_blocks(Vec v[4]) {
 #if defined(GS_ISA_AVX512)
     const __m512d ab0 = (__m512d)_mm512_unpacklo_ps(v[0], v[1]), ab2 = (__m512d)_mm512_unpackhi_ps(v[0], v[1]);
@@ -50,7 +50,7 @@ static inline void load_columns(const float *const row[kLanes], size_t at, Vec o
 #endif
 }
 
-// The other way round: out[l] becomes float l of columns[0], columns[1], columns[2] and columns[3].
+// The inverse: out[l] becomes float l of columns[0], columns[1], columns[2] and columns[3].
 static inline void rows_of_columns(const Vec columns[4], Vec4 out[kLanes]) {
 #if defined(GS_ISA_AVX512) || defined(GS_ISA_AVX2)
     Vec v[4] = {columns[0], columns[1], columns[2], columns[3]};
@@ -73,7 +73,7 @@ template <int width> static inline void gather(const float *base, int64_t rows, 
     const float *row[kLanes];
     for (int l = 0; l < kLanes; ++l) {
         row[l] = base + size_t(id[l]) * size_t(width);
-        if (width < 4 && int64_t(id[l]) + 1 == rows) { // the others read on into the next row
+        if (width < 4 && int64_t(id[l]) + 1 == rows) { // other rows read into the next row
             std::memcpy(end, row[l], width * sizeof(float));
             row[l] = end;
         }
@@ -109,13 +109,13 @@ static inline void scatter_one(float *base, const uint32_t *id, int lanes, Vec v
         base[id[l]] = lane[l];
 }
 
-// Fetches `count` floats from `begin` on, as far as `end`.
+// Prefetches `count` floats from `begin` on, up to `end`.
 static inline void fetch_floats(const float *base, int64_t begin, int64_t end, int64_t count) {
     for (int64_t i = begin; i < begin + count && i < end; i += 16)
         __builtin_prefetch(base + i);
 }
 
-// Calls f(at) so that the four floats from each `at` on cover `count`, at least 4; those of the last call overlap.
+// Calls f(at) for groups of four floats that cover `count`, at least 4; the last group may overlap.
 template <class F> static inline void by_four(int count, F f) {
     int at = 0;
     for (; at + 4 <= count; at += 4)

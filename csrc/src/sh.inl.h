@@ -162,8 +162,8 @@ static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t a
         sh_colors_of<3>(in, id, alive, x, y, z, color);
 }
 
-// Fetches what `sh_backward` reads and writes of a row: it takes pieces of many rows at a time, which hides from the
-// processor in which order memory is wanted.
+// Prefetches the data of a row for `sh_backward`, which accesses pieces of many rows at a time, a pattern that hardware
+// prefetchers do not recognise.
 static inline void fetch_coefficients(const gs_splats &in, const gs_splat_grads &grads, uint32_t id) {
     const size_t row = size_t(id) * size_t(in.sh_rest) * 3;
     for (int i = 0; i < 3 * in.sh_rest; i += 16) {
@@ -197,7 +197,7 @@ static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &gra
         by_four(3 * rest, [&](int at) {
             if (grads.add_shN)
                 for (int i = at; i < written; ++i)
-                    gradients[i] = Vec{}; // added before
+                    gradients[i] = Vec{}; // already added
             written = at + 4;
             Vec4 rows[kLanes];
             rows_of_columns(gradients + at, rows);
@@ -211,8 +211,8 @@ static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &gra
         for (int l = 0; l < lanes; ++l)
             std::memset(grads.shN + (size_t(id[l]) * size_t(in.sh_rest) + size_t(rest)) * 3, 0,
                         size_t(in.sh_rest - rest) * 3 * sizeof(float));
-    // Coefficients that all but overflow leave a colour alone where their basis function is zero, but not its slope:
-    // such a slope is dropped, NaN failing the comparisons.
+    // Coefficients close to overflow do not affect a colour where their basis function is zero, but its slope: such a
+    // slope is dropped; NaN fails the comparisons.
     const Vec most = set1(kSlopeMax);
     for (int k = 1; k <= rest; ++k)
         s[k] = keep(both(ge(most, s[k]), ge(s[k], -most)), s[k]);

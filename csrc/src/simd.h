@@ -13,8 +13,7 @@
 #include <arm_neon.h>
 #endif
 
-// A part of a kernel that has a name for its reader alone: GCC and Clang, clang-cl too, put it where it is called, and
-// what it works on stays in registers.
+// A part of a kernel that GCC and Clang, also clang-cl, always inline, so that its data stays in registers.
 #define GS_INLINE static inline __attribute__((always_inline))
 
 namespace gs::GS_NAMESPACE {
@@ -44,7 +43,7 @@ static inline DVec square_root(DVec v) {
 }
 static inline IVec as_int(Vec v) { return (IVec)v; }
 static inline Vec as_float(IVec v) { return (Vec)v; }
-// p times 2^n, where the low bits of `t` hold n; without the signs, whose overflow C++ does not define.
+// p times 2^n, with n in the low bits of `t`; unsigned, because signed overflow is undefined.
 static inline Vec scale_by_power(Vec p, Vec t) {
     typedef uint32_t UVec __attribute__((vector_size(4 * kLanes)));
     return (Vec)((UVec)p + ((UVec)t << 23));
@@ -152,7 +151,7 @@ static inline IVec load(const int32_t *p) {
 static inline void store(int32_t *p, IVec v) { std::memcpy(p, &v, sizeof v); }
 static inline IVec select(Mask m, IVec a, IVec b) { return as_int(select(m, as_float(a), as_float(b))); }
 
-// c and the products of two pairs of 16-bit numbers a lane, which are not negative.
+// c plus the products of two pairs of 16-bit numbers per lane, which are not negative.
 static inline IVec add_products(IVec c, IVec a, IVec b) {
 #if defined(GS_ISA_AVX512)
     return c + (IVec)_mm512_madd_epi16((__m512i)a, (__m512i)b);
@@ -166,7 +165,7 @@ static inline IVec add_products(IVec c, IVec a, IVec b) {
 #endif
 }
 
-// Words of a table, one a lane.
+// Gathers words of a table, one per lane.
 static inline IVec gather(const uint32_t *table, IVec at) {
 #if defined(GS_ISA_AVX512)
     return (IVec)_mm512_i32gather_epi32((__m512i)at, table, 4);
@@ -186,7 +185,7 @@ static inline Vec fma(Vec a, float b, Vec c) { return fma(a, set1(b), c); }
 static inline Vec fma(float a, Vec b, Vec c) { return fma(set1(a), b, c); }
 static inline float clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; }
 
-// x / y, in the fewest steps that keep float's precision: an AVX-512 division takes as long as ten multiplications.
+// x / y to float precision with few operations: an AVX-512 division takes as long as ten multiplications.
 static inline Vec quotient(Vec x, Vec y) {
 #if defined(GS_ISA_AVX512)
     const Vec r = _mm512_rcp14_ps(y);
@@ -199,7 +198,7 @@ static inline Vec quotient(Vec x, Vec y) {
 // Sums of the lanes of 12 vectors.
 static inline void lane_sums(const Vec *v, float *out) {
 #if defined(GS_ISA_AVX512)
-    __m512 q[3]; // four sums, of each quarter apart
+    __m512 q[3]; // four sums, separate for each quarter
     for (int i = 0; i < 3; ++i) {
         const __m512 *x = (const __m512 *)v + 4 * i;
         const __m512d ab = (__m512d)_mm512_add_ps(_mm512_unpacklo_ps(x[0], x[1]), _mm512_unpackhi_ps(x[0], x[1]));
@@ -227,8 +226,8 @@ static inline void lane_sums(const Vec *v, float *out) {
 #endif
 }
 
-// Coefficients of the minimax polynomial for 2^x on [-0.5, 0.5], highest power first. Degree 5 is at the limit of float;
-// the others are there to measure what they would bring (tools/measure/kernel_error.py).
+// Coefficients of the minimax polynomial for 2^x on [-0.5, 0.5], highest power first. Degree 5 reaches float precision;
+// the others are for measurements (tools/measure/kernel_error.py).
 #ifndef GS_EXP_DEGREE
 #define GS_EXP_DEGREE 5
 #endif

@@ -1,7 +1,7 @@
 // Stereo driver: packs the sources for one load per sample, sweeps bands of rows in parallel.
 #include "stereo.h"
 
-#include "dispatch.h"
+#include "cpu_dispatch.h"
 #include "parallel.h"
 #include "thread_count.h"
 

@@ -1,9 +1,9 @@
 // Stereo kernel, a plane sweep: scores of a band of rows, plane after plane, and their highest peaks.
 //
-// A window of the reference is compared with what a source shows of it by zero-mean normalised cross-correlation. The
-// three sums over windows come from sums over columns, which gain a row and lose a row from one row to the next, and
-// which begin anew in each band, so that rounding does not add up. Grey values are counted from the middle of their
-// range, which keeps the sums small.
+// A window of the reference is compared with the warped source by zero-mean normalised cross-correlation. The three
+// window sums are computed from column sums, which add one row and subtract another per row, and restart in each band,
+// so
+// that rounding does not accumulate. Grey values are relative to the middle of their range, which keeps the sums small.
 #pragma once
 
 #include "simd.h"
@@ -13,7 +13,7 @@ namespace gs::GS_NAMESPACE {
 
 constexpr float kGreyMiddle = 128.0f;
 
-// Where the pixels of a row of the reference lie in a source, at one plane, as lines in homogeneous coordinates.
+// Positions of a row of the reference in a source, at one plane, as lines in homogeneous coordinates.
 struct StereoRow {
     float u, v, w, du, dv, dw;
 
@@ -28,7 +28,7 @@ struct StereoRow {
     }
 };
 
-// Grey values of a source, and where it shows nothing: 0, or a penalty that no score outweighs.
+// Grey values of a source, and their penalty: 0, or outside the source a penalty above any score.
 struct StereoSample {
     Vec grey, penalty;
 };
@@ -36,12 +36,12 @@ struct StereoSample {
 GS_INLINE StereoSample stereo_sample(const StereoSource &source, const StereoRow &row, Vec x, float rim) {
     const Vec w = fma(x, row.dw, set1(row.w));
     const Vec per = quotient(set1(1.0f), max(w, set1(1e-12f)));
-    // Places of pixels as indices, so that whole numbers are their middles.
+    // Pixel coordinates with integers at pixel centres.
     const Vec u = fma(fma(x, row.du, set1(row.u)), per, set1(-0.5f));
     const Vec v = fma(fma(x, row.dv, set1(row.v)), per, set1(-0.5f));
     const Vec right = set1(float(source.width - 1)), bottom = set1(float(source.height - 1));
     const Mask inside = both(both(ge(u, set1(rim)), ge(right - rim, u)), both(ge(v, set1(rim)), ge(bottom - rim, v)));
-    // The comparisons of max and min let no NaN through where it stands first.
+    // max and min return their second operand if the first is NaN.
     const Vec cu = min(max(u, Vec{}), right), cv = min(max(v, Vec{}), bottom);
     const IVec column = to_int(cu), line = to_int(cv);
     const IVec quad = gather(source.quads, line * source.width + column);
@@ -98,13 +98,14 @@ class StereoSweep {
     }
 
   private:
-    // Of each pixel of the band: the mean of its window and what its covariances are multiplied by; the two best scores
-    // of the plane; the scores of the two planes before; the highest peak, its plane, its neighbours; the second peak.
+    // Maps of the band's pixels: mean of the window and factor of its covariances; the two best scores of the plane;
+    // the
+    // scores of the two previous planes; the highest peak, its plane and neighbours; the second best peak.
     enum Map { kMean, kScale, kFirst, kSecond, kBefore, kLast, kBest, kIndex, kLeft, kRight, kSecondBest };
     static_assert(kSecondBest + 1 == StereoBand::kMaps);
 
     float *row(int map, int y) const { return maps_[map] + int64_t(y) * stride_; }
-    // A row of the reference, counted from the first that windows of the band reach; above that there are zeros.
+    // A row of the reference, counted from the first one in the band's windows; zeros above that.
     float *reference(int y) const { return reference_ + int64_t(layout_.window + y) * stride_; }
     float *slot(float *ring, int y) const { return ring + int64_t(y % layout_.window) * stride_; }
     int entering() const { return rows_ + 2 * layout_.radius; }
@@ -126,7 +127,7 @@ class StereoSweep {
         }
     }
 
-    // Sum over the columns of the windows around each pixel.
+    // Window sums from column sums.
     Vec along(int sums, int x) const {
         const float *const at = columns_[sums] + x;
         Vec total = load(at);
@@ -166,7 +167,7 @@ class StereoSweep {
             out[x + i] = value[i];
     }
 
-    // Scores of a source at a plane, among the best so far.
+    // Merges the scores of a source at a plane into the best so far.
     void compare(const StereoSource &source, float inverse_depth) {
         clear_columns();
         std::memset(ring_ - kStereoMargin, 0, size_t(layout_.window) * size_t(stride_) * sizeof(float));
@@ -177,7 +178,7 @@ class StereoSweep {
         }
     }
 
-    // A row of the source takes the place of one that windows have left.
+    // Replaces a row of the source that has left the windows.
     void enter(const StereoSource &source, int y, float inverse_depth) {
         const StereoRow line(source.warp, float(top_ - layout_.radius + y) + 0.5f, inverse_depth);
         const float *const entering_row = reference(y), *const leaving_row = reference(y - layout_.window);
@@ -251,11 +252,11 @@ class StereoSweep {
             const Vec column = iota() + float(x);
             const Mask in_row = both(ge(column, set1(float(layout_.radius))),
                                      gt(set1(float(in_.width - layout_.radius)), column));
-            // The first plane and the last are no peaks: beyond them the score may rise on.
+            // The first and last plane are no peaks: beyond them the score may be higher.
             const Mask within = both(gt(at, Vec{}), gt(set1(float(in_.planes - 1)), at));
             const Mask known = both(both(in_row, within), gt(set1(in_rows ? 1.0f : 0.0f), Vec{}));
             write_row(a_.found.inverse_depth, y, x, keep(known, fma(at + offset, step_, set1(in_.farthest))));
-            // A parabola may rise above what a correlation can be, and rounding too.
+            // The parabola, or rounding, may exceed the maximum of a correlation.
             const Vec top = min(fma(0.25f * (right - left), offset, best), set1(1.0f));
             const Vec second_best = min(load(row(kSecondBest, y) + x), set1(1.0f));
             write_row(a_.found.score, y, x, select(known, top, set1(kNoScore)));
@@ -270,7 +271,7 @@ class StereoSweep {
     const int top_, rows_;
     const float step_, count_, floor_;
     float *reference_;
-    // The last rows of the source, one of each row of a window, and what they have to their penalty.
+    // The last rows of the source, as many as a window has, and their penalties.
     float *ring_, *penalty_;
     float *columns_[3];
     float *maps_[StereoBand::kMaps];

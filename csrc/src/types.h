@@ -12,8 +12,8 @@ constexpr int ceil_div(int a, int b) { return (a + b - 1) / b; }
 
 constexpr int kTileWidth = GS_LIST_TILE_WIDTH, kTileHeight = GS_LIST_TILE_HEIGHT;
 constexpr int kTilePixels = kTileWidth * kTileHeight;
-// A tile's pixels in memory: strips of 4 columns from left to right, each row by row. Sixteen that follow each other are
-// a block of 4 x 4.
+// Order of a tile's pixels in memory: strips of 4 columns from left to right, each row by row. Sixteen consecutive ones
+// are a block of 4 x 4.
 constexpr int kBlock = 4;
 constexpr int kBlockPixels = kBlock * kBlock;
 constexpr int kTileBlocks = kTilePixels / kBlockPixels;
@@ -25,7 +25,7 @@ constexpr float kAlphaMax = GS_ALPHA_MAX;
 constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
 constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)
 constexpr float kQuatMin = 1e-8f;
-// Brighter splats are culled as invalid: they would round away, or overflow, the gradients of all splats around them.
+// Brighter splats are culled as invalid, because their gradients would overflow, or cancel those of other splats.
 constexpr float kColorMax = 1e9f;
 // Gaussian exponent -d/2 in base 2: exp(-d / 2) = exp2(-kHalfLog2E * d).
 constexpr float kHalfLog2E = 0.72134752044448170f;
@@ -55,12 +55,12 @@ static_assert(sizeof(Projected) == 64 && offsetof(Projected, vc) == 16 && offset
 // A splat in a tile's list.
 struct Entry {
     uint32_t slot;   // index into Projected
-    uint32_t blocks; // bit mask of the blocks that it reaches
+    uint32_t blocks; // bit mask of its blocks
     uint32_t moment; // index into the moments, where all entries of a splat are contiguous
-    uint32_t key;    // sorts by depth
+    uint32_t key;    // bits of the depth
 };
 
-// The same before it is sorted into its tile, slot by slot of a chunk.
+// The same before sorting into tiles, in the order of a chunk's slots.
 struct Instance {
     uint32_t tile;
     uint32_t blocks;
@@ -129,7 +129,7 @@ struct BlendBackwardArgs {
 
 struct ProjectBackwardArgs {
     ProjectArgs forward;
-    const Span *spans;            // [slots]: a splat's moments, counted from
+    const Span *spans;            // [slots]: a splat's moments, relative to
     const uint32_t *moment_begin; // [chunks]
     const Moments *moments;
     gs_splat_grads grads;
@@ -146,9 +146,9 @@ struct LossArgs {
 struct AdamTensor {
     gs_adam_tensor t;
     float beta1, beta2, gain1, gain2; // gain = 1 - beta
-    float eps2; // eps^2 (1 - beta2^t): beside second moments without bias correction
+    float eps2; // eps^2 (1 - beta2^t): added to second moments without bias correction
     float rate; // lr sqrt(1 - beta2^t) / (1 - beta1^t)
-    const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] of a row that is this many steps behind
+    const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] by number of pending steps
 };
 
 struct AdamArgs {
@@ -166,7 +166,7 @@ struct CatchUpArgs {
     float *out; // [rows, width], or null: in place
 };
 
-// A photo of a stereo sweep, each pixel in a word with those to its right, below it, and right below it.
+// A photo of a stereo sweep; each word contains a pixel, and those to its right, below it, and to the lower right.
 struct StereoSource {
     const uint32_t *quads; // [height, width]
     int32_t width, height;
@@ -179,8 +179,9 @@ struct StereoArgs {
     gs_stereo_found found;
 };
 
-// Nearest descriptors of the other photo. The closeness is twice the dot product minus the other's squared length: it
-// rises as the squared distance falls.
+// Nearest descriptors of the other photo. The closeness is twice the dot product minus the other's squared length,
+// which
+// decreases with the squared distance.
 struct Nearest {
     int32_t *closeness, *second; // [padded], at least kNoCloseness
     int32_t *row;                // [padded]

@@ -1,4 +1,4 @@
-// What native tests share: a check that goes on, and a run on every instruction set of the machine.
+// Shared code of the native tests: a check that continues, and a run on every available instruction set.
 #pragma once
 
 #include "gscore.h"

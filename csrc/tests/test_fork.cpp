@@ -1,4 +1,4 @@
-// A process that is forked can use the library, whatever its parent's threads were doing just then.
+// Tests that a forked process can use the library, whatever its parent's threads were doing at the fork.
 #include "gscore.h"
 
 #include <atomic>
@@ -13,14 +13,14 @@
 
 #if defined(__has_feature)
 #if __has_feature(thread_sanitizer)
-#define __SANITIZE_THREAD__ 1 // as GCC says it
+#define __SANITIZE_THREAD__ 1 // the macro of GCC
 #endif
 #endif
 
 namespace {
 
 constexpr int kWidth = 96, kHeight = 64, kForks = 40;
-constexpr unsigned kPatience = 60; // seconds that a child may take for milliseconds of work
+constexpr unsigned kPatience = 60; // timeout of a child in seconds, for milliseconds of work
 
 struct Picture {
     std::vector<float> image, gradient;
@@ -33,7 +33,7 @@ struct Picture {
         }
     }
 
-    // Loss and gradient, by several threads; false where the library fails.
+    // Loss and gradient, by several threads; false if the library fails.
     bool work(int threads) {
         gs_loss_args args = {};
         args.width = kWidth;
@@ -51,11 +51,11 @@ struct Picture {
     }
 };
 
-// Forks; whether the child found `expected` by itself, in time.
+// Forks; returns whether the child computed `expected` in time.
 bool child_agrees(const std::vector<float> &expected, int threads) {
     const pid_t child = fork();
     if (child == 0) {
-        alarm(kPatience); // a child that hangs dies of it
+        alarm(kPatience); // ends a child that hangs
         Picture own;
         const bool good = own.work(threads) && own.work(threads + 1);
         _exit(good && std::memcmp(own.gradient.data(), expected.data(), expected.size() * sizeof(float)) == 0 ? 0 : 1);

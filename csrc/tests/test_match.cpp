@@ -12,7 +12,7 @@ constexpr size_t kSize = GS_DESCRIPTOR_SIZE;
 
 gs_descriptors view(const Values &values) { return {int32_t(values.size() / kSize), values.data()}; }
 
-// Numbers of a few sizes only, so that distances repeat.
+// Few distinct values, so that distances repeat.
 Values random_values(uint32_t seed, size_t count, uint32_t largest) {
     Values values(count * kSize);
     for (uint8_t &value : values) {
@@ -51,7 +51,7 @@ void all_distances_say_the_same() {
         for (const size_t columns : {0u, 1u, 31u, 32u, 33u, 70u})
             for (const uint32_t largest : {0u, 1u, 255u}) {
                 Values first = random_values(7, rows, largest), second = random_values(9, columns, largest);
-                for (size_t i = 0; i < std::min(rows, columns) / 2; ++i) // some that match, far apart
+                for (size_t i = 0; i < std::min(rows, columns) / 2; ++i) // some matches, far apart
                     std::copy_n(&first[i * kSize], kSize, &second[(columns - 1 - i) * kSize]);
                 const gs_descriptors a = view(first), b = view(second);
                 std::vector<int32_t> found(rows, -7);

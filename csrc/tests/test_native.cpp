@@ -293,7 +293,7 @@ void bad_arguments_are_named() {
     gs_raster_destroy(raster);
 }
 
-// Oracle: the header. Before anything else asks for 0 threads: a number that was found good is kept.
+// Oracle: the header. Runs before any other call with 0 threads, because a valid number is kept.
 void the_environments_threads_are_checked() {
 #if !defined(_WIN32)
     const char *const given = std::getenv("GSCORE_THREADS");
@@ -346,7 +346,7 @@ void the_hosts_arithmetic_stays_its_own() {
         const Result found = run(m, c, make_options(2));
         const unsigned after = _mm_getcsr();
         _mm_setcsr(before);
-        CHECK((after & ~0x3fu) == (state & ~0x3fu)); // flags of what happened aside
+        CHECK((after & ~0x3fu) == (state & ~0x3fu)); // except for status flags
         CHECK(same_bits(expected.image, found.image));
     }
 #endif
@@ -419,7 +419,7 @@ void loss_gradient_matches_differences() {
     gs_raster_destroy(raster);
 }
 
-// Oracle: central differences of the loss; where photo and picture are white, nothing is taught.
+// Oracle: central differences of the loss; no gradient where photo and picture are white.
 void gains_have_the_gradient_of_the_exposed_picture() {
     const int w = 41, h = 53;
     std::mt19937 rng(4);
@@ -474,7 +474,7 @@ void gains_have_the_gradient_of_the_exposed_picture() {
     gs_raster_destroy(raster);
 }
 
-// A tensor under Adam; odd sizes, so that ends of vectors and chunks are met.
+// A tensor under Adam; odd sizes, to cover the ends of vectors and chunks.
 struct Learner {
     int64_t rows;
     int width;
@@ -536,7 +536,7 @@ void adam_skips_rows_for_any_number_of_threads() {
         CHECK(std::isfinite(v));
     for (const int threads : {2, 7, 64})
         CHECK(same_bits(one, learn(threads)));
-    // A row that has skipped a step ends where zero gradients would have taken it.
+    // A row that skipped a step gets the values of steps with zero gradients.
     Learner late(1, 1), dense(1, 1);
     for (int step = 1; step <= 600; ++step) {
         const int32_t radius = step <= 2 || step == 580;
@@ -604,7 +604,7 @@ void packing_names_bad_arguments() {
     CHECK(gs_pack_rows(&table, 1, 2, nullptr, packed, 1, 0) == GS_BAD_ARGUMENT);
     CHECK(gs_pack_rows(&table, 1, 2, places, nullptr, 1, 0) == GS_BAD_ARGUMENT);
     CHECK(gs_pack_rows(&table, 1, 2, places, packed, 1, -1) == GS_BAD_ARGUMENT);
-    CHECK(gs_pack_rows(&table, 1, 2, places + 2, packed, 1, 0) == GS_BAD_ARGUMENT); // no such row
+    CHECK(gs_pack_rows(&table, 1, 2, places + 2, packed, 1, 0) == GS_BAD_ARGUMENT); // row out of range
     table.divisor = 0;
     CHECK(gs_unpack_rows(&table, 1, 2, packed, nullptr, 1, 0) == GS_BAD_ARGUMENT);
     table = {data, 0, 0, 1.0f};

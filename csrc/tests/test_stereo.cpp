@@ -10,7 +10,7 @@ namespace {
 constexpr int kWidth = 83, kHeight = 61, kRadius = 2;
 constexpr size_t kPixels = size_t(kWidth) * size_t(kHeight);
 
-// A wall parallel to both photos at inverse depth 1, seen by a camera `shift` px further to the left at that depth.
+// A wall parallel to both photos at inverse depth 1, shifted by `shift` px in the second camera.
 gs_stereo_warp sideways(float shift) { return {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {shift, 0, 0}}; }
 
 std::vector<uint8_t> texture(unsigned seed) {
@@ -21,7 +21,7 @@ std::vector<uint8_t> texture(unsigned seed) {
     return grey;
 }
 
-// What the other camera has of a photo; nothing of it at its side.
+// The shifted photo of the second camera; no data at its side.
 std::vector<uint8_t> shifted(const std::vector<uint8_t> &grey, int shift) {
     std::vector<uint8_t> moved(kPixels);
     for (int y = 0; y < kHeight; ++y)
@@ -50,7 +50,7 @@ std::vector<float> swept(const gs_stereo_sweep_args &args, gs_status wanted = GS
 void a_shifted_photo_has_the_depth_of_its_shift() {
     const int shift = 10;
     const std::vector<uint8_t> grey = texture(1), other = shifted(grey, shift), noise = texture(2);
-    // The second source shows something else, as one in front of which something stands.
+    // The second source shows something else, like an occluded one.
     const std::vector<gs_stereo_source> sources = {{kWidth, kHeight, other.data(), sideways(float(shift))},
                                                    {kWidth, kHeight, noise.data(), sideways(3)}};
     gs_stereo_sweep_args args = sweep_args(grey.data(), sources, 1);
@@ -79,7 +79,7 @@ void a_shifted_photo_has_the_depth_of_its_shift() {
     (void)swept(args, GS_CANCELLED);
 }
 
-// Oracle: one surface seen by all, one that lies farther, one that lies nearer.
+// Oracle: one surface common to all views, one farther away, one nearer.
 void witnesses_agree_contradict_or_say_nothing() {
     const int shift = 7;
     std::vector<float> own(kPixels, 1.0f), equal(kPixels, 1.004f), farther(kPixels, 0.5f), nearer(kPixels, 2.0f);

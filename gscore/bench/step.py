@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ..config import TrainConfig
 from ..metrics.machine import peak_memory_bytes
-from ..raster import backend
+from ..raster import native_library
 from ..splats import Splats
 from ..trainer.host.isolated_state import isolated_torch_state
 from ..trainer.host.malloc import mmap_large_blocks
@@ -94,8 +94,8 @@ def bench_step(
     cameras = photos.scene.cameras
     raster = sum(stages.values()) / 1000
     return StepBench(
-        isa=backend.isa(),
-        threads=threads or backend.default_threads(),
+        isa=native_library.isa(),
+        threads=threads or native_library.default_threads(),
         splats=len(splats),
         views=len(photos.train),
         width=int(cameras.widths[0]),

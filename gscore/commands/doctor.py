@@ -130,13 +130,13 @@ def _package_facts(part: _Part) -> dict[str, Any]:
 
 def _native_facts() -> dict[str, Any]:
     """The native library: path, instruction sets, threads, and the self-test of one splat."""
-    from ..raster import backend
+    from ..raster import native_library
 
-    facts: dict[str, Any] = {"library": str(backend.library_path()), "problem": ""}
+    facts: dict[str, Any] = {"library": str(native_library.library_path()), "problem": ""}
     try:
-        facts["isas"] = backend.available_isas()
-        facts["isa"] = backend.isa()
-        facts["threads"] = backend.default_threads()
+        facts["isas"] = native_library.available_isas()
+        facts["isa"] = native_library.isa()
+        facts["threads"] = native_library.default_threads()
         facts["self_test"] = self_test(facts["isas"])
     except GsError as error:
         return facts | {"problem": str(error)}
@@ -152,7 +152,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     Returns:
         For each instruction set the largest absolute error of colour and alpha, and milliseconds.
     """
-    from ..raster import backend
+    from ..raster import native_library
     from ..raster.api import render
 
     size, focal, z, sigma, opacity = 65, 80.0, 4.0, 0.5, 0.8
@@ -173,10 +173,10 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     # At the cutoff rounding decides between 1/255 and zero; that is not an error.
     certain = np.abs(alpha * 255 - 1) > 1e-3
     expected = alpha[..., None] * color + (1 - alpha[..., None]) * background
-    before, results = backend.isa(), {}
+    before, results = native_library.isa(), {}
     try:
         for isa in isas:
-            backend.set_isa(isa)
+            native_library.set_isa(isa)
             began = time.perf_counter()
             picture = render(splats, K, np.eye(4), size, size, background=tuple(background))
             milliseconds = (time.perf_counter() - began) * 1000
@@ -186,7 +186,7 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
             )
             results[isa] = {"error": float(error), "milliseconds": round(milliseconds, 3)}
     finally:
-        backend.set_isa(before)
+        native_library.set_isa(before)
     return results
 
 

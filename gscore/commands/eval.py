@@ -22,7 +22,7 @@ from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_war
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.splat_errors import SplatErrors
 from ..quoting import as_typed, brief
-from ..raster import backend
+from ..raster import native_library
 from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.error_map import brightest, error_map
@@ -171,8 +171,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         splats=len(model.splats),
         sh_degree=model.splats.sh_degree,
         storage_bytes=model.file.storage_bytes,
-        isa=backend.isa(),
-        threads=args.threads or backend.default_threads(),
+        isa=native_library.isa(),
+        threads=args.threads or native_library.default_threads(),
         course=course,
         model="" if output == model.run else str(model.path.absolute()),
     )

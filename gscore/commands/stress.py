@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from ..raster import backend
+from ..raster import native_library
 from ..stress import Outcome, run_cases, select
 from .terminal.output import print_json
 
@@ -30,10 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the tests, print them, and return 1 if one failed."""
-    before = backend.isa()
-    isas = backend.available_isas() if args.isa == "all" else [args.isa or before]
-    backend.set_isa(isas[0])
-    backend.set_isa(before)
+    before = native_library.isa()
+    isas = native_library.available_isas() if args.isa == "all" else [args.isa or before]
+    native_library.set_isa(isas[0])
+    native_library.set_isa(before)
     cases = select(args.only, full=args.full)
     found: list[Outcome] = []
 

@@ -25,7 +25,7 @@ from ..io.lod_file import (
 )
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel, row_floats
 from ..quoting import brief
-from ..raster.backend import default_threads
+from ..raster.native_library import default_threads
 from ..scene import Cameras, splat_near
 from ..sh import sh0_to_rgb
 from ..splats import PARAMETERS, Splats

@@ -13,7 +13,7 @@ from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, Show, strict_json
 from ..io.runs import MADE_OF
-from ..raster import backend
+from ..raster import native_library
 from ..text_format import count_words
 from . import database, masks, photos, pycolmap_stages
 from .bundle_adjustment import AdjustedLens, adjust, is_stable
@@ -66,7 +66,7 @@ def find_cameras(
     """
     check_lens(request.camera_model)
     colmap()
-    backend.available_isas()  # raises where the library is missing, before any work
+    native_library.available_isas()  # raises where the library is missing, before any work
     search = _Search(request, on_event, control or Control())
     try:
         return search.run()

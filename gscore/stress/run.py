@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import ConfigError
-from ..raster import backend
+from ..raster import native_library
 from .case import CASES, Case, NotHereError
 from .compare import merge
 from .native import with_isa
@@ -73,7 +73,7 @@ def run_cases(
     """Run cases with each of `isas` (default: the current one), and report each outcome."""
     found = []
     for one in cases:
-        for isa in (isas or [backend.isa()]) if one.per_isa else [""]:
+        for isa in (isas or [native_library.isa()]) if one.per_isa else [""]:
             for outcome in _outcomes(one, isa, full):
                 found.append(outcome)
                 report(outcome)
@@ -99,7 +99,7 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
         yield outcome("", math.nan, math.nan, None, f"skipped: needs {', '.join(missing)}")
         return
     try:
-        with with_isa(isa or backend.isa()), _quiet_torch():
+        with with_isa(isa or native_library.isa()), _quiet_torch():
             measures = merge(list(one.run(full)))
     except NotHereError as reason:
         yield outcome("", math.nan, math.nan, None, f"skipped: {reason}")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..raster import _native, backend
+from ..raster import _native, native_library
 from . import native
 from .case import EmptyTestError, Measure, NotHereError, case
 from .compare import different_bits, require_covered
@@ -51,7 +51,7 @@ def instruction_sets(full: bool) -> Iterator[Measure]:
     """Oracle: the best available instruction set, outside the band of the reference."""
     from . import truth
 
-    isas = backend.available_isas()
+    isas = native_library.available_isas()
     if len(isas) < 2:
         raise NotHereError(f"this machine has one instruction set, {isas[0]}")
     for seed in range(1900, 1905 if full else 1902):

@@ -18,7 +18,7 @@ from ..live.viewer_clients import ViewerClients
 from ..live.viewer_protocol import FrameRequest
 from ..metrics import Evaluation, Lpips, LpipsNet
 from ..quoting import quoted
-from ..raster import backend
+from ..raster import native_library
 from ..report import PictureCollector
 from ..text_format import count_words
 from .depth.report import DepthReport, measure_depth
@@ -210,7 +210,7 @@ class Session:
                 splats=self._trainer.splat_count,
                 width=int(cameras.widths.max()),
                 height=int(cameras.heights.max()),
-                isa=backend.isa(),
+                isa=native_library.isa(),
                 threads=self._results.threads,
                 models=len(self._trainer.members),
                 left_s=self._meter.progress().eta_s,

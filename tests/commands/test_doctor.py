@@ -8,7 +8,7 @@ import pytest
 
 from gscore.commands import doctor
 from gscore.errors import BackendError
-from gscore.raster import api, backend
+from gscore.raster import api, native_library
 
 
 def test_a_machine_that_can_train(gscore):
@@ -30,9 +30,9 @@ def test_a_machine_that_can_train(gscore):
 
 def test_the_instruction_set_is_put_back():
     """Oracle: the one in use before."""
-    before = backend.isa()
-    doctor.self_test(backend.available_isas())
-    assert backend.isa() == before
+    before = native_library.isa()
+    doctor.self_test(native_library.available_isas())
+    assert native_library.isa() == before
 
 
 def test_self_test_sees_a_wrong_picture(monkeypatch):
@@ -50,7 +50,7 @@ def test_self_test_sees_a_wrong_picture(monkeypatch):
 
 def test_wrong_pictures_mean_no_training(gscore, monkeypatch):
     """Oracle: exit code 2 and the word."""
-    found = {backend.isa(): {"error": 0.3, "milliseconds": 1.0}}
+    found = {native_library.isa(): {"error": 0.3, "milliseconds": 1.0}}
     monkeypatch.setattr(doctor, "self_test", lambda isas: found)
     code, out, _ = gscore("doctor")
     assert code == 2 and "WRONG" in out and "cannot train" in out
@@ -99,6 +99,6 @@ def test_missing_library(gscore, monkeypatch, tmp_path):
     def missing():
         raise BackendError("The native library is missing: x.so does not exist.")
 
-    monkeypatch.setattr(backend, "available_isas", missing)
+    monkeypatch.setattr(native_library, "available_isas", missing)
     code, out, _ = gscore("doctor")
     assert code == 2 and "native library is missing" in out and "numpy" in out

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gscore.raster import backend
+from gscore.raster import native_library
 
 ROOT = Path(__file__).parents[2]
 DRAW = """
@@ -21,8 +21,8 @@ try:
     gscore.render(splats, np.diag([9.0, 9.0, 1.0]), np.eye(4), 4, 4)
 except gscore.GsError as error:
     sys.exit(f"{type(error).__name__}: {error}")
-from gscore.raster import backend
-sys.stdout.write(f"{backend.isa()} {backend.default_threads()}")
+from gscore.raster import native_library
+sys.stdout.write(f"{native_library.isa()} {native_library.default_threads()}")
 """
 
 
@@ -77,7 +77,7 @@ def test_threads_of_the_environment_are_used(text: str, threads: int | None) -> 
 
 def test_an_instruction_set_that_is_not_there_is_named() -> None:
     """Oracle: the variable, what it asks for and what there is; one that is there is used."""
-    there = backend.available_isas()
+    there = native_library.available_isas()
     _refused({"GSCORE_ISA": "vax"}, "ConfigError", "GSCORE_ISA", "'vax'", ", ".join(there))
     assert _python("-c", DRAW, GSCORE_ISA=there[-1]).stdout.split()[0] == there[-1]
 
@@ -95,7 +95,7 @@ def not_ours(tmp_path: Path) -> dict[str, str]:
     text, folder = tmp_path / "notes.txt", tmp_path / "folder"
     text.write_text("not a library")
     folder.mkdir()
-    broken, own = tmp_path / "broken.so", backend.library_path()
+    broken, own = tmp_path / "broken.so", native_library.library_path()
     broken.write_bytes(own.read_bytes()[:40])
     whole = own.read_bytes()
     for name, length in (("half", len(whole) // 2), ("nearly", len(whole) - 1)):
@@ -151,7 +151,7 @@ def test_a_library_in_the_working_folder_needs_no_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: it draws. The system would look for a bare name in its own folders only."""
-    shutil.copy(backend.library_path(), tmp_path / "mine.so")
+    shutil.copy(native_library.library_path(), tmp_path / "mine.so")
     monkeypatch.chdir(tmp_path)
     done = _python("-c", DRAW, GSCORE_LIBRARY="mine.so")
     assert done.returncode == 0, done.stderr

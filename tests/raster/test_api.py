@@ -136,7 +136,7 @@ def test_cancel_stops_a_long_call() -> None:
         ({"K": np.array([[50, 1, 16], [0, 50, 16], [0, 0, 1.0]])}, "skew is not supported"),
         ({"K": np.eye(4)}, r"K must be \[3, 3\]"),
         ({"viewmat": np.eye(3)}, r"viewmat must be \[4, 4\]"),
-        ({"viewmat": np.full((4, 4), np.nan)}, "viewmat holds a value that is not finite"),
+        ({"viewmat": np.full((4, 4), np.nan)}, "viewmat has a value that is not finite"),
         ({"width": 0}, "1 to 65536 px"),
         ({"width": 70_000}, "1 to 65536 px"),
         ({"sh_degree": 4}, "sh_degree must be 0 to 3"),

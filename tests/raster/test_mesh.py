@@ -132,7 +132,7 @@ def test_what_is_no_mesh_is_refused() -> None:
     vertices, triangles = np.eye(3), np.array([[0, 1, 2]], np.int32)
     viewmat = pose(0)
     for bad in (3, -1):
-        with pytest.raises(ShapeError, match="names corner"):
+        with pytest.raises(ShapeError, match="has corner index"):
             mesh.mesh_depth(vertices, np.array([[0, 1, bad]], np.int32), K, viewmat, *SIZE)
     with pytest.raises(ShapeError, match="not finite"):
         mesh.mesh_depth(vertices * np.nan, triangles, K, viewmat, *SIZE)

@@ -135,7 +135,7 @@ def test_what_cannot_be_used_is_refused() -> None:
         sweep(views[0], [replace(views[1], K=views[1].K * np.nan)], **good)
     with pytest.raises(ShapeError, match="grey"):
         sweep(replace(views[0], grey=views[0].grey[:, ::2]), views[1:], **good)
-    with pytest.raises(ShapeError, match="px a side"):
+    with pytest.raises(ShapeError, match="px per side"):
         sweep(replace(views[0], grey=np.zeros((1, 33), np.uint8)), views[1:], **good)
     with pytest.raises(ShapeError, match="inverse_depth"):
         check(views[0], np.zeros((25, 33)), [])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gscore.raster import backend
+from gscore.raster import native_library
 from gscore.raster.library_size import bytes_missing
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the format is that of Linux")
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the format is t
 @pytest.fixture(scope="module")
 def whole() -> bytes:
     """The library that is in use."""
-    return backend.library_path().read_bytes()
+    return native_library.library_path().read_bytes()
 
 
 def test_a_whole_library_misses_nothing(whole: bytes, tmp_path: Path) -> None:
@@ -23,7 +23,7 @@ def test_a_whole_library_misses_nothing(whole: bytes, tmp_path: Path) -> None:
     import _ctypes
 
     (tmp_path / "more.so").write_bytes(whole + b"more")
-    for path in (backend.library_path(), tmp_path / "more.so", Path(_ctypes.__file__)):
+    for path in (native_library.library_path(), tmp_path / "more.so", Path(_ctypes.__file__)):
         assert bytes_missing(path) == 0
 
 

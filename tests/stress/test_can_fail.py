@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gscore.raster import _native, backend
+from gscore.raster import _native, native_library
 from gscore.stress import capture, native, run_cases, select
 
 
@@ -88,7 +88,7 @@ NOW_AND_THEN |= {"S15": pixel, "S29": pixel, "S31": last_bit, "S33": pixel}
 def outcomes_of(key):
     cases = [c for c in select(full=True) if c.key == key]
     assert len(cases) == 1
-    return run_cases(cases, isas=[backend.available_isas()[0]])
+    return run_cases(cases, isas=[native_library.available_isas()[0]])
 
 
 def fails(key):

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gscore.commands import main
-from gscore.raster import backend
+from gscore.raster import native_library
 from gscore.stress import run_cases, select
 from gscore.stress.case import CASES, EmptyTestError, Measure, case
 
@@ -15,7 +15,7 @@ ALL = select(full=True)
 def each():
     """A parameter for every quick case and, where it matters, every instruction set."""
     for one in select():
-        for isa in backend.available_isas() if one.per_isa else [""]:
+        for isa in native_library.available_isas() if one.per_isa else [""]:
             yield pytest.param(one, isa, id=f"{one.key}-{isa}" if isa else one.key)
 
 
@@ -87,7 +87,7 @@ def test_the_table(capsys):
     assert out.splitlines()[-1] == "1 passed, 0 failed, 0 skipped"
     assert main(["stress", "--only", "S17 ", "--isa", "all", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
-    assert [r["isa"] for r in rows] == backend.available_isas()
+    assert [r["isa"] for r in rows] == native_library.available_isas()
     assert set(rows[0]) == {"test", "isa", "error", "tolerance", "passed", "note"}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gscore.config import Background, Strategy, TrainConfig
-from gscore.raster import backend
+from gscore.raster import native_library
 from gscore.raster.api import render
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.stress.native import with_isa
@@ -134,7 +134,7 @@ def test_instruction_sets_train_alike(photos, steps, bound):
     # Without resets and coloured backgrounds, which make the PSNR of a step an accident.
     config = replace(config_of("default", steps), reset_every=-1, background=Background.BLACK)
     found = {}
-    for isa in backend.available_isas():
+    for isa in native_library.available_isas():
         with with_isa(isa):
             found[isa] = mean_psnr(run(Trainer(config, photos), steps), photos)
     assert max(found.values()) - min(found.values()) < bound, found

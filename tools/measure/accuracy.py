@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply.splats import read_ply
-from gscore.raster import backend
+from gscore.raster import native_library
 from gscore.splats import PARAMETERS
 from gscore.stress import native, truth
 from gscore.stress.compare import ROW_FLOOR
@@ -56,7 +56,7 @@ def main() -> int:
     args = parser.parse_args()
     torch.set_num_threads(1)
     args.output.mkdir(parents=True, exist_ok=True)
-    isas = backend.available_isas()
+    isas = native_library.available_isas()
     for name, scene in scenes(args):
         true = truth.reference_truth(scene)
         errors = {}

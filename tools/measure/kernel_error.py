@@ -22,7 +22,7 @@ from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.files import atomic_write
 from gscore.io.ply.splats import read_ply
-from gscore.raster import backend
+from gscore.raster import native_library
 from gscore.report.curves import Series
 from gscore.report.figure import figure
 from gscore.stress import native, truth
@@ -45,10 +45,10 @@ def main() -> int:
     parser.add_argument("--measure", metavar="ISA", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.measure:
-        backend.set_isa(args.measure)
+        native_library.set_isa(args.measure)
         json.dump(errors() | speed(args.ply, args.cameras), sys.stdout)
         return 0
-    isas = backend.available_isas()
+    isas = native_library.available_isas()
     rows = []
     print("| ISA | degree | ns a pair | picture, largest | picture, mean | gradient, median |")
     print("|---|---|---|---|---|---|", flush=True)
@@ -75,7 +75,7 @@ def build(degree: int) -> Path:
     configure = [tools / "cmake", "-G", "Ninja", "-S", ROOT / "csrc", "-B", folder, *options]
     for command in (configure, [tools / "cmake", "--build", folder]):
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    return folder / backend.library_path().name
+    return folder / native_library.library_path().name
 
 
 def measured(args: argparse.Namespace, isa: str, library: Path) -> dict[str, float]:

@@ -10,7 +10,7 @@ from ...bench.training import first_size
 from ...events import strict_json
 from ...io.files import atomic_write
 from ...metrics.machine import machine
-from ...raster import backend
+from ...raster import native_library
 from .curve_plans import CapturePlan
 
 
@@ -24,8 +24,8 @@ class ResultsFile:
             "gscore": __version__,
             "finished": False,
             "machine": machine(),
-            "isa": backend.isa(),
-            "threads": args.threads or backend.default_threads(),
+            "isa": native_library.isa(),
+            "threads": args.threads or native_library.default_threads(),
             "seeds": args.seeds,
             "captures": self._captures,
         }

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
-from ...raster import backend
+from ...raster import native_library
 from ...text_format import count_words, number
 from ..parser import add_threads_option
 from ..terminal.output import print_json
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     if found is None:
         raise BackendError("This system does not report the memory of a process.")
     if args.json:
-        print_json({"machine": machine(), "isa": backend.isa()} | asdict(found))
+        print_json({"machine": machine(), "isa": native_library.isa()} | asdict(found))
     else:
         sys.stdout.write(wrapped(_table(found), sys.stdout))
     return 0

@@ -23,7 +23,7 @@ from ...events import finite, strict_json
 from ...io.files import atomic_write, read_bytes
 from ...json_text import parse_json
 from ...metrics.machine import machine
-from ...raster import backend
+from ...raster import native_library
 from .quality_plans import Cell
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
@@ -86,7 +86,7 @@ class QualityResults:
             "gscore": __version__,
             "finished": self._finished,
             "machine": machine(),
-            "isa": backend.isa(),
+            "isa": native_library.isa(),
             "setting": self._setting,
             "captures": {
                 name: {label: asdict(summary) for label, summary in variants.items()}
@@ -142,8 +142,8 @@ def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -
     return finite(
         {
             "gscore": __version__,
-            "isa": backend.isa(),
-            "threads": args.threads or backend.default_threads(),
+            "isa": native_library.isa(),
+            "threads": args.threads or native_library.default_threads(),
             "lpips_net": net,
             "variants": variants,
             "captures": captures,

@@ -13,7 +13,7 @@ from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
 from ...metrics.machine import machine
-from ...raster import backend
+from ...raster import native_library
 from ...text_format import count_words, number
 from ..parser import add_threads_option
 from ..terminal.output import print_json
@@ -56,10 +56,12 @@ def run(args: argparse.Namespace) -> int:
         cameras = load_dataset(data).scene.cameras
     count = min(args.views, len(cameras))
     views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
-    isas = backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]
+    isas = (
+        native_library.available_isas() if args.isa == "all" else [args.isa or native_library.isa()]
+    )
     results = []
     for isa in isas:
-        backend.set_isa(isa)
+        native_library.set_isa(isa)
         with show_while(sys.stderr, f"Measuring {isa}, {count_words(len(splats), 'splat')}"):
             result = bench_raster(
                 splats, cameras, views, repeats=args.repeats, threads=args.threads

@@ -8,7 +8,7 @@ from typing import Any
 from ...bench.scaling import SIZES, SPLATS, VIEW_COUNTS, Scaling, bench_scaling
 from ...metrics.machine import cores, machine
 from ...quoting import quoted
-from ...raster import backend
+from ...raster import native_library
 from ...text_format import count_words
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             on_row=lambda quantity, row: rows(_row(quantity, row)),
         )
     if args.json:
-        content = {"machine": machine(), "isa": backend.isa()}
+        content = {"machine": machine(), "isa": native_library.isa()}
         print_json(content | {"series": [asdict(one) for one in series]})
     else:
         for one in series:

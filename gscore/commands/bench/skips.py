@@ -10,7 +10,7 @@ from ...bench.training import load_for_bench
 from ...config import Skip
 from ...metrics.machine import machine
 from ...presets import PRESETS
-from ...raster import backend
+from ...raster import native_library
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
 from .training_options import add_training_options, training_configs
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
             "preset": args.preset,
             "iterations": config.iterations,
             "machine": machine(),
-            "isa": backend.isa(),
+            "isa": native_library.isa(),
             "rows": [asdict(row) for row in rows],
         }
         print_json(content)

@@ -12,7 +12,7 @@ from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
 from ...metrics.machine import machine
-from ...raster import backend
+from ...raster import native_library
 from ...text_format import count_words
 from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
@@ -70,8 +70,10 @@ def run(args: argparse.Namespace) -> int:
         strategy=Strategy(args.strategy), without=tuple(Skip(name) for name in args.without)
     )
     results = []
-    for isa in backend.available_isas() if args.isa == "all" else [args.isa or backend.isa()]:
-        backend.set_isa(isa)
+    for isa in (
+        native_library.available_isas() if args.isa == "all" else [args.isa or native_library.isa()]
+    ):
+        native_library.set_isa(isa)
         with show_while(sys.stderr, f"Measuring {isa}, {count_words(args.steps, 'step')}"):
             found = bench_step(
                 photos,

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...raster.packing import Table, unpack_rows
+from ...raster.row_packing import Table, unpack_rows
 from ...splats import PARAMETERS
 from ..model.model import Model, ShUpdate
 from .process_group import ProcessGroup

@@ -11,7 +11,7 @@ import torch
 from ..._version import __version__
 from ...errors import ConfigError, DatasetError
 from ...json_text import parse_json
-from ...raster import backend
+from ...raster import native_library
 from .process_group import ProcessGroup
 
 
@@ -21,7 +21,7 @@ def versions() -> dict[str, Any]:
         "gscore": __version__,
         "torch": torch.__version__,
         "numpy": np.__version__,
-        "instruction set": backend.isa(),
+        "instruction set": native_library.isa(),
         "instruction set of torch": torch.backends.cpu.get_cpu_capability(),
     }
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ...raster.memory import zeros
-from ...raster.packing import Table, pack_rows, unpack_rows, widths_of
+from ...raster.row_packing import Table, pack_rows, unpack_rows, widths_of
 from .process_group import ProcessGroup
 from .scratch_buffer import ScratchBuffer
 
@@ -63,8 +63,8 @@ class RowSums:
 
         Returns:
             Parts, [R, 1 + K] int32, of rows that some rank has, in the format of
-            `raster.packing.unpack_rows`: added in order they are the sums. Equal on all ranks, and
-            valid until the next call.
+            `raster.row_packing.unpack_rows`: added in order they are the sums. Equal on all ranks,
+            and valid until the next call.
         """
         team, size = self._team, self._team.size
         width = 1 + widths_of([table.data for table in tables])

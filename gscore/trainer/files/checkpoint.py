@@ -24,7 +24,7 @@ from ...io.files import atomic_write, check_regular
 from ...json_text import parse_json
 from ...options import flag_of, options_of
 from ...quoting import brief
-from ...raster import backend
+from ...raster import native_library
 from ..model.checkpoint_schema import as_int
 from ..photos.view_sampler import Photos
 from ..trainer import Trainer
@@ -75,7 +75,7 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "format": FORMAT,
         "gscore": __version__,
         "torch": torch.__version__,
-        "isa": backend.isa(),
+        "isa": native_library.isa(),
         "config": to_dict(trainer.config),
         "capture": fingerprint(trainer.photos)
         | depth_fingerprint(trainer)
@@ -196,7 +196,7 @@ def check_compatible(
 
 def isa_warning(checkpoint: Checkpoint) -> str | None:
     """Return a warning if the run continues with another instruction set than before."""
-    was, now = checkpoint.isa, backend.isa()
+    was, now = checkpoint.isa, native_library.isa()
     if was is None or was == now:
         return None
     return (

@@ -19,7 +19,7 @@ from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics
-from ...raster import backend
+from ...raster import native_library
 from ...report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..depth.report import DepthReport
 from ..distributed.process_group import ProcessGroup
@@ -44,7 +44,7 @@ class RunOutputs:
     @property
     def threads(self) -> int:
         """Number of threads of the rasterizer."""
-        return self._trainer.config.threads or backend.default_threads()
+        return self._trainer.config.threads or native_library.default_threads()
 
     def write_inputs(self) -> None:
         """Write the options and cameras, before the first step."""
@@ -154,7 +154,7 @@ class RunOutputs:
             splats=trainer.splat_count,
             sh_degree=trainer.model.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
-            isa=backend.isa(),
+            isa=native_library.isa(),
             threads=self.threads,
             course=course,
         )

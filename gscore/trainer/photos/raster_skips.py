@@ -5,13 +5,13 @@ from collections.abc import Collection
 import numpy as np
 
 from ...config import Skip
-from ...raster import backend
+from ...raster import native_library
 
 _RASTER = {
-    Skip.EXACT_CULL: backend.NO_EXACT_CULL,
-    Skip.OPACITY_EXTENT: backend.NO_OPACITY_EXTENT,
-    Skip.ROW_RANGE: backend.NO_ROW_RANGE,
-    Skip.ZERO_TILE: backend.NO_ZERO_TILE,
+    Skip.EXACT_CULL: native_library.NO_EXACT_CULL,
+    Skip.OPACITY_EXTENT: native_library.NO_OPACITY_EXTENT,
+    Skip.ROW_RANGE: native_library.NO_ROW_RANGE,
+    Skip.ZERO_TILE: native_library.NO_ZERO_TILE,
 }
 
 
@@ -23,7 +23,7 @@ def disabled_skips(without: Collection[Skip]) -> int:
 def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
     """Return [ceil(H / 16), ceil(W / 16)] uint8, 1 for tiles with a non-zero pixel of `mask`, which
     is [H, W] uint8."""
-    tile = backend.TILE
+    tile = native_library.TILE
     height, width = mask.shape
     rows, columns = -(-height // tile), -(-width // tile)
     padded = np.zeros((rows * tile, columns * tile), bool)

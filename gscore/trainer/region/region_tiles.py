@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
-from ...raster import backend
+from ...raster import native_library
 from ...raster.request import Frustum
 from ..photos.image_pyramid import SizedView
 from ..photos.raster_skips import tiles_of_mask
@@ -23,7 +23,7 @@ def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> Size
 
     All other pixels do not depend on these splats.
     """
-    view, side = found.view, backend.TILE
+    view, side = found.view, native_library.TILE
     tiles = tiles_of_splats(params, view)
     shown = np.repeat(np.repeat(tiles, side, axis=0), side, axis=1) * np.uint8(255)
     mask = np.ascontiguousarray(shown[: view.height, : view.width])
@@ -61,9 +61,9 @@ def _most(focal: float, centre: float, size: int) -> float:
 
 def _tiles(centre: np.ndarray, radius: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return first tile and end tile of each splat along an axis, clamped to the view."""
-    count = -(-size // backend.TILE)
-    first = np.clip(np.floor((centre - radius) / backend.TILE), 0, count)
-    end = np.clip(np.floor((centre + radius) / backend.TILE) + 1, 0, count)
+    count = -(-size // native_library.TILE)
+    first = np.clip(np.floor((centre - radius) / native_library.TILE), 0, count)
+    end = np.clip(np.floor((centre + radius) / native_library.TILE) + 1, 0, count)
     return first.astype(np.int64), end.astype(np.int64)
 
 
@@ -75,7 +75,7 @@ def _covered(
     size: tuple[int, int],
 ) -> np.ndarray:
     """Return the tiles covered by any rectangle: corner counts, then cumulative sums."""
-    rows, columns = (-(-n // backend.TILE) for n in size)
+    rows, columns = (-(-n // native_library.TILE) for n in size)
     counts = np.zeros((rows + 1) * (columns + 1), np.int64)
     corners = ((top, left, 1), (bottom, right, 1), (top, right, -1), (bottom, left, -1))
     for row, column, sign in corners:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import torch
 
-from gscore.raster.packing import Table, unpack_rows
+from gscore.raster.row_packing import Table, unpack_rows
 from gscore.trainer.distributed.process_group import ProcessGroup
 from gscore.trainer.distributed.row_sums import RowSums
 

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from gscore.config import Background, DataConfig, TrainConfig
 from gscore.errors import ConfigError, FormatError, GsError
 from gscore.events import Event, Warn
-from gscore.raster import backend
+from gscore.raster import native_library
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
@@ -315,20 +315,22 @@ def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
     return [e.message for e in told if isinstance(e, Warn) and e.code == "isa"]
 
 
-@pytest.mark.skipif(len(backend.available_isas()) < 2, reason="there is one instruction set only")
+@pytest.mark.skipif(
+    len(native_library.available_isas()) < 2, reason="there is one instruction set only"
+)
 def test_a_resume_under_another_instruction_set_is_told(capture: Path, tmp_path: Path) -> None:
     """Oracle: the warning names both sets, once, and stays in the report; the same set, and a
     checkpoint from before they were noted, go on in silence."""
-    first, other = backend.available_isas()[0], backend.available_isas()[-1]
-    before, out = backend.isa(), tmp_path / "run"
+    first, other = native_library.available_isas()[0], native_library.available_isas()[-1]
+    before, out = native_library.isa(), tmp_path / "run"
     try:
-        backend.set_isa(first)
+        native_library.set_isa(first)
         assert _goes_on(capture, out, steps=4) == []
         assert _goes_on(capture, out, steps=8) == []
         path = RunFolder(out).checkpoint(8)
         assert checkpoint.load(path).isa == first
         raw = path.read_bytes()
-        backend.set_isa(other)
+        native_library.set_isa(other)
         (message,) = _goes_on(capture, out, steps=12)
         assert f"used {first} up to step 8" in message and f"continues with {other}" in message
         assert f"GSCORE_ISA={first}" in message
@@ -346,4 +348,4 @@ def test_a_resume_under_another_instruction_set_is_told(capture: Path, tmp_path:
         train(config, data, tmp_path / "new", told.append, start_checkpoint=old)
         assert not [e for e in told if isinstance(e, Warn) and e.code == "isa"]
     finally:
-        backend.set_isa(before)
+        native_library.set_isa(before)

@@ -1,5 +1,5 @@
 // CPU dispatch: the available instruction sets, and the kernels in use.
-#include "dispatch.h"
+#include "cpu_dispatch.h"
 
 #include <atomic>
 #include <cstdlib>

@@ -1,5 +1,5 @@
 // Row packing: rows of several tables in one buffer, and back, for exchange between ranks.
-#include "packing.h"
+#include "row_packing.h"
 
 #include "parallel.h"
 #include "thread_count.h"

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gscore.errors import ShapeError
-from gscore.raster.packing import Table, pack_rows, unpack_rows, widths_of
+from gscore.raster.row_packing import Table, pack_rows, unpack_rows, widths_of
 
 SHAPES = ((500, 3), (500,), (500, 8, 3))
 
@@ -65,12 +65,12 @@ def test_rows_that_are_none_are_refused(row: int) -> None:
     there = tables(1)
     packed = packed_of(tables(0), np.arange(7))
     packed[5, 0] = row
-    with pytest.raises(ShapeError, match="row 5 is for no row"):
+    with pytest.raises(ShapeError, match="row 5 has a row index"):
         unpack_rows([Table(part) for part in there], packed)
     for found, before, given in zip(there, tables(1), tables(0), strict=True):
         assert (found[[5, *range(7, 500)]] == before[[5, *range(7, 500)]]).all()
         assert (found[[0, 1, 2, 3, 4, 6]] == given[[0, 1, 2, 3, 4, 6]]).all()
-    with pytest.raises(ShapeError, match="row 1 is for no row"):
+    with pytest.raises(ShapeError, match="row 1 has a row index"):
         packed_of(tables(0), np.array([3, row, 4]))
 
 
