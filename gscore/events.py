@@ -90,7 +90,7 @@ class Estimated(Event):
 
     kind: ClassVar[str] = "estimate"
     seconds: float
-    """Training time, without reading photos, measuring and writing."""
+    """Of training, without reading, measuring and writing."""
     peak_bytes: int
     """Largest resident memory."""
     free_bytes: int | None
@@ -101,6 +101,8 @@ class Estimated(Event):
     """Memory of photos."""
     max_splats: int
     """The number of splats of this estimate."""
+    reading_seconds: float = 0.0
+    """Of reading points and photos, and of the neighbours of points, before the first step."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,10 @@ class Question:
     sizes: tuple[tuple[tuple[int, int], int], ...]
     """Sizes of photos as trained on, pixels, and how many photos have each."""
     points: int
+    cloud: int
+    """Number of SfM points."""
+    stored: int
+    """Number of pixels of all photos as stored."""
     masks: bool
     subject: bool
     """Whether these are opacity, as far as that is known without decoding a photo."""
@@ -69,6 +73,8 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         )[0],
         sizes=tuple(sorted(sizes.items())),
         points=expected_points(train, facts.points),
+        cloud=facts.points,
+        stored=sum(width * height * n for (width, height), n in facts.sizes.items()),
         masks=settings.use_masks and bool(facts.masks or facts.alphas),
         subject=subject,
         depths=bool(facts.depths) and settings.depth_mode != "off",
@@ -86,6 +92,8 @@ def answer(asked: Question) -> Estimate:
         asked.train,
         sizes,
         points=asked.points,
+        cloud=asked.cloud,
+        stored=asked.stored,
         masks=asked.masks,
         subject=asked.subject,
         depths=asked.depths,
@@ -94,7 +102,10 @@ def answer(asked: Question) -> Estimate:
 
 def words(found: Estimate) -> str:
     """Sentences with time and memory."""
-    text = f"About {duration(found.seconds)} of training and {memory(found.peak_bytes)} of memory."
+    text = f"About {duration(found.seconds)} of training"
+    if found.reading_seconds > max(1.0, 0.1 * found.seconds):
+        text += f" after {duration(found.reading_seconds)} of reading"
+    text += f" and {memory(found.peak_bytes)} of memory."
     return text if found.photos_kept else text + " Photos are read again and again to save some."
 
 

@@ -82,6 +82,11 @@ class Dataset:
         """Bytes that all photos and masks take once decoded; known before, an upper bound."""
         return sum(file.nbytes for file in self._files)
 
+    @property
+    def stored_pixels(self) -> int:
+        """Number of pixels of all photos as stored."""
+        return sum(width * height for width, height in (file.photo_size for file in self._files))
+
     def decoding_bytes(self, threads: int = 0) -> int:
         """Bytes that so many threads (0: one a core) take at most while they decode photos, besides
         `nbytes`."""

@@ -249,8 +249,10 @@ def eval_text(event: Eval) -> str:
 
 def estimate_text(event: Estimated) -> str:
     """Expected time and memory of a training, as text."""
-    text = f"About {time_words(max(round(event.seconds), 1))} of training and "
-    text += f"{event.peak_bytes / 1e9:.1f} GB of memory, on an otherwise idle machine"
+    text = f"About {time_words(max(round(event.seconds), 1))} of training"
+    if event.reading_seconds > max(1.0, 0.1 * event.seconds):
+        text += f" after {time_words(round(event.reading_seconds))} of reading"
+    text += f" and {event.peak_bytes / 1e9:.1f} GB of memory, where nothing else runs"
     if event.photos_kept:
         return text
     return f"{text}; {size_words(event.photo_bytes)} of photos are cached, the others read again"

@@ -1,6 +1,7 @@
 """Cost model of training steps: seconds on a reference machine."""
 
 import math
+import os
 from functools import cached_property
 from itertools import accumulate
 
@@ -13,6 +14,10 @@ _SECONDS_A_SPLAT = 7.7e-8
 _SECONDS_A_NUMBER = 5.7e-10
 """Seconds per step, pixel, splat and number of a splat, on two cores of a Xeon with AVX-512
 (`tools/measure/step_time.py`)."""
+_SECONDS_A_POINT = 2e-6
+"""Seconds per SfM point to read it and to look for its neighbours."""
+_SECONDS_A_PHOTO_PIXEL = 1.5e-8
+"""Seconds per stored pixel to decode photos, on one core."""
 _GROWTH = 0.5
 """Largest expected growth of `default` at a refinement, relative to the number of splats."""
 _LATER_GROWTH = 2.2e-4
@@ -20,6 +25,18 @@ _LATER_GROWTH = 2.2e-4
 Fitted to trainings with all presets (docs/benchmarks.md, "Captures")."""
 _SAMPLES = 64
 """Most steps that are evaluated to predict the rest of a run."""
+
+
+def reading_seconds(points: int, pixels: int, threads: int) -> float:
+    """Predicted seconds until the first step, on the reference machine.
+
+    Args:
+        points: Number of SfM points.
+        pixels: Number of pixels of all photos as stored.
+        threads: Number of photos that are decoded at once; 0: one per core.
+    """
+    at_once = threads or os.cpu_count() or 1
+    return _SECONDS_A_POINT * points + _SECONDS_A_PHOTO_PIXEL * pixels / at_once
 
 
 class Cost:

@@ -15,7 +15,7 @@ from ...splats import Splats
 from ...text_format import count_words
 from ..schedule.caps import config_where_photos_agree, expected_model_count
 from ..schedule.plan import Plan
-from .cost import Cost
+from .cost import Cost, reading_seconds
 from .memory import (
     RUNTIME,
     cache_bytes,
@@ -44,7 +44,9 @@ class Estimate:
     """Predicted time and memory of a training."""
 
     seconds: float
-    """Time of training, without reading photos, evaluation and writing."""
+    """Time of training, without reading, evaluation and writing."""
+    reading_seconds: float = 0.0
+    """Time before the first step: reading points and photos, and the neighbours of points."""
     peak_bytes: int
     """Largest resident memory of the process."""
     free_bytes: int | None
@@ -83,6 +85,7 @@ def estimate(
     depths: bool = False,
     cloud: int | None = None,
     decoding: int = 0,
+    stored: int | None = None,
     free: int | None = None,
     pace: float | None = None,
 ) -> Estimate:
@@ -97,6 +100,7 @@ def estimate(
         depths: Whether the photos have depth maps.
         cloud: Number of SfM points; None: `points`.
         decoding: Bytes used while photos are decoded, see `Dataset.decoding_bytes`.
+        stored: Number of pixels of all photos as stored; None: as many as in `sizes`.
         free: Bytes of memory that may be used; None: those available now.
         pace: Time on this machine relative to the reference machine; None: measured once by
             rendering a few images, within a tenth of a second.
@@ -136,14 +140,14 @@ def estimate(
     rest = maps + stay + max(needed(config.max_splats, largest), at_start)
     anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
     cached = photo_memory(photos, config, anew=anew)
-    reading = stay + decoding  # before everything else is there
-    kept = cache_bytes(config, photos, all_of_them=cached, rest=max(rest, reading), free=free)
+    to_read = stay + decoding  # before everything else is there
+    kept = cache_bytes(config, photos, all_of_them=cached, rest=max(rest, to_read), free=free)
     if kept is not None or anew:
         rest += decoding
     if kept is not None:
         kept = cache_bytes(config, photos, all_of_them=cached, rest=rest, free=free)
     cached = cached if kept is None else kept
-    rest = max(rest, reading)
+    rest = max(rest, to_read)
     fits = free is None or rest + cached <= free
     fitting_splats, fitting_width = 0, 0
     if not fits and free is not None:
@@ -173,12 +177,16 @@ def estimate(
         )
         return Cost(plan).seconds_after(0, models * min(points, plan.max_splats))
 
+    pace = machine_pace(config.threads) if pace is None else pace
+    reading = reading_seconds(
+        points if cloud is None else cloud, total if stored is None else stored, config.threads
+    )
     seconds = config.time_budget
     if not seconds:
-        pace = machine_pace(config.threads) if pace is None else pace
         seconds = pace * max(paced(*case, drops=n > 0) for n, case in enumerate(expected))
     return Estimate(
         seconds=seconds,
+        reading_seconds=pace * reading,
         peak_bytes=RUNTIME + rest + cached,
         free_bytes=free,
         photo_bytes=cached,

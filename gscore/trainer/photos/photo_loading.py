@@ -89,12 +89,14 @@ def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -
         depths=depths,
         cloud=len(photos.scene.points),
         decoding=photos.decoding_bytes(config.threads),
+        stored=photos.stored_pixels,
     )
 
 
 def _event(found: Estimate, config: TrainConfig) -> Estimated:
     return Estimated(
         seconds=found.seconds,
+        reading_seconds=found.reading_seconds,
         peak_bytes=found.peak_bytes,
         free_bytes=found.free_bytes,
         photos_kept=found.photos_kept,

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from gscore.commands.terminal.display import estimate_text
 from gscore.config import Stereo, TrainConfig
 from gscore.errors import GsError
+from gscore.events import Estimated
 from gscore.presets import PRESETS
 from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.cost import Cost
@@ -29,6 +31,27 @@ def test_seconds_are_those_of_the_plan() -> None:
     assert found.seconds == pytest.approx(2 * whole, rel=0.02)
     budget = estimate(replace(config, time_budget=12.0), SIZES, points=7000, pace=2.0)
     assert budget.seconds == 12.0
+
+
+def test_reading_counts_by_points_and_stored_pixels() -> None:
+    """Oracle: 20 million points took a minute, photos of 12 megapixels a fifth of a second each on
+    one core; also within a time budget, and in the sentence for people."""
+    config = TrainConfig(iterations=400, max_splats=7000, threads=2)
+    few = estimate(config, SIZES, points=7000, stored=0, pace=1.0)
+    many = estimate(config, SIZES, points=7000, cloud=20_000_000, stored=0, pace=1.0)
+    assert many.seconds == few.seconds and few.reading_seconds < 0.05
+    assert 20 < many.reading_seconds < 90
+    slow = replace(config, time_budget=5.0)
+    assert estimate(slow, SIZES, points=7000, cloud=20_000_000, pace=2.0).reading_seconds > 40
+    large = estimate(config, SIZES, points=7000, stored=60 * 12_000_000, pace=1.0)
+    assert large.reading_seconds == pytest.approx(60 * 0.2 / 2, rel=0.2)
+    event = Estimated(
+        seconds=1.0, peak_bytes=GB, free_bytes=None, photos_kept=True, photo_bytes=0,
+        max_splats=7000, reading_seconds=many.reading_seconds,
+    )  # fmt: skip
+    assert estimate_text(event).startswith("About 1 s of training after 40 s of reading and 1.0 GB")
+    plain = replace(event, reading_seconds=few.reading_seconds)
+    assert estimate_text(plain).startswith("About 1 s of training and 1.0 GB")
 
 
 def test_presets_take_more_and_more() -> None:
