@@ -13,13 +13,8 @@ import numpy as np
 from .._version import __version__
 from ..errors import GsError
 from ..extras import how_to_install
-from ..metrics.machine import (
-    available_memory_bytes,
-    cores,
-    cpu_name,
-    total_memory_bytes,
-    version_of,
-)
+from ..io.system_memory import available_memory_bytes, total_memory_bytes
+from ..metrics.machine import cores, cpu_name, version_of
 from ..sh import rgb_to_sh0
 from ..splats import Splats
 from ..text_format import count_words, size_words

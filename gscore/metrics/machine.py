@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from .cgroup import memory_groups
+from ..io.system_memory import proc_bytes, total_memory_bytes
 
 
 def peak_memory_bytes() -> int | None:
@@ -17,35 +17,13 @@ def peak_memory_bytes() -> int | None:
     counts the parent that started it, for example Blender.
     """
     if sys.platform == "linux":
-        return _proc_bytes(Path("/proc/self/status"), "VmHWM")
+        return proc_bytes(Path("/proc/self/status"), "VmHWM")
     if sys.platform == "win32":
         return _windows_peak()
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024  # macOS counts bytes, BSD kB
-
-
-def total_memory_bytes() -> int | None:
-    """Physical memory, or the limit of the container if that is less; None if unknown."""
-    if sys.platform == "linux":
-        total = _proc_bytes(Path("/proc/meminfo"), "MemTotal")
-        groups = memory_groups()
-        return min([total, *(group.limit for group in groups)]) if total else total
-    if sys.platform == "win32":
-        return _windows_memory()[0]
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-
-def available_memory_bytes() -> int | None:
-    """Memory that a new program could use without swapping, or None if unknown."""
-    if sys.platform == "linux":
-        free = _proc_bytes(Path("/proc/meminfo"), "MemAvailable")
-        groups = memory_groups()
-        return max(0, min([free, *(group.free for group in groups)])) if free else free
-    if sys.platform == "win32":
-        return _windows_memory()[1]
-    return None
 
 
 def cpu_name() -> str:
@@ -99,19 +77,6 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _proc_bytes(path: Path, key: str) -> int | None:
-    """Value of a line `key:  123 kB` in a /proc file, bytes."""
-    try:
-        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        return None
-    for line in lines:
-        name, _, value = line.partition(":")
-        if name == key:
-            return int(value.split()[0]) * 1024
-    return None
-
-
 def _windows_peak() -> int | None:
     import ctypes
     from ctypes import wintypes
@@ -138,28 +103,3 @@ def _windows_peak() -> int | None:
     if not query(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.cb):
         return None
     return int(counters.PeakWorkingSetSize)
-
-
-def _windows_memory() -> tuple[int | None, int | None]:
-    """Physical and available memory from GlobalMemoryStatusEx."""
-    import ctypes
-    from ctypes import wintypes
-
-    class MemoryStatus(ctypes.Structure):  # MEMORYSTATUSEX of sysinfoapi.h
-        _fields_ = [
-            ("dwLength", wintypes.DWORD),
-            ("dwMemoryLoad", wintypes.DWORD),
-            ("ullTotalPhys", ctypes.c_uint64),
-            ("ullAvailPhys", ctypes.c_uint64),
-            ("ullTotalPageFile", ctypes.c_uint64),
-            ("ullAvailPageFile", ctypes.c_uint64),
-            ("ullTotalVirtual", ctypes.c_uint64),
-            ("ullAvailVirtual", ctypes.c_uint64),
-            ("ullAvailExtendedVirtual", ctypes.c_uint64),
-        ]
-
-    status = MemoryStatus(dwLength=ctypes.sizeof(MemoryStatus))
-    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
-    if not kernel.GlobalMemoryStatusEx(ctypes.byref(status)):
-        return None, None
-    return int(status.ullTotalPhys), int(status.ullAvailPhys)

@@ -402,7 +402,7 @@ def test_absurd_sizes(tmp_path: Path) -> None:
         at = raw.index(struct.pack("<HHI", tag, 4, 1)) + 8
         raw[at : at + 4] = struct.pack("<I", 60000)
     absurd["a.tif"] = bytes(raw)
-    sizes = r"(60000 x 60000|3,600,000,000) pixels, .* more than 178,956,970"
+    sizes = r"(60000 x 60000|3,600,000,000) pixels in \d+ bytes: .* more than 178,956,970"
     tracemalloc.start()
     for name, content in absurd.items():
         path = tmp_path / name
@@ -413,6 +413,40 @@ def test_absurd_sizes(tmp_path: Path) -> None:
     assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
     assert MOST_PIXELS == 178_956_970
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png", "tif", "bmp", "ppm", "tga", "webp"])
+def test_pictures_beyond_pillows_limit_are_read(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the pixels as read below the limit; beyond it Pillow's own limit, which a host may
+    rely on, stays what it is, and what does not fit into memory is refused with numbers."""
+    path = tmp_path / f"a.{ending}"
+    Image.fromarray(noise(64, 80)).save(path)
+    wanted = read_image(path)
+    monkeypatch.setattr("gscore.io.images.pillow_images.MOST_PIXELS", 1000)
+    monkeypatch.setattr("PIL.Image.MAX_IMAGE_PIXELS", 500)
+    np.testing.assert_array_equal(read_image(path), wanted)
+    assert read_info(path)[:2] == wanted.shape[1::-1]
+    assert Image.MAX_IMAGE_PIXELS == 500
+    monkeypatch.setattr("gscore.io.images.pillow_images.available_memory_bytes", lambda: 20_000)
+    with pytest.raises(
+        FormatError, match=r"pixels, for which .* GB of memory are needed, but 0\.0"
+    ):
+        read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("ending", "options"), [("png", {}), ("tif", {"compression": "tiff_deflate"})]
+)
+def test_a_decompression_bomb_is_refused(ending: str, options: dict, tmp_path: Path) -> None:
+    """Oracle: 196 million pixels of one colour, which take some hundred kilobytes."""
+    path, side = tmp_path / f"a.{ending}", 14_000
+    Image.new("L", (side, side)).save(path, **options)
+    assert path.stat().st_size < 1e6
+    for read in (read_info, read_image, read_mask):
+        with pytest.raises(FormatError, match="large enough for a photo"):
+            read(path)
 
 
 def test_too_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

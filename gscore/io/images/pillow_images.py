@@ -5,10 +5,11 @@ import io
 import logging
 import re
 import struct
+import threading
 import warnings
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from ...errors import DatasetError, FormatError, GsError
 from ...extras import need
 from ...text_format import count_words, number
 from ..files import check_regular, open_regular
+from ..system_memory import available_memory_bytes, total_memory_bytes
 from .image_header import ORIENTATION, read_header
 from .jpeg_scan import with_end_marker
 from .raw import full_size_page, is_raw, raw_info, read_raw
@@ -25,7 +27,14 @@ PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
 """Supported formats, by Pillow's names. Every picture is opened with this list, because Pillow
 detects the format by content and would start Ghostscript for EPS."""
 MOST_PIXELS = 178_956_970
-"""Most pixels of a picture, Pillow's own limit."""
+"""Most pixels of a picture that is read whatever its file's size, the limit of Pillow. Larger ones
+are read where their file is large enough for them and they fit into memory."""
+_PIXELS_A_BYTE = 60
+"""Most pixels per byte of the file of a larger picture: photos have 1 to 30, decompression bombs
+hundreds."""
+_NEEDED = 13
+"""Bytes per pixel that such a picture takes while it is decoded: four of Pillow, up to four of the
+array and five to convert it."""
 
 BROKEN: tuple[type[Exception], ...] = (
     OSError,
@@ -42,8 +51,9 @@ BROKEN: tuple[type[Exception], ...] = (
 )
 """Errors of Pillow's decoders on damaged files."""
 _JPEG, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
-_log = logging.getLogger(__name__)
 _STATED = re.compile(r"\((\d+) pixels\)")
+_UNLIMITED = threading.RLock()
+_log = logging.getLogger(__name__)
 
 
 @functools.cache
@@ -79,10 +89,13 @@ def opened_picture(path: Path) -> Iterator[Any]:
     if info := read_header(path):  # has width and height; Pillow's error only their product
         check_pixels(path, info.width, info.height)
     try:
-        with pil.open(_source(path), formats=PICTURE_FORMATS) as image:
+        with ExitStack() as stack:
+            image = stack.enter_context(_opened(path))
             if image.format == "TIFF":
                 image.seek(full_size_page(path))
             check_pixels(path, image.width, image.height)
+            if image.width * image.height > MOST_PIXELS:
+                stack.enter_context(_without_limit())
             yield image
     except GsError:  # some are ValueErrors and RuntimeErrors too
         raise
@@ -94,15 +107,38 @@ def opened_picture(path: Path) -> Iterator[Any]:
             "its format is not supported (PNG, JPEG, WebP, TIFF with 8 or 16 bits or grey floats, "
             "BMP, TGA and PPM are), or its first bytes are damaged",
         ) from error
-    except pil.DecompressionBombError as error:
-        stated = _STATED.search(str(error))
-        raise too_large(path, count_words(int(stated[1]), "pixel") if stated else "more") from error
     except MemoryError as error:
         raise FormatError(
             f"{path} does not fit into memory. Close programs, or scale the pictures down."
         ) from error
     except BROKEN as error:
         raise _broken(path, (str(error) or type(error).__name__).rstrip(".")) from error
+
+
+def _opened(path: Path) -> Any:
+    """A picture of which the header is read, of any size that `check_pixels` allows."""
+    pil = pillow()
+    try:
+        return pil.open(_source(path), formats=PICTURE_FORMATS)
+    except pil.DecompressionBombError as error:
+        stated = _STATED.search(str(error))
+        if stated is None:
+            raise
+        _check_count(path, int(stated[1]), count_words(int(stated[1]), "pixel"))
+    with _without_limit():
+        return pil.open(_source(path), formats=PICTURE_FORMATS)
+
+
+@contextmanager
+def _without_limit() -> Iterator[None]:
+    """Pillow without its limit, which is one for the process: a picture at a time."""
+    pil = pillow()
+    with _UNLIMITED:
+        limit, pil.MAX_IMAGE_PIXELS = pil.MAX_IMAGE_PIXELS, None
+        try:
+            yield
+        finally:
+            pil.MAX_IMAGE_PIXELS = limit
 
 
 def _source(path: Path) -> Path | io.BytesIO:
@@ -159,18 +195,28 @@ def check_whole(path: Path, image: Any) -> None:
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
-    """Raise FormatError for a picture of more than `MOST_PIXELS`."""
-    if width * height > MOST_PIXELS:
-        raise too_large(path, f"{width} x {height} pixels")
+    """Raise FormatError for a picture of more than `MOST_PIXELS` whose file is too small for them,
+    or that does not fit into memory."""
+    _check_count(path, width * height, f"{width} x {height} pixels")
 
 
-def too_large(path: Path, stated: str) -> FormatError:
-    """Error for a picture larger than `MOST_PIXELS`."""
-    return FormatError(
-        f"{path} states a size of {stated}, but pictures of more than "
-        f"{number(MOST_PIXELS)} pixels are not supported. Scale the pictures "
-        f"down, or copy this one again if it is damaged."
-    )
+def _check_count(path: Path, pixels: int, stated: str) -> None:
+    if pixels <= MOST_PIXELS:
+        return
+    size = path.stat().st_size
+    if pixels > _PIXELS_A_BYTE * size:
+        raise FormatError(
+            f"{path} states a size of {stated} in {number(size)} bytes: pictures of more than "
+            f"{number(MOST_PIXELS)} pixels are read only from files that are large enough for a "
+            "photo. Scale the picture down, or copy it again if it is damaged."
+        )
+    free = available_memory_bytes()
+    free = (total_memory_bytes() or 0) // 2 if free is None else free
+    if _NEEDED * pixels > free:
+        raise FormatError(
+            f"{path} has {stated}, for which {_NEEDED * pixels / 1e9:.1f} GB of memory are needed, "
+            f"but {free / 1e9:.1f} GB are free. Close programs, or scale the pictures down."
+        )
 
 
 def _broken(path: Path, reason: str) -> FormatError:

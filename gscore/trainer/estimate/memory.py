@@ -1,7 +1,7 @@
 """Memory estimate of a training, and the memory that is available."""
 
 from ...config import Skip, TrainConfig
-from ...metrics.machine import available_memory_bytes, total_memory_bytes
+from ...io.system_memory import available_memory_bytes, total_memory_bytes
 from ...splats import SH_REST_BY_DEGREE
 from ..model.nearest_points import few_queries
 
