@@ -171,5 +171,5 @@ def empty_trainings(full: bool) -> Iterator[Measure]:
         trainer_of(config, replace(photos, train=[]))
         refused = False
     except GsError as error:
-        refused = "no photos" in str(error)
+        refused = "no training photos" in str(error)
     yield Measure("no photos not refused", float(not refused), 0)

@@ -1,8 +1,8 @@
 """Fault injection into trainings, with a report of the results: make faults [KILLS=50].
 
-Each fault is done to real processes in a folder of their own. What counts: the end has the bits of
-an undisturbed run (splats, losses of all steps, evaluation), nothing written before is lost, and
-errors are one sentence.
+Each fault is injected into real processes in their own folder. Criteria: the result has the bits of
+an undisturbed run (splats, losses of all steps, evaluation), no written file is lost, and errors
+are one sentence.
 """
 
 import argparse
@@ -28,27 +28,27 @@ CAPTURE = ROOT / "examples" / "studio"
 OPTIONS = ["--preset", "preview", "--iterations", "120", "--max-splats", "3000", "-r", "100"]
 OPTIONS += ["--mask-mode", "none", "--threads", "1", "--checkpoint-seconds", "0.05"]
 LIMIT = 600
-"""Seconds a process may take on a busy machine."""
+"""Time limit of a process on a busy machine, s."""
 LAST = Path("checkpoints") / "step_00000120.safetensors"
-"""What is written after the last step, before the results."""
+"""Checkpoint after the last step, written before the results."""
 RESULTS = ("point_cloud.ply", "metrics.json", "report.html")
 
 
 class HarmError(Exception):
-    """A fault that did harm."""
+    """A violated criterion."""
 
 
 class CannotError(Exception):
-    """A fault that cannot be made here."""
+    """A fault that cannot be injected on this machine."""
 
 
 @contextmanager
 def file_system(place: Path, options: str) -> Iterator[Path]:
-    """A new file system in memory at `place`, with these options of mount."""
+    """A new file system in memory at `place`, with these mount options."""
     place.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
     if subprocess.run(mount, capture_output=True).returncode:
-        raise CannotError("mounting takes rights that this user does not have")
+        raise CannotError("mounting needs rights that this user does not have")
     try:
         yield place
     finally:
@@ -56,34 +56,34 @@ def file_system(place: Path, options: str) -> Iterator[Path]:
 
 
 def command(output: Path, *extra: str, capture: Path = CAPTURE) -> list[str]:
-    """A training; with --resume in `extra` one that goes on."""
+    """Command line of a training, or of a resumed one with --resume in `extra`."""
     given = [] if "--resume" in extra else [str(capture), *OPTIONS]
     return [sys.executable, "-m", "gscore", "train", *given, "-o", str(output), *extra]
 
 
 def start(arguments: list[str], **options) -> subprocess.Popen:
-    """The process, silent."""
+    """Start a process with captured output."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(arguments, cwd=ROOT, text=True, **pipes | options)
 
 
 def finish(arguments: list[str], **options) -> subprocess.CompletedProcess:
-    """Run to the end."""
+    """Run a process to its end."""
     process = start(arguments, **options)
     out, err = process.communicate(timeout=LIMIT)
     return subprocess.CompletedProcess(arguments, process.returncode, out, err)
 
 
 def expect(good: bool, what: str) -> None:
-    """Raise unless it is as it should be."""
+    """Raise HarmError unless `good`."""
     if not good:
         raise HarmError(what)
 
 
 def outcome(output: Path) -> dict[str, str]:
-    """What a run must leave: digests of the splats, and of the metrics without times and memory."""
-    lacking = [name for name in RESULTS if not (output / name).is_file()]
-    expect(not lacking, f"not written: {', '.join(lacking)}")
+    """Digests of a run's results: splats, metrics without times and memory, and file names."""
+    missing = [name for name in RESULTS if not (output / name).is_file()]
+    expect(not missing, f"not written: {', '.join(missing)}")
     metrics = json.loads((output / "metrics.json").read_text())
     views = [{k: v for k, v in view.items() if k != "render_seconds"} for view in metrics["views"]]
     history = [[entry[key] for key in ("step", "loss", "splats")] for entry in metrics["history"]]
@@ -102,13 +102,13 @@ def checkpoints(output: Path) -> list[Path]:
 
 
 def is_writing(output: Path, before: int) -> bool:
-    """Whether a checkpoint is being written, after another one than those `before`."""
+    """Whether a new checkpoint is being written, when the number of others is not `before`."""
     folder = output / "checkpoints"
     return len(checkpoints(output)) != before and any(folder.glob(".*.tmp"))
 
 
 def written(path: Path) -> int:
-    """When, in ns; 0 if it is not there."""
+    """Modification time, ns; 0 if the file does not exist."""
     try:
         return path.stat().st_mtime_ns
     except FileNotFoundError:
@@ -116,14 +116,14 @@ def written(path: Path) -> int:
 
 
 def stage(output: Path) -> str:
-    """Where a killed run goes on: at the beginning, between two steps, or after the last."""
+    """Where a killed run resumes: at the beginning, between two steps, or after the last."""
     if (output / LAST).exists():
         return "results"
     return "steps" if checkpoints(output) else "begin"
 
 
 def wait_for(process: subprocess.Popen, ready: Callable[[], bool]) -> bool:
-    """Whether it came about before the process ended."""
+    """Wait for `ready`; returns False if the process ended first."""
     end = time.monotonic() + LIMIT
     while process.poll() is None and time.monotonic() < end:
         if ready():
@@ -133,13 +133,13 @@ def wait_for(process: subprocess.Popen, ready: Callable[[], bool]) -> bool:
 
 
 def pause(process: subprocess.Popen, seconds: float) -> None:
-    """Wait so long, or until the process ends."""
+    """Wait for `seconds`, or until the process ends."""
     end = time.monotonic() + seconds
     wait_for(process, lambda: time.monotonic() > end)
 
 
 def sentence(ended: subprocess.CompletedProcess) -> str:
-    """The error, which must be one line without a traceback."""
+    """The error message, which must be one line without a traceback."""
     lines = ended.stderr.strip().splitlines()
     errors = [line for line in lines if "error:" in line]
     expect("Traceback" not in ended.stderr, f"a traceback: {ended.stderr[-300:]}")
@@ -148,7 +148,7 @@ def sentence(ended: subprocess.CompletedProcess) -> str:
 
 
 class Faults:
-    """The faults, each a method; `sound` is the outcome of an undisturbed run."""
+    """The faults, one per method; `sound` is the outcome of an undisturbed run."""
 
     def __init__(self, work: Path, *, kills: int, seed: int) -> None:
         self.work = work
@@ -165,34 +165,34 @@ class Faults:
         self.sound = outcome(output)
 
     def compare(self, output: Path) -> None:
-        """The outcome must be that of the undisturbed run, with nothing unfinished beside it."""
+        """Check that the outcome equals that of the undisturbed run, without temporary files."""
         found = outcome(output)
         others = [name for name, value in self.sound.items() if found[name] != value]
         expect(not others, f"{', '.join(others)} differ from an undisturbed run")
         expect(not list(output.rglob(".*.tmp")), "temporary files are left")
 
     def resumed(self, output: Path, *extra: str) -> subprocess.CompletedProcess:
-        """Go on to the end, which must be that of the undisturbed run."""
+        """Resume to the end and compare with the undisturbed run."""
         ended = finish(command(output, "--resume", *extra))
         expect(ended.returncode == 0, f"resume failed: {ended.stderr[-500:]}")
         self.compare(output)
         return ended
 
     def again(self, output: Path) -> None:
-        """Go on, or begin again where there is no checkpoint; the end must be the same."""
+        """Resume, or restart without a checkpoint, and compare."""
         if checkpoints(output):
             self.resumed(output)
             return
         ended = finish(command(output, "--overwrite"))
-        expect(ended.returncode == 0, f"beginning again failed: {ended.stderr[-500:]}")
+        expect(ended.returncode == 0, f"restart failed: {ended.stderr[-500:]}")
         self.compare(output)
 
     def kill_at_random_moments(self) -> str:
-        """kill -9, at any moment, while a checkpoint or while the results are written.
+        """kill -9 at a random moment, while a checkpoint is written, or while results are written.
 
-        After each kill a copy of the folder goes on to the end, which is compared; the next kill
-        then hits the folder itself, as it was left. A folder that has all steps is thrown away one
-        time in two, so that runs that only write results again are killed as well.
+        After each kill a copy of the folder is resumed to the end and compared; the next kill then
+        hits the original folder. A folder with all steps is deleted every second time, so that runs
+        that only rewrite results are killed too.
         """
         output, copy = self.work / "killed", self.work / "copy"
         moments = [self._any_moment, self._checkpoint_moment, self._results_moment]
@@ -204,7 +204,7 @@ class Faults:
             )
             moments[kills % len(moments)](process, output)
             process.kill()
-            if process.wait() != -signal.SIGKILL:  # it came to its end before: no kill
+            if process.wait() != -signal.SIGKILL:  # it ended before the kill
                 expect(process.returncode == 0, f"a run ended with {process.returncode}")
                 self.compare(output)
                 shutil.rmtree(output)
@@ -221,9 +221,9 @@ class Faults:
                 shutil.rmtree(output)
         return (
             f"{tally['same']} of {kills} ended with the same splats and metrics: "
-            f"{tally['begin']} were begun again, having no checkpoint, {tally['steps']} resumed in "
-            f"the middle and {tally['results']} after the last step; "
-            f"{tally['half a checkpoint']} kills left half a checkpoint"
+            f"{tally['begin']} restarted without a checkpoint, {tally['steps']} resumed in the "
+            f"middle and {tally['results']} after the last step; "
+            f"{tally['half a checkpoint']} kills left a partial checkpoint"
         )
 
     def _any_moment(self, process: subprocess.Popen, output: Path) -> None:
@@ -241,8 +241,8 @@ class Faults:
         pause(process, self.random.uniform(0, self.results_seconds))
 
     def full_disk(self) -> str:
-        """Too small for a checkpoint, for a second one, for the splats after the last."""
-        told = []
+        """Disks too small for a checkpoint, for a second one, for the splats after the last."""
+        results = []
         for size, extra, steps in (
             ("400k", [], []),
             ("1500k", [], None),
@@ -251,32 +251,31 @@ class Faults:
             with file_system(self.work / size, f"size={size}") as place:
                 output = place / "out"
                 ended = finish(command(output, *extra))
-                said = sentence(ended)
-                expect(ended.returncode == 2 and "disk is full" in said, said)
+                message = sentence(ended)
+                expect(ended.returncode == 2 and "disk is full" in message, message)
                 kept = [load(path).steps for path in checkpoints(output)]
                 good = len(kept) > 0 if steps is None else kept == steps
                 expect(good, f"with {size} the checkpoints of these steps are kept: {kept}")
-                told.append(f"{size}: {len(kept)} kept")
+                results.append(f"{size}: {len(kept)} kept")
                 subprocess.run(["mount", "-o", "remount,size=200m", str(place)], check=True)
                 self.again(output)
-        return f"“{said[:60]}...”; {', '.join(told)} and whole; the same end after making room"
+        kept = ", ".join(results)
+        return f"“{message[:60]}...”; {kept} and complete; the same result after making room"
 
     def read_only_output(self) -> str:
         """A read-only file system."""
         with file_system(self.work / "fixed", "ro") as place:
             ended = finish(command(place / "out"))
-            said = sentence(ended)
-            expect(ended.returncode == 2 and "the disk is read-only" in said, said)
-            return f"“{said}”"
+            message = sentence(ended)
+            expect(ended.returncode == 2 and "the disk is read-only" in message, message)
+            return f"“{message}”"
 
     def photos_deleted_or_changed(self) -> str:
-        """Photos vanish while a run goes on; then one comes back changed."""
+        """Photos are deleted during a run; then one is changed."""
         capture, output = self.work / "capture", self.work / "photos"
         shutil.copytree(CAPTURE, capture)
         process = start(command(output, capture=capture), stdout=subprocess.DEVNULL)
-        expect(
-            wait_for(process, lambda: len(checkpoints(output)) > 0), "it never wrote a checkpoint"
-        )
+        expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "it wrote no checkpoint")
         (capture / "images").rename(capture / "gone")
         _, err = process.communicate(timeout=LIMIT)
         expect("Traceback" not in err, err[-500:])
@@ -287,28 +286,30 @@ class Faults:
         other = sorted((capture / "images").iterdir())[4]
         photo.write_bytes(other.read_bytes())
         ended = finish(command(output, "--resume", "--iterations", "150"))
-        said = sentence(ended)
-        expect(ended.returncode == 2 and "photos of the capture are not the same" in said, said)
+        message = sentence(ended)
+        changed = "photos of the capture are not the same" in message
+        expect(ended.returncode == 2 and changed, message)
         photo.write_bytes(kept)
         ended = finish(command(output, "--resume", "--iterations", "150"))
         expect(ended.returncode == 0, ended.stderr[-300:])
-        return f"gone: {first}; changed: refused by name; restored: went on"
+        return f"deleted: {first}; changed: rejected by name; restored: resumed"
 
     def two_runs_in_one_folder(self) -> str:
-        """The second must leave the first alone."""
+        """The second run must not disturb the first."""
         output = self.work / "shared"
         long = command(output, "--iterations", "100000")
         process = start(long, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "it wrote no checkpoint")
-        said = sentence(finish(command(output, "--overwrite")))
-        expect("in use by another training" in said and str(process.pid) in said, said)
+        message = sentence(finish(command(output, "--overwrite")))
+        good = "in use by another training" in message and str(process.pid) in message
+        expect(good, message)
         expect(process.poll() is None and len(checkpoints(output)) > 0, "the first was disturbed")
         process.terminate()
-        expect(process.wait(timeout=LIMIT) == 143, "the first did not end in good order")
-        return "the second is refused and names the first, which goes on"
+        expect(process.wait(timeout=LIMIT) == 143, "the first did not stop in an orderly way")
+        return "the second is rejected and names the first, which continues"
 
     def signals(self) -> str:
-        """SIGTERM and SIGHUP end in good order; SIGINT twice ends at once. All go on."""
+        """SIGTERM and SIGHUP stop orderly, SIGINT twice immediately; all can be resumed."""
         codes = []
         for name, sent in (
             ("term", [signal.SIGTERM]),
@@ -327,7 +328,7 @@ class Faults:
         return f"exit codes {', '.join(map(str, codes))}; resumed bit-equal"
 
     def closed_pipes(self) -> str:
-        """stdin or stdout ends: checkpoint and end. All are closed from the start: it trains."""
+        """A closed stdin or stdout: checkpoint and stop. All closed from the start: it trains."""
         output = self.work / "unread"
         process = start(command(output, "--events", "jsonl"))
         expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "no checkpoint")
@@ -349,7 +350,7 @@ class Faults:
         return "end of either: checkpoint, resumed bit-equal; closed from the start: bit-equal"
 
     def clock_jumps(self) -> str:
-        """The wall clock jumps by days, back and forth, at every look."""
+        """The wall clock jumps by days, back and forth, at every reading."""
         output = self.work / "clock"
         code = (
             "import itertools, sys, time; real, jumps = time.time, itertools.count()\n"
@@ -360,11 +361,11 @@ class Faults:
         expect(ended.returncode == 0, ended.stderr[-500:])
         self.compare(output)
         spent = json.loads((output / "metrics.json").read_text())["train_seconds"]
-        expect(0 < spent < LIMIT, f"it says that {spent} s were spent")
+        expect(0 < spent < LIMIT, f"reported training time {spent} s")
         return f"bit-equal, {spent:.1f} s of training reported"
 
     def damaged_files(self) -> str:
-        """Bits of the last checkpoint flip; then config.json is cut."""
+        """A bit of the last checkpoint flips; then config.json is truncated."""
         output = self.work / "damaged"
         process = start(command(output), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         expect(wait_for(process, lambda: len(checkpoints(output)) > 2), "too few checkpoints")
@@ -376,16 +377,16 @@ class Faults:
         last.write_bytes(raw)
         config = (output / "config.json").read_text()
         (output / "config.json").write_text(config[: len(config) // 2])
-        said = sentence(finish(command(output, "--resume")))
-        expect("config.json" in said and "not a JSON config file" in said, said)
+        message = sentence(finish(command(output, "--resume")))
+        expect("config.json" in message and "not a JSON config file" in message, message)
         (output / "config.json").write_text(config)
         ended = self.resumed(output)
-        expect(f"{last.name} is damaged" in ended.stderr, "it does not say so")
-        return "config.json: refused by name; checkpoint: told, set aside, resumed bit-equal"
+        expect(f"{last.name} is damaged" in ended.stderr, "no warning on the checkpoint")
+        return "config.json: rejected by name; checkpoint: reported, skipped, resumed bit-equal"
 
 
 def main() -> int:
-    """Run all faults or those named; the exit code is 1 if one did harm."""
+    """Run all faults or the given ones; the exit code is 1 if a criterion was violated."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
@@ -394,7 +395,7 @@ def main() -> int:
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(names))
     args = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGHUP):
-        # Ignored where this is started in the background, and trainings would leave it so.
+        # A background shell ignores these signals, which trainings would inherit.
         signal.signal(number, signal.default_int_handler)
     os.environ["PYTHONPATH"] = str(ROOT)
     harm = 0
@@ -404,13 +405,13 @@ def main() -> int:
         for name in args.faults or names:
             began = time.monotonic()
             try:
-                said, word = getattr(faults, name)(), "passed"
+                text, word = getattr(faults, name)(), "passed"
             except CannotError as reason:
-                said, word = str(reason), "skipped"
+                text, word = str(reason), "skipped"
             except (HarmError, subprocess.TimeoutExpired) as error:
-                said, word, harm = str(error), "FAILED", harm + 1
+                text, word, harm = str(error), "FAILED", harm + 1
             took = time.monotonic() - began
-            print(f"{word:8} {name.replace('_', ' ')}: {said} ({took:.0f} s)", flush=True)
+            print(f"{word:8} {name.replace('_', ' ')}: {text} ({took:.0f} s)", flush=True)
     return 1 if harm else 0
 
 

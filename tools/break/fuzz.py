@@ -2,8 +2,8 @@
 
 The C entry points with libFuzzer under the address and undefined-behaviour sanitizers (needs clang
 and its runtime, Debian's clang and libclang-rt-*-dev; without it, random bytes in the plain build),
-every reader on damaged files, and random hostile scenes on every instruction set. What crashes is
-kept in build/fuzz/found; with its mending it becomes a case under tests/fuzz/cases.
+every reader on damaged files, and random hostile scenes on every instruction set. Inputs that crash
+are stored in build/fuzz/found; after a fix they become cases under tests/fuzz/cases.
 """
 
 import os
@@ -28,18 +28,18 @@ TARGETS = {
     "match": 0.05,
 }
 READERS, SCENES = 0.25, 0.1
-"""Shares of the time, together all of it."""
+"""Shares of the time; all shares sum to 1."""
 FORMATS = 52
 
 
 def run(*command: str, **environment: str) -> int:
-    """Exit code; the output goes to the terminal."""
+    """Run a command with output to the terminal; returns its exit code."""
     print("+", *command, flush=True)
     return subprocess.run(command, cwd=ROOT, env=os.environ | environment, check=False).returncode
 
 
 def build(clang: str) -> bool:
-    """Whether the targets could be built."""
+    """Build the targets; returns success."""
     tools = Path(sys.executable).parent
     configure = ["-G", "Ninja", "-S", "csrc", "-B", str(BUILD), "-DCMAKE_BUILD_TYPE=Release"]
     configure += [f"-DCMAKE_MAKE_PROGRAM={tools / 'ninja'}", f"-DCMAKE_CXX_COMPILER={clang}"]
@@ -49,12 +49,12 @@ def build(clang: str) -> bool:
 
 
 def native(seconds: float) -> int:
-    """The C entry points."""
+    """Fuzz the C entry points; returns the number of failures."""
     found = BUILD / "found"
     found.mkdir(parents=True, exist_ok=True)
     clang = shutil.which("clang++")
     if clang is None or not build(clang):
-        print("No clang with libFuzzer here: random bytes in the plain build instead.", flush=True)
+        print("No clang with libFuzzer: using random bytes in the plain build.", flush=True)
         rounds = str(int(200 * seconds))
         return sum(
             run(str(ROOT / "build" / "native" / f"replay_{t}"), rounds) != 0 for t in TARGETS
@@ -72,7 +72,7 @@ def native(seconds: float) -> int:
 
 
 def main() -> int:
-    """1 if something was found."""
+    """Run all fuzzers; returns 1 if something was found."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
     pytest = [sys.executable, "-m", "pytest", "-q", "-s"]
     os.environ.setdefault("FUZZ_SEED", str(random.randrange(2**31)))

@@ -1,7 +1,7 @@
 """Fault injection into ranks of one training: python tools/break/ranks.py [--kills 20].
 
-What counts: the end has the bits of ranks that nobody disturbed, nothing written before is lost,
-and errors are one sentence on rank 0, with exit code 2 everywhere.
+Criteria: the result has the bits of undisturbed ranks, no written file is lost, and errors are one
+sentence on rank 0, with exit code 2 on all ranks.
 """
 
 import argparse
@@ -38,32 +38,32 @@ _DIED = re.compile(r"Signal 9|SIGKILL")
 
 
 def torchrun(output: Path, *extra: str) -> list[str]:
-    """A training by ranks that torchrun starts again however often one dies."""
+    """Command line of a distributed training whose ranks torchrun restarts without limit."""
     words = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(RANKS)]
     words += ["--monitor-interval", "0.1", "--max-restarts", "1000", "-m", "gscore", "train"]
     return [sys.executable, *words, str(CAPTURE), *OPTIONS, "-o", str(output), *extra]
 
 
 def ranks_of(agent: int) -> dict[int, int]:
-    """The processes that a torchrun has started, by rank."""
+    """Process ids of a torchrun's ranks, by rank."""
     found = {}
     for folder in Path("/proc").iterdir():
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            said = dict(
+            environment = dict(
                 entry.split("=", 1)
                 for entry in (folder / "environ").read_text(errors="replace").split("\0")
                 if "=" in entry
             )
         except (OSError, ValueError, IndexError):
             continue
-        if parent == agent and said.get("RANK", "").isdigit():
-            found[int(said["RANK"])] = int(folder.name)
+        if parent == agent and environment.get("RANK", "").isdigit():
+            found[int(environment["RANK"])] = int(folder.name)
     return found
 
 
 class Faults:
-    """The faults, each a method."""
+    """The faults, one per method."""
 
     def __init__(self, work: Path, *, kills: int, seed: int) -> None:
         self.work, self.kills, self.random = work, kills, random.Random(seed)
@@ -75,7 +75,7 @@ class Faults:
         self.sound = outcome(output)
 
     def kill_random_ranks(self) -> str:
-        """kill -9 of any rank, at any moment, or while rank 0 writes a checkpoint."""
+        """kill -9 of a random rank at a random moment, or of rank 0 during a checkpoint."""
         output, kills, ended, tally = self.work / "killed", 0, 0, Counter()
         while kills < self.kills:
             process = self._start(output)
@@ -85,8 +85,8 @@ class Faults:
             self._compare(output)
             ended += 1
             shutil.rmtree(output)
-        told = ", ".join(f"{count} {what}" for what, count in sorted(tally.items()))
-        return f"{kills} kills in {ended} runs ({told}), all of which ended with the same bits"
+        kinds = ", ".join(f"{count} {what}" for what, count in sorted(tally.items()))
+        return f"{kills} kills in {ended} runs ({kinds}), all with the same final bits"
 
     def full_disk(self) -> str:
         """The disk of rank 0 is too small for a second checkpoint."""
@@ -95,18 +95,19 @@ class Faults:
             command[command.index("1000")] = "0"
             process = start(command, stdout=subprocess.DEVNULL)
             _, err = process.communicate(timeout=LIMIT)
-            said = [line for line in err.splitlines() if "gscore train: error" in line]
-            expect(process.returncode != 0 and len(said) == 1, err[-800:])
-            expect("Cannot write" in said[0] and "disk is full" in err, said[0])
+            errors = [line for line in err.splitlines() if "gscore train: error" in line]
+            expect(process.returncode != 0 and len(errors) == 1, err[-800:])
+            expect("Cannot write" in errors[0] and "disk is full" in err, errors[0])
             expect(len(checkpoints(place / "out")) > 0, "no checkpoint is kept")
             subprocess.run(["mount", "-o", "remount,size=200m", str(place)], check=True)
             self._end(start([*torchrun(place / "out"), "--resume"], stdout=subprocess.DEVNULL))
             self._compare(place / "out")
-        return f"“{said[0].partition('error: ')[2][:60]}...”; the same end after making room"
+        message = errors[0].partition("error: ")[2]
+        return f"“{message[:60]}...”; the same result after making room"
 
     def _kill_one(self, process: subprocess.Popen, output: Path, tally: Counter) -> bool:
-        """Whether a rank was killed before the run came to its end."""
-        # torchrun stops those that are left before it starts all again.
+        """Kill a rank; returns False if the run ended first."""
+        # torchrun stops the remaining ranks before it restarts all.
         fresh = wait_for(
             process,
             lambda: (
@@ -132,7 +133,7 @@ class Faults:
         return True
 
     def _are_fresh(self, now: dict[int, int]) -> bool:
-        """Whether all ranks are there, none of them of the start before, which torchrun ends."""
+        """Whether all ranks are running, without ranks of the previous start."""
         return len(now) == RANKS and not self._old & set(now.values())
 
     def _start(self, output: Path) -> subprocess.Popen:
@@ -148,11 +149,11 @@ class Faults:
         others = [name for name, value in self.sound.items() if found[name] != value]
         expect(not others, f"{', '.join(others)} differ from undisturbed ranks")
         expect(not list(output.rglob(".*.tmp")), "temporary files are left")
-        expect(not (output / ".torchrun").exists(), "what only restarts need is left")
+        expect(not (output / ".torchrun").exists(), "the file for restarts is left")
 
 
 def main() -> int:
-    """Run all faults or those named; the exit code is 1 if one did harm."""
+    """Run all faults or the given ones; the exit code is 1 if a criterion was violated."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
@@ -167,13 +168,13 @@ def main() -> int:
         for name in args.faults or names:
             began = time.monotonic()
             try:
-                said, word = getattr(faults, name)(), "passed"
+                text, word = getattr(faults, name)(), "passed"
             except CannotError as reason:
-                said, word = str(reason), "skipped"
+                text, word = str(reason), "skipped"
             except (HarmError, subprocess.TimeoutExpired) as error:
-                said, word, harm = str(error), "FAILED", harm + 1
+                text, word, harm = str(error), "FAILED", harm + 1
             took = time.monotonic() - began
-            print(f"{word:8} {name.replace('_', ' ')}: {said} ({took:.0f} s)", flush=True)
+            print(f"{word:8} {name.replace('_', ' ')}: {text} ({took:.0f} s)", flush=True)
     return 1 if harm else 0
 
 

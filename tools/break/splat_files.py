@@ -1,8 +1,8 @@
 """Fuzzing of splat files, damaged: python -m tools.break.splat_files COUNT [FORMAT...]
 
-Where `make fuzz` draws its damage from hypothesis and looks at the memory of every file, this one
-draws bytes itself and looks at memory and time over all of them: a million files a format take
-minutes. USD has tools/break/usd_files.py. What fails is kept in build/fuzz/found.
+`make fuzz` generates damage with hypothesis and checks the memory of every file; this script
+generates bytes itself and checks memory and time over all of them: a million files per format take
+minutes. For USD see tools/break/usd_files.py. Failing files are stored in build/fuzz/found.
 """
 
 import logging
@@ -24,11 +24,11 @@ from tests.fuzz.formats import BY_NAME, SPLAT_FORMATS, Format  # noqa: E402
 
 PLYS = [BY_NAME[name] for name in ("ply", "ply_ascii", "ply_compressed")]
 MOST_SECONDS, MOST_MEGABYTES = 5.0, 400
-"""CPU time for a file, and what all of them together may add to this process."""
+"""Limits: CPU time per file, and growth of this process over all files."""
 
 
 def attack(kind: Format, count: int, seed: int) -> str:
-    """Read so many damaged files; a line on how that went."""
+    """Read `count` damaged files; returns a line with the result."""
     rng, ended, slowest = random.Random(seed), Counter(), 0.0
     began, memory = time.monotonic(), megabytes()
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as name:
@@ -61,12 +61,12 @@ def attack(kind: Format, count: int, seed: int) -> str:
 
 
 def megabytes() -> float:
-    """The most memory that this process had so far."""
+    """Peak memory of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def main() -> None:
-    """Attack the formats that are named, or all."""
+    """Test the given formats, or all."""
     count, names = int(sys.argv[1]), sys.argv[2:]
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")

@@ -1,14 +1,14 @@
 """Fuzzing of USD files, damaged: python -m tools.break.usd_files COUNT [usda usdc usdz]
 
-Pixar's library may end the process that reads a damaged file, so gscore reads USD in a process of
-its own, which takes most of a second to start. Here one process loads the library, reads a good
-file and is forked. A fork reads some hundred damaged files and notes which one it is at, so that
-where it ends the file is known, and the next fork goes on behind it. Each file has limits of
-processor time and memory, and is made of the seed and its number alone.
+Pixar's library may end the process that reads a damaged file, so gscore reads USD in a separate
+process, which takes most of a second to start. This script loads the library, reads a good file and
+forks. A fork reads some hundred damaged files and records its current one, so that the file of a
+crash is known and the next fork continues after it. Each file has limits of CPU time and memory,
+and depends only on the seed and its number.
 
-What may happen is a model, a FormatError, or an end by a signal of the library's; the first of each
-signal are read again through `gscore.read_splat_file`, which has to raise FormatError. All else is
-a fault: the file is kept in build/fuzz/found, and the program ends with 1.
+Allowed results are a model, a FormatError, or a crash by a signal of the library; the first files
+of each signal are read again through `gscore.read_splat_file`, which must raise FormatError. Any
+other result is a fault: the file is stored in build/fuzz/found, and the exit code is 1.
 """
 
 import contextlib
@@ -42,22 +42,22 @@ from tests.fuzz.bytes_changed import damaged  # noqa: E402
 
 KINDS = ("usda", "usdc", "usdz")
 MOST_SECONDS, MOST_BYTES = 10, 1 << 30
-"""Processor time for a file; address space that a fork may take beside its parent's."""
+"""Limits: CPU time per file; address space of a fork beyond its parent's."""
 _MOST_WAITED = 120
-"""Seconds by the clock, for what waits for ever without computing."""
+"""Wall-clock limit, s, for hangs without CPU use."""
 _A_FORK = 500
-"""Files that one fork reads at most."""
+"""Maximum number of files of a fork."""
 _TRIED_AGAIN = 2
 """Files of each signal that are read through gscore."""
 _NOTES = struct.Struct("<QQQ")
-"""What a fork writes down: the file it is at, how many were read and refused."""
+"""State of a fork: current file, numbers of read and refused files."""
 _FAULT = 70
-"""Exit code of a fork that met what must not happen."""
+"""Exit code of a fork after a fault."""
 _KEPT = ROOT / "build" / "fuzz" / "found"
 
 
 def attack(kind: str, count: int, seed: int) -> bool:
-    """Read so many damaged files and print how that went; whether nothing was at fault."""
+    """Read `count` damaged files and print the result; returns True without faults."""
     began, ends, faults = time.monotonic(), Counter[str](), 0
     read = refused = 0
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as name:
@@ -76,14 +76,14 @@ def attack(kind: str, count: int, seed: int) -> bool:
             end = _end_of(status)
             ends[end] += 1
             raw = _file(good, seed, at)
-            if not _is_told(end, ends[end], folder / f"again.{kind}", raw):
+            if not _is_handled(end, ends[end], folder / f"again.{kind}", raw):
                 faults += 1
                 _keep(folder, raw, f"{kind}-{seed}-{at}-{end.replace(' ', '-')}")
             (folder / f"{at}.{kind}").unlink(missing_ok=True)
             at += 1
     signals = ", ".join(f"{n} ended by {end}" for end, n in sorted(ends.items())) or "none ended"
     print(
-        f"{kind}: {count} files, {read} read, {refused} refused, {signals}, {faults} at fault, "
+        f"{kind}: {count} files, {read} read, {refused} refused, {signals}, {faults} faults, "
         f"{time.monotonic() - began:.0f} s, seed {seed}",
         flush=True,
     )
@@ -91,7 +91,7 @@ def attack(kind: str, count: int, seed: int) -> bool:
 
 
 def _good_file(path: Path) -> bytes:
-    """A valid file; read once, so that forks find the library ready."""
+    """A valid file, read once, so that the library is loaded in forks."""
     rng = np.random.default_rng(2)
     draw = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
     write_splat_file(
@@ -153,7 +153,7 @@ def _limit_memory() -> None:
 
 
 def _be_quiet() -> None:
-    """The library prints what it finds and, where it aborts, its stack."""
+    """Silence the messages and stack traces of the library."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)
@@ -165,8 +165,8 @@ def _end_of(status: int) -> str:
     return f"code {os.WEXITSTATUS(status)}"
 
 
-def _is_told(end: str, number: int, path: Path, raw: bytes) -> bool:
-    """Whether an end is one that gscore has a sentence for: tried for the first of its kind."""
+def _is_handled(end: str, number: int, path: Path, raw: bytes) -> bool:
+    """Whether gscore handles such a crash, tested for the first ones of each kind."""
     if end in ("SIGPROF", "SIGALRM", "SIGKILL") or not end.startswith("SIG"):
         return False
     if number > _TRIED_AGAIN:
@@ -174,21 +174,21 @@ def _is_told(end: str, number: int, path: Path, raw: bytes) -> bool:
     path.write_bytes(raw)
     with contextlib.suppress(FormatError):
         read_splat_file(path)
-        # Alone it is read: what came before it in its fork mattered.
+        # It can be read alone: the crash depended on earlier files of the fork.
     return True
 
 
 def _keep(folder: Path, raw: bytes, name: str) -> None:
-    """The file, and what a fork said of it."""
+    """Store the file, and the traceback of its fork."""
     _KEPT.mkdir(parents=True, exist_ok=True)
     (_KEPT / name).write_bytes(raw)
-    said = folder / "fault.txt"
-    if said.exists():
-        shutil.move(said, _KEPT / f"{name}.txt")
+    trace = folder / "fault.txt"
+    if trace.exists():
+        shutil.move(trace, _KEPT / f"{name}.txt")
 
 
 def main() -> None:
-    """Attack the kinds that are named, or all."""
+    """Test the given kinds, or all."""
     count, names = int(sys.argv[1]), sys.argv[2:] or KINDS
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")

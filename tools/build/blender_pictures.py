@@ -1,9 +1,9 @@
 """Blender pictures: renders the add-on's panels for docs/blender/.
 
-`GSCORE_BLENDER=PROGRAM python tools/build/blender_pictures.py [NAME...]`, of a Blender of 4.2 or
-later, with Xvfb and ImageMagick, and a Python here that trains. Without names, all of them. It
-trains the example capture for it; without a graphics card that and the rest take six minutes. Look
-at each before it is kept.
+`GSCORE_BLENDER=PROGRAM python tools/build/blender_pictures.py [NAME...]` needs Blender 4.2 or
+later, Xvfb, ImageMagick, and a Python that trains. Default: all pictures. It trains the example
+capture first; without a graphics card everything takes six minutes. Check each picture before you
+commit it.
 """
 
 import json
@@ -25,9 +25,9 @@ from tools.window import programs  # noqa: E402
 PAGES = ROOT / "docs" / "blender"
 SCRIPT = ROOT / "tools" / "window" / "pictures_scene.py"
 SCREENS = (1060, 820), (1060, 1180)
-"""Of the window before there are splats, and then."""
+"""Sizes of the window before and after the training."""
 VIEW, SMALL = (60, 80, 775, 795), (560, 560)
-"""Part of the screen that is the view, and its size in the animation."""
+"""Part of the screen that shows the 3D view, and its size in the animation."""
 LONGEST = 900
 WHOLE = tuple(f"tour-{number:02}" for number in range(1, 11))
 ANIMATION = "growing"
@@ -43,7 +43,7 @@ MONTAGES = {
     "torn": {"part_torn": "310x282+715+188"},
     "environment": {"part_question": "560x332+38+341"},
 }
-"""What is cut out of which pictures of the screen, and put side by side."""
+"""Crops of screenshots that form each picture, side by side."""
 
 
 def main() -> None:
@@ -87,12 +87,12 @@ def animate(shots: list[Path]) -> None:
 
 
 def take(blender: str, folder: Path, size: tuple[int, int]) -> None:
-    """Have Blender leave its pictures in a folder."""
+    """Run Blender, which writes its pictures to a folder."""
     with programs.screen(*size) as display:
         options = (size, LONGEST, "--enable-event-simulate")
         output = programs.run(blender, SCRIPT, folder, display, *options)
-    seen = folder / "seen.json"
-    log = json.loads(seen.read_text())["log"] if seen.is_file() else [output]
+    results = folder / "seen.json"
+    log = json.loads(results.read_text())["log"] if results.is_file() else [output]
     if log:
         sys.exit("\n".join(log))
 

@@ -1,7 +1,7 @@
 """Virtual environments with the bpy module, one per Blender version, in .venv-blender/.
 
-`python tools/build/bpy_venvs.py newest` makes the one for the newest Blender that a Python of this
-machine can run and prints its interpreter; `oldest`, `all` and a version work alike.
+`python tools/build/bpy_venvs.py newest` creates that of the newest Blender for which this machine
+has a Python, and prints its interpreter; `oldest`, `all` and a version work too.
 The wheels come from the package registry: 350 MB to download and 1 GB on disk for each version.
 """
 
@@ -15,29 +15,29 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / ".venv-blender"
 PYTHONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13", "5.3.0": "3.13"}
-"""The Blender versions that are tested, oldest first, and the only Python each runs on."""
+"""Tested Blender versions, oldest first, with the Python version of each."""
 PACKAGES = ("plyfile>=1.0", "pytest>=8")
 NO_PYTHON = 3
-"""Exit status: this machine has no Python for the wanted Blender."""
+"""Exit status: this machine has no Python for the requested Blender."""
 
 
 class NoPythonError(Exception):
-    """No interpreter of the wanted version; the message names it."""
+    """No interpreter of the required version; the message names it."""
 
 
-def _interpreters(wanted: str) -> Iterator[Path]:
-    """Where a Python of version `wanted` may lie: this one, PATH, pyenv's folders."""
-    if f"{sys.version_info[0]}.{sys.version_info[1]}" == wanted:
+def _interpreters(required: str) -> Iterator[Path]:
+    """Possible interpreters of a Python version: this one, PATH, pyenv's folders."""
+    if f"{sys.version_info[0]}.{sys.version_info[1]}" == required:
         yield Path(sys.executable)
-    for name in (f"python{wanted}", "python3", "python"):
+    for name in (f"python{required}", "python3", "python"):
         if found := shutil.which(name):
             yield Path(found)
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
-    yield from sorted(pyenv.glob(f"versions/{wanted}*/bin/python{wanted}"), reverse=True)
+    yield from sorted(pyenv.glob(f"versions/{required}*/bin/python{required}"), reverse=True)
 
 
-def _runs(python: Path, wanted: str) -> bool:
-    """Whether it starts, has that version and can make environments."""
+def _runs(python: Path, required: str) -> bool:
+    """Whether it starts, has this version and can create environments."""
     code = "import sys, venv, ensurepip; print('%d.%d' % sys.version_info[:2])"
     try:
         done = subprocess.run(
@@ -45,32 +45,32 @@ def _runs(python: Path, wanted: str) -> bool:
         )
     except (OSError, subprocess.TimeoutExpired):
         return False
-    return done.returncode == 0 and done.stdout.strip() == wanted
+    return done.returncode == 0 and done.stdout.strip() == required
 
 
 def find_python(version: str) -> Path:
-    """A Python that Blender `version` runs on.
+    """A Python for Blender `version`.
 
     Raises:
         NoPythonError: none is installed.
     """
-    wanted = PYTHONS[version]
-    for python in _interpreters(wanted):
-        if _runs(python, wanted):
+    required = PYTHONS[version]
+    for python in _interpreters(required):
+        if _runs(python, required):
             return python
     raise NoPythonError(
-        f"Blender {version} needs Python {wanted} with venv, which is not installed"
+        f"Blender {version} needs Python {required} with venv, which is not installed"
     )
 
 
 def interpreter(version: str) -> Path:
-    """The interpreter of a version's environment, whether or not that has been made."""
+    """The interpreter of a version's environment, which may not exist yet."""
     scripts, name = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
     return FOLDER / version / scripts / name
 
 
 def ensure(version: str) -> Path:
-    """The interpreter of a version's environment, made if it is not there.
+    """The interpreter of a version's environment, created if missing.
 
     Raises:
         NoPythonError: its Python is not installed.
@@ -90,15 +90,15 @@ def ensure(version: str) -> Path:
 
 
 def installed() -> list[str]:
-    """Versions whose environments are there, oldest first."""
+    """Versions with an environment, oldest first."""
     return [version for version in PYTHONS if (FOLDER / version / ".installed").exists()]
 
 
 def choose(which: str) -> list[str]:
-    """Versions by name: `all`, `newest`, `oldest` (of those this machine can run), or one version.
+    """Versions by name: `all`, `newest` or `oldest` with a Python on this machine, or one version.
 
     Raises:
-        NoPythonError: none of them can run here.
+        NoPythonError: there is no Python for any of them.
         ValueError: an unknown version.
     """
     if which == "all":
@@ -107,7 +107,7 @@ def choose(which: str) -> list[str]:
         return [which]
     if which not in {"newest", "oldest"}:
         known = ", ".join(PYTHONS)
-        raise ValueError(f"{which}: not a version known here; choose of all, newest, {known}")
+        raise ValueError(f"{which}: unknown version; choose all, newest, or one of {known}")
     for version in sorted(PYTHONS, key=_number, reverse=which == "newest"):
         try:
             find_python(version)
@@ -122,7 +122,7 @@ def _number(version: str) -> tuple[int, ...]:
 
 
 def main(arguments: list[str]) -> int:
-    """Make what the arguments name and print the interpreters."""
+    """Create the requested environments and print their interpreters."""
     try:
         for version in [v for which in arguments or ["newest"] for v in choose(which)]:
             print(ensure(version))
@@ -133,7 +133,7 @@ def main(arguments: list[str]) -> int:
         print(error, file=sys.stderr)
         return 2
     except subprocess.CalledProcessError:
-        print("The packages did not install; what pip says stands above.", file=sys.stderr)
+        print("The packages did not install; see the output of pip above.", file=sys.stderr)
         return 1
     return 0
 

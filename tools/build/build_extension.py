@@ -1,8 +1,8 @@
 """Blender extension build: a zip per platform in dist/, checked by Blender's validator.
 
-`python tools/build/build_extension.py` makes the zip of this machine's platform, `all` or names
-like `windows-x64 macos-arm64` those of others. Each holds the add-on, gscore's wheel and plyfile's.
-`--library` takes a library of this machine that is already compiled.
+`python tools/build/build_extension.py` builds the zip for this platform; `all` or names such as
+`windows-x64 macos-arm64` build others. Each contains the add-on and the wheels of gscore and
+plyfile. `--library` uses a library that is already compiled for this machine.
 """
 
 import argparse
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import bpy_venvs
 import native_builds
+from error_exit import exit_with_message
 from manual_page import manual, manual_page
-from told import told
 
 ROOT = native_builds.ROOT
 STAGE = ROOT / "build" / "extension"
@@ -29,13 +29,13 @@ PLYFILE = "plyfile==1.1.5"
 ZIGLANG = "ziglang==0.17.0"
 _MARK = re.compile(r"^# tools/build/build_extension\.py puts .*$", re.MULTILINE)
 _MEASURES = ("bench/", "stress/", "commands/bench/", "commands/stress.py")
-"""Files of gscore that measure it, which nobody does inside of Blender: its wheel goes without."""
+"""Files of measurements, which Blender does not need: its wheel leaves them out."""
 _DATE = (2020, 1, 1, 0, 0, 0)
-"""Of every member, so that the same sources give the same zip."""
+"""Date of every member, so that equal sources give equal zips."""
 
 
 def build_wheels() -> tuple[Path, Path]:
-    """gscore's wheel without its library, and plyfile's; both for any platform."""
+    """The wheels of gscore, without its library, and of plyfile, both for any platform."""
     folder = STAGE / "wheels"
     shutil.rmtree(folder, ignore_errors=True)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
@@ -53,16 +53,15 @@ def add_library(
 ) -> Path:
     """A copy of a wheel with the native library and the platform's tag.
 
-    Blender's goes without what measures gscore and has a version of its own, with a part made of
-    the content, because Blender does not unpack a wheel again whose name and version it has
-    unpacked before.
+    For Blender it leaves out measurements, and its version includes a hash of the content, because
+    Blender does not unpack a wheel again if it knows its name and version.
     """
     project, version, *_ = wheel.name.split("-")
     old = f"{project}-{version}.dist-info"
     with zipfile.ZipFile(wheel) as archive:
         left_out = tuple(f"gscore/{name}" for name in _MEASURES if for_blender)
-        wanted = [entry for entry in archive.namelist() if not entry.startswith(left_out)]
-        members = {entry: archive.read(entry) for entry in wanted if entry[-1] != "/"}
+        kept = [entry for entry in archive.namelist() if not entry.startswith(left_out)]
+        members = {entry: archive.read(entry) for entry in kept if entry[-1] != "/"}
     del members[f"{old}/RECORD"]
     members[f"gscore/raster/{name}"] = library.read_bytes()
     tags = members[f"{old}/WHEEL"].decode()
@@ -92,7 +91,7 @@ def _record(members: dict[str, bytes], own: str) -> bytes:
 
 
 def write_zip(path: Path, members: dict[str, bytes]) -> None:
-    """Write a zip that depends on nothing but its members."""
+    """Write a zip that depends only on its members."""
     partial = path.with_suffix(".partial")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name, data in sorted(members.items()):
@@ -104,15 +103,15 @@ def write_zip(path: Path, members: dict[str, bytes]) -> None:
 
 
 def manifest(platform: str, wheels: list[Path]) -> str:
-    """The manifest of one zip, whose version is gscore's."""
+    """The manifest of one zip, with the version of gscore."""
     text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
     names = ", ".join(f'"./wheels/{wheel.name}"' for wheel in wheels)
     text, marks = _MARK.subn(f'platforms = ["{platform}"]\nwheels = [{names}]', text)
     if marks != 1:
-        raise RuntimeError("blender_manifest.toml: the comment that marks where wheels go is gone")
+        raise RuntimeError("blender_manifest.toml: the comment that marks the wheels is missing")
     stated, version = tomllib.loads(text)["version"], re.split("[-+]", wheels[0].name)[1]
     if stated != version:
-        raise RuntimeError(f"blender_manifest.toml: version is {stated}, gscore's is {version}")
+        raise RuntimeError(f"blender_manifest.toml: version {stated}, but gscore has {version}")
     return text
 
 
@@ -140,10 +139,10 @@ def build_zip(
 
 
 def validate(path: Path) -> list[str]:
-    """Let every Blender at hand check a zip; the versions that did.
+    """Validate a zip with every available Blender; returns their versions.
 
     Raises:
-        RuntimeError: one of them refuses it; the message is its own.
+        RuntimeError: one of them rejects it, with its message.
     """
     checks = {}
     for version in bpy_venvs.installed() or [bpy_venvs.choose("newest")[0]]:
@@ -155,12 +154,12 @@ def validate(path: Path) -> list[str]:
     for version, command in checks.items():
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
-            raise RuntimeError(f"Blender {version} refuses {path}:\n{done.stdout}{done.stderr}")
+            raise RuntimeError(f"Blender {version} rejects {path}:\n{done.stdout}{done.stderr}")
     return list(checks)
 
 
 def zig_python() -> Path | None:
-    """A Python with zig, installed into .venv-zig when first needed; None if that fails."""
+    """A Python with zig, installed into .venv-zig on first use; None if that fails."""
     python = ZIG / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     if not (ZIG / ".installed").exists():
         print(f"Installing {ZIGLANG} into .venv-zig (downloads 90 MB)", file=sys.stderr)
@@ -173,36 +172,36 @@ def zig_python() -> Path | None:
 
 
 def compile_all(platforms: list[str]) -> dict[str, tuple[Path, str]]:
-    """The library and the wheel's tag for each platform, with the best compiler there is."""
+    """The library and the wheel's tag for each platform, with the best available compiler."""
     if (zig := zig_python()) is not None:
         return {name: native_builds.compile_with_zig(name, zig) for name in platforms}
     here = native_builds.this_platform()
     if platforms != [here]:
-        raise RuntimeError(f"{ZIGLANG} cannot be installed, and nothing else compiles for all")
+        raise RuntimeError(f"{ZIGLANG}, needed for other platforms, cannot be installed")
     library, tag = native_builds.compile_here()
-    print(f"{ZIGLANG} cannot be installed, so the system's compiler serves: {tag}")
+    print(f"{ZIGLANG} cannot be installed; using the system's compiler: {tag}")
     return {here: (library, tag)}
 
 
 def parse() -> argparse.Namespace:
-    """The command line, with `platforms` spelled out."""
+    """The command line, with expanded `platforms`."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     known, here = list(native_builds.PLATFORMS), native_builds.this_platform()
     parser.add_argument("platforms", nargs="*", help=f"all, or some of {', '.join(known)}")
-    parser.add_argument("--library", type=Path, help="a library of this machine; none is compiled")
+    parser.add_argument("--library", type=Path, help="compiled library for this machine")
     parser.add_argument("--output", type=Path, default=ROOT / "dist", help="folder for the zips")
     options = parser.parse_args()
     options.platforms = known if options.platforms == ["all"] else options.platforms or [here]
     if unknown := [name for name in options.platforms if name not in known]:
-        parser.error(f"{', '.join(unknown)}: choose of all, {', '.join(known)}")
+        parser.error(f"{', '.join(unknown)}: choose all, or some of {', '.join(known)}")
     if options.library and options.platforms != [here]:
-        parser.error(f"--library is of this machine, which is {here}")
+        parser.error(f"--library is for this machine only, {here}")
     return options
 
 
-@told
+@exit_with_message
 def main() -> None:
-    """Build, validate and name the zips."""
+    """Build and validate the zips, and print their paths."""
     options = parse()
     if options.library:
         tag = native_builds.tag_of(options.library)

@@ -1,9 +1,8 @@
-"""Extension index: makes a folder of extension zips a repository for Blender.
+"""Extension index: turns a folder of extension zips into a repository for Blender.
 
-`python tools/build/extension_index.py FOLDER --base URL` lets Blender's own program write the index
-(`blender --command extension server-generate`, or the same program from the bpy module where no
-Blender is installed), and makes its addresses whole: zips of a release lie elsewhere than the
-index does.
+`python tools/build/extension_index.py FOLDER --base URL` writes the index with Blender's own
+program (`blender --command extension server-generate`, or that of the bpy module if no Blender is
+installed), and completes its addresses, because the zips of a release are not next to the index.
 """
 
 import argparse
@@ -14,10 +13,10 @@ import sys
 from pathlib import Path
 
 import bpy_venvs
-from told import told
+from error_exit import exit_with_message
 
 VERSION = "v1"
-"""Of the format of the index."""
+"""Version of the index format."""
 _NEEDED = ("id", "version", "platforms", "archive_url", "archive_size", "archive_hash")
 
 
@@ -32,36 +31,36 @@ def command(folder: Path) -> list[str | Path]:
 
 
 def checked(index: dict, zips: list[Path]) -> list[dict]:
-    """The entries of an index, one a zip.
+    """The entries of an index, one per zip.
 
     Raises:
-        RuntimeError: a zip is missing in it, two are for one platform, or a field is.
+        RuntimeError: a zip or field is missing, or two zips are for one platform.
     """
     entries = index.get("data", [])
     if index.get("version") != VERSION or len(entries) != len(zips):
         raise RuntimeError(
-            f"the index is of version {index.get('version')} with {len(entries)} entries; "
-            f"{VERSION} with {len(zips)} was expected"
+            f"the index has version {index.get('version')} and {len(entries)} entries; "
+            f"expected {VERSION} and {len(zips)}"
         )
     platforms = [name for entry in entries for name in entry.get("platforms", [])]
     if len(set(platforms)) != len(platforms):
         raise RuntimeError(f"two zips are for one platform: {', '.join(sorted(platforms))}")
     for entry in entries:
-        if lost := [name for name in _NEEDED if not entry.get(name)]:
-            raise RuntimeError(f"{entry.get('archive_url')}: the index lacks {', '.join(lost)}")
+        if missing := [name for name in _NEEDED if not entry.get(name)]:
+            raise RuntimeError(f"{entry.get('archive_url')}: the index lacks {', '.join(missing)}")
     return entries
 
 
-@told
+@exit_with_message
 def main() -> None:
-    """Write the index and say what is in it."""
+    """Write the index and print its entries."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="of the zips")
-    parser.add_argument("--base", default="", help="address that the zips lie below; none: beside")
+    parser.add_argument("folder", type=Path, help="folder of the zips")
+    parser.add_argument("--base", default="", help="base URL of the zips; default: relative")
     options = parser.parse_args()
     zips = sorted(options.folder.glob("*.zip"))
     if not zips:
-        parser.error(f"{options.folder} holds no zip; make some: make extension PLATFORMS=all")
+        parser.error(f"{options.folder} contains no zip; run: make extension PLATFORMS=all")
     subprocess.run(command(options.folder), check=True)
     path = options.folder / "index.json"
     index = json.loads(path.read_text(encoding="utf-8"))

@@ -1,5 +1,5 @@
-"""Manual page of the add-on: pages of docs/ as one web page inside the extension: no pictures, no
-network address."""
+"""Manual page of the add-on: pages of docs/ as one web page inside the extension, without pictures
+and external resources."""
 
 import html
 import os
@@ -19,7 +19,7 @@ PAGES = (
     "blender/scripts.md",
     "blender/troubleshooting.md",
 )
-"""Files of docs/, in order; no two have a heading of the same name."""
+"""Files of docs/, in order; their headings are unique."""
 
 _STYLE = (
     "body{max-width:52em;margin:2em auto;padding:0 1em;font:16px/1.5 sans-serif}"
@@ -31,7 +31,7 @@ _ITEM = re.compile(r"^(\s*)(-|\d+\.) (.*)$")
 
 
 def manual(docs: Path) -> str:
-    """The Markdown of all pages in one; links between pages lead to headings in it."""
+    """The joined Markdown of all pages; links between them become links to headings."""
     texts = {name: (docs / name).read_text(encoding="utf-8") for name in PAGES}
     first = {name: anchor(text.splitlines()[0].lstrip("# ")) for name, text in texts.items()}
 
@@ -46,9 +46,9 @@ def manual(docs: Path) -> str:
 
 
 def manual_page(markdown: str) -> str:
-    """The page, of what docs/ uses of Markdown: headings, paragraphs, lists, tables, code.
+    """Convert the Markdown subset of docs/ to HTML: headings, paragraphs, lists, tables, code.
 
-    Links to other files of docs/ become their text; those within the page stay.
+    Links to other files of docs/ become plain text; links within the page are kept.
     """
     blocks, lines = [], iter([*markdown.splitlines(), ""])
     paragraph: list[str] = []
@@ -82,7 +82,7 @@ def manual_page(markdown: str) -> str:
 
 
 def anchor(title: str) -> str:
-    """The id of a heading, as GitHub makes it."""
+    """The id of a heading, as on GitHub."""
     return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
 
 
@@ -113,7 +113,7 @@ def _table(lines: list[str]) -> str:
 
 
 def _inline(text: str) -> str:
-    """Code, bold and slanted words, and links; what stands in code stays as it is."""
+    """HTML of code, bold, italics and links; code is not converted further."""
     parts = re.split(r"`([^`]*)`", text)
     for place, part in enumerate(parts):
         part = html.escape(part, quote=False)

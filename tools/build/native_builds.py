@@ -1,7 +1,7 @@
 """Native builds: the library for any of Blender's platforms, compiled on any machine.
 
-The compiler is zig (clang with the C libraries of all platforms), so a library for Linux needs no
-newer glibc than Blender itself does. Without zig the system's compiler serves this machine alone.
+The compiler is zig (clang with the C libraries of all platforms), so a Linux library needs no newer
+glibc than Blender. Without zig, the system's compiler builds for this machine only.
 """
 
 import os
@@ -14,12 +14,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 GLIBC = (2, 28)
-"""What Blender asks for on Linux."""
+"""Minimum version for Blender on Linux."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Platform:
-    """One of Blender's platforms, as zig, CMake, wheels and ctypes call it."""
+    """One of Blender's platforms, with its names in zig, CMake, wheels and ctypes."""
 
     zig: str
     system: str
@@ -70,7 +70,7 @@ PLATFORMS = {
 
 
 def this_platform() -> str:
-    """Blender's name of the machine this runs on."""
+    """Blender's name of this platform."""
     system = {"Darwin": "macos"}.get(platform.system(), platform.system().lower())
     machine = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
     processor = platform.machine().lower()
@@ -78,7 +78,7 @@ def this_platform() -> str:
 
 
 def needed_glibc(library: Path) -> tuple[int, int]:
-    """The glibc a Linux library asks for, from the names of its symbols' versions."""
+    """The glibc version that a Linux library needs, from its symbol versions."""
     found = re.findall(rb"GLIBC_(\d+)\.(\d+)", library.read_bytes())
     return max((int(major), int(minor)) for major, minor in found)
 
@@ -88,14 +88,14 @@ def compile_with_zig(name: str, zig_python: Path) -> tuple[Path, str]:
 
     Args:
         name: One of PLATFORMS.
-        zig_python: A Python that has the package ziglang.
+        zig_python: A Python with the package ziglang.
 
     Returns:
         The library, and the platform tag of its wheel.
     """
     target = PLATFORMS[name]
     build = ROOT / "build" / f"zig-{name}"
-    # CMake looks at CXX once, so the flags belong to the compiler: -s leaves debug symbols out.
+    # CMake reads CXX once, so it includes the flags; -s strips debug symbols.
     environment = {
         **os.environ,
         "CXX": f"{zig_python} -m ziglang c++ -target {target.zig} -s",
@@ -104,12 +104,12 @@ def compile_with_zig(name: str, zig_python: Path) -> tuple[Path, str]:
     _cmake(build, environment, target)
     library = _library(build, target.library)
     if target.system == "Linux" and needed_glibc(library) > GLIBC:
-        raise RuntimeError(f"{library} asks for glibc {needed_glibc(library)}")
+        raise RuntimeError(f"{library} needs glibc {needed_glibc(library)}")
     return library, target.tag
 
 
 def compile_here() -> tuple[Path, str]:
-    """The same with the system's compiler, for this machine only."""
+    """As `compile_with_zig`, but with the system's compiler, for this machine only."""
     target = PLATFORMS[this_platform()]
     build = ROOT / "build" / "system"
     _cmake(build, dict(os.environ), target)
@@ -118,7 +118,7 @@ def compile_here() -> tuple[Path, str]:
 
 
 def tag_of(library: Path) -> str:
-    """The platform tag of a wheel with a library that was compiled on this machine."""
+    """The platform tag of a wheel with a library compiled on this machine."""
     if platform.system() != "Linux":
         return PLATFORMS[this_platform()].tag
     major, minor = needed_glibc(library)
@@ -126,7 +126,7 @@ def tag_of(library: Path) -> str:
 
 
 def _cmake(build: Path, environment: dict[str, str], target: Platform) -> None:
-    """Configure and build. Naming the system leaves the library in the checkout alone."""
+    """Configure and build. Setting the system name keeps the library of the checkout unchanged."""
     tools = Path(sys.executable).parent
     configure = ["-G", "Ninja", "-S", ROOT / "csrc", "-B", build, "-DCMAKE_BUILD_TYPE=Release"]
     configure += [
@@ -143,8 +143,8 @@ def _cmake(build: Path, environment: dict[str, str], target: Platform) -> None:
 
 
 def _library(build: Path, name: str) -> Path:
-    """The library in a build folder; MinGW puts `lib` before a DLL's name."""
+    """The library in a build folder; MinGW prefixes a DLL's name with `lib`."""
     for path in (build / name, build / f"lib{name}"):
         if path.exists():
             return path
-    raise RuntimeError(f"{build}: no {name} came out of the build")
+    raise RuntimeError(f"{build}: the build made no {name}")

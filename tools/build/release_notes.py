@@ -1,4 +1,4 @@
-"""Release notes from CHANGELOG.md, and a check that the tag is the version of all packages.
+"""Release notes from CHANGELOG.md, and a check that the tag matches the version of all packages.
 
 `python tools/build/release_notes.py v1.2.3 --output notes.md` writes the section of that version.
 """
@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def versions() -> dict[str, str]:
-    """The version, by the file that states it."""
+    """The stated version by file."""
     text = (ROOT / "gscore" / "_version.py").read_text(encoding="utf-8")
     (package,) = re.findall(r'^__version__ = "([^"]+)"', text, flags=re.MULTILINE)
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
@@ -21,7 +21,7 @@ def versions() -> dict[str, str]:
 
 
 def section(changelog: str, version: str) -> str:
-    """What CHANGELOG.md says of a version, without its heading; empty: nothing."""
+    """The section of a version in CHANGELOG.md, without its heading; empty: none."""
     found = re.search(
         rf"^## \[?{re.escape(version)}(?![.\d])\]?[^\n]*\n(.*?)(?=^## |\Z)",
         changelog,
@@ -31,19 +31,19 @@ def section(changelog: str, version: str) -> str:
 
 
 def main() -> int:
-    """Check and write."""
+    """Check the tag and write the notes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("tag", help="v and the version")
+    parser.add_argument("tag", help="the version with a leading v")
     parser.add_argument("--output", type=Path, required=True)
     options = parser.parse_args()
-    wanted = options.tag.removeprefix("v")
+    released = options.tag.removeprefix("v")
     for file, version in versions().items():
-        if version != wanted or not options.tag.startswith("v"):
+        if version != released or not options.tag.startswith("v"):
             print(f"The tag is {options.tag}, {file} states {version}.", file=sys.stderr)
             return 1
-    notes = section((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), wanted)
+    notes = section((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), released)
     if not notes:
-        print(f"CHANGELOG.md has no section ## {wanted}.", file=sys.stderr)
+        print(f"CHANGELOG.md has no section ## {released}.", file=sys.stderr)
         return 1
     options.output.write_text(notes + "\n", encoding="utf-8")
     return 0

@@ -1,7 +1,7 @@
 """Release wheels for all of Blender's platforms, built into dist/ on any of them.
 
-`python tools/build/release_wheels.py` makes all, with zig as the compiler; names like `linux-x64`
-choose. Afterwards `make extension PLATFORMS=all` finds the libraries compiled.
+`python tools/build/release_wheels.py` builds all with zig; names such as `linux-x64` select some.
+A later `make extension PLATFORMS=all` reuses the compiled libraries.
 """
 
 import argparse
@@ -10,12 +10,12 @@ from pathlib import Path
 
 import build_extension
 import native_builds
-from told import told
+from error_exit import exit_with_message
 
 
-@told
+@exit_with_message
 def main() -> None:
-    """Build and name the wheels."""
+    """Build the wheels and print their paths."""
     known = list(native_builds.PLATFORMS)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("platforms", nargs="*", metavar="PLATFORM", help=", ".join(known))
@@ -23,7 +23,7 @@ def main() -> None:
     options = parser.parse_args()
     platforms = options.platforms or known
     if unknown := [name for name in platforms if name not in known]:
-        parser.error(f"{', '.join(unknown)}: choose of {', '.join(known)}")
+        parser.error(f"{', '.join(unknown)}: choose some of {', '.join(known)}")
     libraries = build_extension.compile_all(platforms)
     plain, _ = build_extension.build_wheels()
     options.output.mkdir(parents=True, exist_ok=True)

@@ -1,13 +1,12 @@
-"""Pin renewal: exact versions and hashes of the environment that the Blender add-on makes.
+"""Pin renewal: exact versions and hashes for the environment created by the Blender add-on.
 
-`python tools/build/renew_pins.py` resolves what pyproject.toml asks for, with torch as in
-constraints.txt, for every Python and system that Blender runs on, and writes the files of
-addon/trainer_python/pinned/.
-It installs uv into a temporary environment for that. Run it with the project's own Python
-(.venv), then run the add-on's tests.
+`python tools/build/renew_pins.py` resolves the requirements of pyproject.toml, with torch as in
+constraints.txt, for every Python and system of Blender, and writes the files of
+addon/trainer_python/pinned/. It installs uv into a temporary environment. Run it with the project's
+own Python (.venv), then run the add-on's tests.
 
-torch without CUDA has an index of its own. Its hashes are written where that index can be reached;
-`--without-torch-index` leaves them out: pip then checks what it downloads against the index alone.
+torch without CUDA has its own index. Its hashes are written if that index can be reached;
+`--without-torch-index` leaves them out: pip then verifies downloads against the index only.
 """
 
 import argparse
@@ -38,14 +37,14 @@ SYSTEMS = {
     "windows_x86_64": ("win32", "AMD64", ["win_amd64"]),
     "macos_aarch64": ("darwin", "arm64", [f"macosx_{n}_0_arm64" for n in range(15, 10, -1)]),
 }
-"""Systems that torch has wheels for: Python's name, the machine, and tags of wheels."""
+"""Systems with torch wheels: Python's platform name, machine, and wheel tags."""
 _OLD_LINUX = {"x86_64": ["manylinux2014_x86_64"], "aarch64": ["manylinux2014_aarch64"]}
 _WITH_TORCH = re.compile(r"^(torch|triton|nvidia-.*|cuda-.*)$")
 _LINK = re.compile(r'href="([^"#]*/(torch-[^"#/]+\.whl))#sha256=([0-9a-f]{64})"')
 
 
-def wanted() -> list[str]:
-    """What the project asks for in order to train, with the project's version of torch."""
+def requirements() -> list[str]:
+    """Requirements of training, with the project's version of torch."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     names = [*project["dependencies"], "pip"]
@@ -55,14 +54,14 @@ def wanted() -> list[str]:
     return [*names, *(line for line in lines if line and not line.startswith("#"))]
 
 
-def resolve(requirements: list[str]) -> list[dict[str, Any]]:
+def resolve(names: list[str]) -> list[dict[str, Any]]:
     """The packages of pylock.toml: exact versions with markers, files, sizes and hashes."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         venv.create(folder / "uv", with_pip=True)
         scripts = folder / "uv" / ("Scripts" if sys.platform == "win32" else "bin")
         subprocess.run([scripts / "python", "-m", "pip", "install", "-q", "uv"], check=True)
-        (folder / "in.txt").write_text("\n".join(requirements), encoding="utf-8")
+        (folder / "in.txt").write_text("\n".join(names), encoding="utf-8")
         lock = folder / "pylock.toml"
         command = [scripts / "uv", "pip", "compile", "-q", "--universal", "--no-config"]
         command += ["--only-binary", ":all:", "--python-version", OLDEST, "--system-certs"]
@@ -72,7 +71,7 @@ def resolve(requirements: list[str]) -> list[dict[str, Any]]:
 
 
 def entry(package: dict[str, Any]) -> str:
-    """A package as a requirement of pip, with the hashes of all its wheels."""
+    """A package as a pip requirement, with the hashes of all its wheels."""
     marker = f" ; {package['marker']}" if "marker" in package else ""
     hashes = sorted(wheel["hashes"]["sha256"] for wheel in package["wheels"])
     pin = f"{package['name']}=={package['version']}{marker}"
@@ -80,14 +79,14 @@ def entry(package: dict[str, Any]) -> str:
 
 
 def megabytes(packages: list[dict[str, Any]]) -> str:
-    """The most that each system downloads, over all Pythons; none where a wheel is missing."""
+    """Maximum download of each system over all Pythons; systems with missing wheels are omitted."""
     found = {}
     for system, (kind, machine, tags) in SYSTEMS.items():
         tags = [*tags, *(_OLD_LINUX[machine] if kind == "linux" else ())]
         try:
             totals = [sum(_sizes(packages, kind, machine, tags, python)) for python in PYTHONS]
         except LookupError as error:
-            print(f"{system} can have no environment: {error}", file=sys.stderr)
+            print(f"{system}: no environment possible: {error}", file=sys.stderr)
             continue
         found[system] = max(totals)
     return ", ".join(f"{system} {round(size / 1e6) or 1}" for system, size in found.items())
@@ -100,7 +99,7 @@ def _sizes(
     tags: list[str],
     python: tuple[int, int],
 ) -> Iterable[int]:
-    """Bytes of each wheel that one Python on one system takes; LookupError where there is none."""
+    """Bytes of each wheel for one Python on one system; LookupError if one is missing."""
     version = ".".join(map(str, python))
     environment = {"sys_platform": kind, "platform_machine": machine, "python_version": version}
     environment |= {"python_full_version": f"{version}.1", "implementation_name": "cpython"}
@@ -118,14 +117,14 @@ def _sizes(
 
 
 def write(name: str, about: str, packages: list[dict[str, Any]]) -> None:
-    """Write a list from the registry."""
+    """Write a list of packages from the registry."""
     entries = "\n".join(map(entry, packages))
     text = f"{_head(about)}# megabytes: {megabytes(packages)}\n{entries}\n"
     _replace(FOLDER / name, text)
 
 
 def write_cpu_torch(version: str, *, hashes: bool) -> None:
-    """Write the pin of torch without CUDA, with the index's hashes where they are asked for."""
+    """Write the pin of torch without CUDA, with hashes of its index if requested."""
     pin, about, sizes = f"torch=={version}+cpu", "torch without CUDA, for Linux.", []
     lines = [pin]
     if hashes:
@@ -137,7 +136,7 @@ def write_cpu_torch(version: str, *, hashes: bool) -> None:
     else:
         about += (
             f"\n# Without hashes, because its index could not be reached: {TORCH_INDEX}"
-            "\n# is the only place that is asked, and the registry takes no version with a +."
+            "\n# is the only source, since the registry has no versions with a +."
         )
         sizes.append("linux_x86_64 192")  # of torch 2.13.0 for Python 3.11
     text = f"{_head(about)}# megabytes: {', '.join(sizes)}\n" + " \\\n    ".join(lines) + "\n"
@@ -145,13 +144,13 @@ def write_cpu_torch(version: str, *, hashes: bool) -> None:
 
 
 def _index_links(version: str) -> dict[str, str]:
-    """SHA-256 by address of the wheels for Linux on torch's own index."""
+    """SHA-256 by URL of the Linux wheels in torch's own index."""
     try:
         with urllib.request.urlopen(f"{TORCH_INDEX}/torch/", timeout=60) as answer:
             page = answer.read().decode()
     except (urllib.error.URLError, TimeoutError) as error:
         raise SystemExit(
-            f"{TORCH_INDEX} cannot be reached ({error}); run this where it can be, or with "
+            f"{TORCH_INDEX} cannot be reached ({error}); run this with access to it, or with "
             "--without-torch-index."
         ) from error
     start, found = f"torch-{version}%2Bcpu-", {}
@@ -187,7 +186,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--without-torch-index", action="store_true", help="see above")
     options = parser.parse_args()
-    packages = resolve(wanted())
+    packages = resolve(requirements())
     with_torch = [p for p in packages if _WITH_TORCH.match(p["name"])]
     pip = [p for p in packages if p["name"] == "pip"]
     rest = [p for p in packages if p not in with_torch and p not in pip]
@@ -196,7 +195,7 @@ def main() -> int:
     write_cpu_torch(torch, hashes=not options.without_torch_index)
     write("torch.txt", "torch, and on Linux the CUDA that it needs.", with_torch)
     write("pip.txt", "pip itself.", pip)
-    write("packages.txt", "What training needs besides torch.", rest)
+    write("packages.txt", "Packages of training other than torch.", rest)
     return 0
 
 

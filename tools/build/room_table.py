@@ -1,7 +1,7 @@
 """Room table of docs/architecture.md, generated from the docstrings of the packages.
 
-`python tools/build/room_table.py` rewrites the part of the page between its two marks; `--check`
-only compares, and exits with 1 where they differ.
+`python tools/build/room_table.py` rewrites the part of the page between two markers; `--check`
+only compares, and exits with 1 if they differ.
 """
 
 import ast
@@ -14,23 +14,23 @@ BEGIN, END = "<!-- rooms: begin -->", "<!-- rooms: end -->"
 
 
 def _purpose(path: Path) -> str:
-    """The first paragraph of a module's docstring, in one line."""
+    """The first paragraph of a module's docstring as one line."""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return " ".join(text.split("\n\n")[0].split())
 
 
 def rooms() -> list[tuple[str, str]]:
     """Folder and purpose of each package of gscore and the add-on."""
-    found = []
+    result = []
     for package in ("gscore", "addon"):
         for path in sorted((ROOT / package).rglob("__init__.py")):
             folder = path.parent.relative_to(ROOT).as_posix()
-            found.append((folder, _purpose(path)))
-    return found
+            result.append((folder, _purpose(path)))
+    return result
 
 
 def table() -> str:
-    """The rows as Markdown, between the marks."""
+    """The table as Markdown, between the markers."""
     rows = [f"| `{folder}/` | {purpose} |" for folder, purpose in rooms()]
     return "\n".join([BEGIN, "", "| room | purpose |", "|---|---|", *rows, "", END])
 

@@ -1,10 +1,9 @@
-"""Terminal picture, docs/terminal.png: the first half hour in a terminal of 80 columns.
+"""Terminal picture, docs/terminal.png: a first session in a terminal of 80 columns.
 
     .venv/bin/python tools/build/terminal_picture.py docs/terminal.png
 
-Runs real commands on examples/studio in a pseudo-terminal, takes the picture of the screen while
-the training is under way and after the last command, and draws both. Takes a minute; the font is
-DejaVu Sans Mono (Debian: fonts-dejavu-core).
+Runs commands on examples/studio in a pseudo-terminal, and draws the screen during the training and
+after the last command. Takes a minute; needs the font DejaVu Sans Mono (Debian: fonts-dejavu-core).
 """
 
 import argparse
@@ -30,12 +29,12 @@ COMMANDS = (
     "gscore eval run --split test",
 )
 UNDER_WAY = ("step ", 0.55)
-"""The moving line that is drawn in the middle of the training, and the share of steps done."""
+"""Text and position (share of the steps) of the progress line to draw."""
 INK, PAPER, PROMPT = (222, 222, 214), (28, 30, 34), (120, 190, 120)
 
 
 def main() -> int:
-    """Run, draw, write."""
+    """Run the commands, draw and write the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("output", type=Path)
     args = parser.parse_args()
@@ -53,7 +52,7 @@ def main() -> int:
 
 
 def run(command: str, folder: Path) -> tuple[list[str], list[str]]:
-    """The moving line in the middle of a training, if there was one, and the lines at the end."""
+    """Progress line in the middle of a training, if any, and the final lines of the screen."""
     near, far = pty.openpty()
     words = [sys.executable, "-m", "gscore", *command.split()[1:]]
     env = os.environ | {"TERM": "xterm", "PYTHONPATH": str(ROOT)}
@@ -80,12 +79,12 @@ def run(command: str, folder: Path) -> tuple[list[str], list[str]]:
 def _read(near: int) -> str:
     try:
         return os.read(near, 65536).decode("utf-8", "replace")
-    except OSError:  # Linux says so when the program has ended
+    except OSError:  # on Linux, the program has ended
         return ""
 
 
 def draw(lines: list[str]) -> Image.Image:
-    """The lines in a dark window."""
+    """Draw the lines in a dark window."""
     font = ImageFont.truetype(str(FONT), 14)
     width, height = math.ceil(font.getlength("M" * COLUMNS)), 19
     picture = Image.new("RGB", (width + 32, len(lines) * height + 32), PAPER)

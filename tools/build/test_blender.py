@@ -1,7 +1,7 @@
 """Blender tests: the add-on's tests in real Blenders, with OpenGL and Vulkan, one line each.
 
-`python tools/build/test_blender.py all` takes every version of `bpy_venvs.py` and a `blender`
-program on PATH; `newest`, `oldest` or versions take fewer. What follows `--` goes to pytest.
+`python tools/build/test_blender.py all` tests every version of `bpy_venvs.py` and a `blender`
+program on PATH; `newest`, `oldest` or versions test fewer. Arguments after `--` go to pytest.
 """
 
 import os
@@ -18,38 +18,38 @@ import bpy_venvs
 
 ROOT = bpy_venvs.ROOT
 LIMIT = 1200
-"""Seconds a version may take: bpy 4.5 hangs at exit when a class is left registered."""
+"""Time limit of a version, s: bpy 4.5 hangs at exit if a class stays registered."""
 _BACKENDS = (None,) if sys.platform == "darwin" else ("opengl", "vulkan")
-"""Of Blender's graphics; None: its own choice, which is Metal."""
+"""Blender's graphics backends; None: its default, which is Metal."""
 _DRAWING = ("-m", "graphics")
-"""Pytest's arguments for tests that draw; they take the place of an earlier `-m`."""
+"""Pytest's arguments for tests that draw; they override an earlier `-m`."""
 _NOTHING_CHOSEN = 5
-"""Pytest's exit status where no test was left to run, such as with `-k`."""
+"""Pytest's exit status if no test was selected, such as with `-k`."""
 _TAIL = re.compile(r"\d+ (?:passed|failed|error|skipped|deselected).* in [\d.]+s")
 
 
 def run(command: Sequence[str | Path], backend: str | None) -> tuple[bool, str]:
-    """Run pytest with an empty Blender profile and show what it prints.
+    """Run pytest with an empty Blender profile and print its output.
 
     Args:
-        command: Runs it.
-        backend: Of `_BACKENDS`; tests that draw are skipped where there is no driver for it.
+        command: The command line.
+        backend: One of `_BACKENDS`; tests that draw are skipped without a driver for it.
 
     Returns:
-        Whether all went well, and pytest's last line.
+        Whether all tests passed, and pytest's last line.
     """
     with (
         tempfile.TemporaryDirectory(prefix="blender-user-") as profile,
         tempfile.TemporaryFile("w+", errors="replace") as output,
     ):
-        # The Python that runs this is the one that has what trainings need.
+        # The current Python has the packages of trainings.
         trainer = {"GSCORE_TRAINER_PYTHON": sys.executable}
         environment = {**trainer, **os.environ, "BLENDER_USER_RESOURCES": profile}
         if backend is not None:
             environment["GSCORE_GPU_BACKEND"] = backend
         if backend == "opengl":
-            # The bpy module has no option --gpu-backend and chooses before it reads preferences:
-            # Vulkan, wherever Vulkan's loader finds a driver.
+            # The bpy module has no option --gpu-backend and selects before it reads preferences:
+            # Vulkan, if Vulkan's loader finds a driver.
             environment["VK_LOADER_DRIVERS_DISABLE"] = "*"
         try:
             code = subprocess.run(
@@ -75,7 +75,7 @@ def run(command: Sequence[str | Path], backend: str | None) -> tuple[bool, str]:
 
 
 def program_packages() -> Path:
-    """A folder with pytest and plyfile for a Blender program, which has neither."""
+    """A folder with pytest and plyfile, which a Blender program lacks."""
     folder = ROOT / "build" / "blender-packages"
     if not folder.exists():
         python = bpy_venvs.interpreter(bpy_venvs.installed()[-1])
@@ -86,12 +86,12 @@ def program_packages() -> Path:
 
 
 def chosen(backend: str | None, arguments: Sequence[str]) -> list[str]:
-    """Pytest's arguments: all tests with the first backend, those that draw with the others."""
+    """Pytest's arguments: all tests for the first backend, only drawing tests for the others."""
     return ["-q", "tests/addon", *arguments, *([] if backend == _BACKENDS[0] else _DRAWING)]
 
 
 def test_version(version: str, backend: str | None, arguments: Sequence[str]) -> tuple[bool, str]:
-    """Test in the bpy module; a version whose Python is missing is skipped, and that is said."""
+    """Test in the bpy module; reports versions that are skipped for lack of a Python."""
     try:
         python = bpy_venvs.ensure(version)
     except bpy_venvs.NoPythonError as error:
@@ -107,7 +107,7 @@ def test_program(program: str, backend: str | None, arguments: Sequence[str]) ->
 
 
 def main(arguments: list[str]) -> int:
-    """Test what is named and print the summary."""
+    """Run the requested tests and print the summary."""
     split = arguments.index("--") if "--" in arguments else len(arguments)
     names, extra = arguments[:split] or ["newest"], arguments[split + 1 :]
     results = {}

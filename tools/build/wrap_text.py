@@ -1,7 +1,7 @@
-"""Text wrapping of Markdown prose at 120 columns, where a line is wider.
+"""Text wrapping of Markdown paragraphs with lines of more than 120 columns.
 
 `python tools/build/wrap_text.py README.md docs/*.md`; `make format` runs it on every page. Code,
-tables, headings and paragraphs that are narrow enough stay as they are, and no word changes.
+tables, headings and narrow paragraphs are not changed.
 """
 
 import re
@@ -17,8 +17,8 @@ _UNSPLIT = re.compile(
     r"(?:`[^`]{1,60}`|\S)+"
     r"(?: (?:[-+*>#]|\d+[.)]|%|dB|px|ms|s|MB|GB)(?=[\s.,;:)]|$)[.,;:)]*)*"
 )
-"""A word with the units and signs that follow it, which may not begin a line; what stands in
-backticks is one word unless it is long."""
+"""A word with the units and signs after it, which must not begin a line; short text in backticks is
+one word."""
 
 
 def wrap(text: str) -> str:
@@ -59,7 +59,7 @@ def _wrapped(block: list[str]) -> list[str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Wrap the files that are named."""
+    """Wrap the given files."""
     for path in map(Path, arguments):
         text = path.read_text(encoding="utf-8")
         wrapped = wrap(text)

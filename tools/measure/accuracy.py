@@ -47,10 +47,10 @@ LOW, HIGH = -9.0, -1.0
 
 
 def main() -> int:
-    """Measure, draw, print the tables."""
+    """Measure, draw plots and print tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--ply", type=Path, help="a trained model")
-    parser.add_argument("--cameras", type=Path, help="the capture it was trained on")
+    parser.add_argument("--cameras", type=Path, help="capture of the model")
     parser.add_argument("--view", type=int, default=0, help="view of the capture (default 0)")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/accuracy"))
     args = parser.parse_args()
@@ -91,8 +91,8 @@ def scenes(args: argparse.Namespace) -> Iterator[tuple[str, SplatScene]]:
 
 
 def away(scene: SplatScene, offset: float) -> SplatScene:
-    """The scene moved away from the origin with its camera, and rounded to float32 there: what
-    would happen without recentring. The truth is that of the rounded numbers."""
+    """The scene and its camera moved away from the origin and rounded to float32 there, as without
+    recentring. The truth refers to the rounded numbers."""
     shift = offset * np.array([1.0, -0.7, 0.3])
     viewmat = scene.viewmat.astype(np.float64)
     viewmat[:3, 3] -= viewmat[:3, :3] @ shift
@@ -115,25 +115,25 @@ def trained(ply: Path, capture: Path, view: int) -> SplatScene:
         width=width,
         height=height,
     )
-    # The reference tries every splat at every pixel; those that reach none only cost time.
+    # The reference evaluates all splats at all pixels; invisible ones would only cost time.
     return scene.rows(native.draw(scene).radii > 0)
 
 
 def stage_errors(stage: str, drawn: native.Drawn, true: truth.Truth) -> np.ndarray:
     """Errors of one stage: absolute for pictures outside the band, else relative to the row."""
     kind, name = STAGES[stage]
-    actual, wanted = getattr(drawn, kind)[name], getattr(true, kind)[name]
+    actual, expected = getattr(drawn, kind)[name], getattr(true, kind)[name]
     if kind == "pictures":
-        scale = max(1.0, float(np.abs(wanted).max()))
-        return np.abs(actual - wanted)[~true.band].ravel() / scale
-    seen = (drawn.radii > 0) & (true.projected["depths"] > 0)
-    actual, wanted = (
-        a[seen].astype(np.float64).reshape(int(seen.sum()), -1) for a in (actual, wanted)
+        scale = max(1.0, float(np.abs(expected).max()))
+        return np.abs(actual - expected)[~true.band].ravel() / scale
+    visible = (drawn.radii > 0) & (true.projected["depths"] > 0)
+    actual, expected = (
+        a[visible].astype(np.float64).reshape(int(visible.sum()), -1) for a in (actual, expected)
     )
-    length = np.linalg.norm(wanted, axis=1)
+    length = np.linalg.norm(expected, axis=1)
     keep = length > 0
     floor = max(ROW_FLOOR * float(np.median(length[keep])), 1.0 if name == "colors" else 0.0)
-    error = np.abs(actual - wanted).max(axis=1)
+    error = np.abs(actual - expected).max(axis=1)
     return error[keep] / np.maximum(length[keep], floor)
 
 
@@ -153,7 +153,7 @@ def table(name: str, scene: SplatScene, true: truth.Truth, errors: dict) -> str:
 
 
 def plot(path: Path, stages: list[str], errors: dict) -> None:
-    """Share of the values above an error, both logarithmic, one panel a stage."""
+    """Share of the values above an error, both logarithmic, one panel per stage."""
     width, height, gap, top = 250, 150, 34, 22
     columns = 4
     rows = -(-len(stages) // columns)
@@ -173,7 +173,7 @@ def plot(path: Path, stages: list[str], errors: dict) -> None:
             y = y0 + power / floor * height
             pen.line([(x0, y), (x0 + width, y)], fill=(225, 225, 225))
             pen.text((x0 - 26, y - 6), f"1e{power}" if power else "1", fill=(90, 90, 90))
-        # Thick ones first: AVX2 and AVX-512 lie on each other nearly everywhere.
+        # Thick lines first: AVX2 and AVX-512 are nearly identical.
         for isa, line in zip(errors, (6, 3, 2, 2), strict=False):
             found = errors[isa]
             e = np.sort(np.maximum(found[stage], 1e-12))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def main() -> int:
-    """Print a row for each test and tolerance, with the worst of its measures."""
+    """Print a row for each test and tolerance, with its worst measure."""
     rows = [row for file in sys.argv[1:] for row in json.loads(Path(file).read_text())]
     groups: dict[tuple[str, float | None], list[dict]] = {}
     for row in rows:

@@ -1,10 +1,10 @@
-"""Blender's main thread during a training: how long it blocks, and when results arrive.
+"""Blocking of Blender's main thread during a training, and on arrival of its results.
 
     python tools/measure/blender_thread.py CAPTURE --python PYTHON_THAT_TRAINS   (a Python with bpy)
 
-Presses Train, then calls the beat that Blender's timer calls, as often as the timer does, during a
-real training with live splats and pictures, and prints milliseconds by what the beat did. Then the
-same for the arrival of `--splats` splats of SH degree 3.
+Starts a training with live splats and pictures, calls the poll function as often as Blender's timer
+does, and prints milliseconds by the work of each call. Then measures the arrival of `--splats`
+splats of SH degree 3.
 """
 
 import argparse
@@ -25,14 +25,14 @@ def parse() -> argparse.Namespace:
     parser.add_argument("capture", type=Path)
     parser.add_argument("--python", type=Path, required=True)
     parser.add_argument("--preset", default="preview")
-    parser.add_argument("--seconds", type=float, default=60.0, help="then the training is stopped")
+    parser.add_argument("--seconds", type=float, default=60.0, help="time limit of the training")
     parser.add_argument("--splats", type=int, default=1_000_000)
     return parser.parse_args()
 
 
 class Watch:
-    """Times what is done in a block: milliseconds, and those of the processor, which other programs
-    do not change."""
+    """Context that measures wall-clock and CPU milliseconds; other programs do not affect the
+    latter."""
 
     def __enter__(self) -> "Watch":
         self._began = time.perf_counter(), time.thread_time()
@@ -44,7 +44,7 @@ class Watch:
 
 
 def show(name: str, took: list[tuple[float, ...]]) -> None:
-    """A row: how many, median, 99th percentile, longest, and longest of the processor."""
+    """Print a row: count, median, 99th percentile, maximum, and maximum of the CPU time."""
     x, own = np.array(took or [(0.0, 0.0)]).T
     print(
         f"{name:34} {len(took):6} {np.median(x):8.2f} {np.percentile(x, 99):8.2f} {x.max():8.2f} "
@@ -53,13 +53,13 @@ def show(name: str, took: list[tuple[float, ...]]) -> None:
 
 
 def mesh_of(scene: bpy.types.Scene) -> int:
-    """Address of the mesh that the result shows; 0 without one."""
+    """Address of the mesh of the result; 0 without one."""
     ob = scene.gscore.result
     return ob.data.as_pointer() if ob else 0
 
 
 def training(options: argparse.Namespace) -> None:
-    """Beats while a trainer works."""
+    """Measure poll calls during a training."""
     from addon import preferences
     from addon.process import poll_timer
     from addon.training import display, run_state, start_training
@@ -100,7 +100,7 @@ def training(options: argparse.Namespace) -> None:
 
 
 def arrival(count: int) -> None:
-    """Steps in which many splats are handed over."""
+    """Measure the steps in which many splats arrive."""
     from addon.attributes import NO_SPLATS
     from addon.core import Splats, write_splats
     from addon.splats import objects, write_chunked

@@ -1,8 +1,8 @@
-"""Blocks against one training of a large capture: python tools/measure/blocks.py RUN -o FOLDER.
+"""Blocks compared to one training of a large capture: python tools/measure/blocks.py RUN -o FOLDER.
 
-RUN is a finished run of a capture whose cameras go around something. What it shows is cut out and
-set up several times in a row; photos are rendered all along it, from where the run's cameras stood.
-That capture is trained whole, and split, trained and merged; the held-out photos judge both.
+RUN is a finished run of a capture whose cameras go around a subject. The subject is cut out and
+copied several times in a row; photos of all copies are rendered from the run's camera positions.
+That capture is trained as a whole, and split, trained and merged; held-out photos measure both.
 """
 
 import argparse
@@ -25,28 +25,28 @@ from gscore.splats import PARAMETERS, Splats
 from gscore.transforms import rotmat_to_quat
 
 JITTER = 0.05
-"""Cameras stand so far from those of the run, in mean distances to what they look at."""
+"""Random offset of cameras from those of the run, as a share of the mean distance to the focus."""
 POINTS = 8000
-"""Of each copy, in the capture."""
+"""Points per copy in the capture."""
 HIDDEN = 0.03
-"""A point is seen where the picture is so close to it, as a share of its distance."""
+"""Depth difference up to which a point is visible, as a share of its distance."""
 
 
 def focus(cameras: Cameras) -> np.ndarray:
-    """[3]: the place nearest to all lines of sight."""
+    """[3] point nearest to all optical axes."""
     ahead, centers = cameras.viewmats[:, 2, :3], cameras.centers
     across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
     return np.linalg.solve(across.sum(0), np.einsum("cij,cj->i", across, centers))
 
 
 def along_the_ground(cameras: Cameras) -> np.ndarray:
-    """[2, 3]: two directions at right angles in which the cameras spread most."""
+    """[2, 3] two perpendicular directions with the largest spread of cameras."""
     centers = cameras.centers - cameras.centers.mean(0)
     return np.linalg.svd(centers, full_matrices=False)[2][:2]
 
 
 def street(splats: Splats, cameras: Cameras, copies: int) -> tuple[Splats, np.ndarray]:
-    """Copies of what the cameras look at, side by side, and where each was moved, [C, 3]."""
+    """Copies of the subject side by side, and the translation of each, [C, 3]."""
     middle, axes = focus(cameras), along_the_ground(cameras)
     reach = 0.8 * np.median(np.linalg.norm(cameras.centers - middle, axis=1))
     inside = (np.abs((splats.means - middle) @ axes.T) < reach).all(axis=1)
@@ -59,7 +59,7 @@ def street(splats: Splats, cameras: Cameras, copies: int) -> tuple[Splats, np.nd
 
 
 def viewpoints(cameras: Cameras, moves: np.ndarray, count: int, rng: np.random.Generator) -> Any:
-    """[V, 4, 4]: `count` cameras in all, near those of the run, beside each copy in turn."""
+    """`count` viewmats [4, 4] near cameras of the run, for each copy in turn."""
     distance = np.linalg.norm(cameras.centers - focus(cameras), axis=1).mean()
     found = []
     for k in range(count):
@@ -71,7 +71,7 @@ def viewpoints(cameras: Cameras, moves: np.ndarray, count: int, rng: np.random.G
 
 
 def points_of(splats: Splats, count: int, rng: np.random.Generator) -> ColmapPoints:
-    """Middles of solid splats as points of structure from motion."""
+    """Means of opaque splats as SfM points."""
     solid = np.flatnonzero(splats.opacities > 0)
     rows = rng.choice(solid, min(count, len(solid)), replace=False)
     return ColmapPoints(
@@ -83,10 +83,10 @@ def points_of(splats: Splats, count: int, rng: np.random.Generator) -> ColmapPoi
     )
 
 
-def seen_in(
+def visible_in(
     points: ColmapPoints, K: np.ndarray, viewmat: np.ndarray, depth: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where points that nothing hides lie in a picture of this depth, [M, 2]; their ids, [M]."""
+    """Pixel positions [M, 2] of unoccluded points in a picture with this depth; their ids [M]."""
     height, width = depth.shape
     places = points.xyz @ viewmat[:3, :3].T + viewmat[:3, 3]
     with np.errstate(all="ignore"):
@@ -116,7 +116,7 @@ def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: i
         name = f"{k % copies}_{k // copies:04d}.png"
         picture = (drawn.rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
         Image.fromarray(picture).save(folder / "images" / name, compress_level=1)
-        xys, ids = seen_in(points, K, viewmat, drawn.median_depth)
+        xys, ids = visible_in(points, K, viewmat, drawn.median_depth)
         images.append(
             ColmapImage(
                 id=k + 1,
@@ -137,8 +137,8 @@ def write_capture(run: Path, folder: Path, *, photos: int, copies: int, width: i
     write_model(ColmapModel(cameras={1: camera}, images=images, points=points), folder / "sparse/0")
 
 
-def told(name: str, found: dict[str, Any], steps: str, most: float, whole: float) -> None:
-    """A row of the table."""
+def print_row(name: str, found: dict[str, Any], steps: str, most: float, whole: float) -> None:
+    """Print a row of the table."""
     cells = (
         *(name, steps, f"{found['splats']:,}", f"{found['psnr']:.2f}", f"{found['ssim']:.3f}"),
         *(f"{most / 1e6:,.0f}", f"{most / whole:.2f}"),
@@ -147,20 +147,20 @@ def told(name: str, found: dict[str, Any], steps: str, most: float, whole: float
 
 
 def main() -> int:
-    """Write the capture, train it both ways, print the table."""
+    """Write the capture, train it in both ways, print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--photos", type=int, default=600)
     parser.add_argument("--blocks", type=int, default=4)
     parser.add_argument("--width", type=int, default=1000)
-    parser.add_argument("--steps", type=int, default=1500, help="of a block")
-    parser.add_argument("--splats", type=int, default=50_000, help="of a block")
-    parser.add_argument("--whole-steps", type=int, help="of the whole; blocks times --steps")
-    parser.add_argument("--whole-splats", type=int, help="of the whole; blocks times --splats")
-    parser.add_argument("--coarse", action="store_true", help="blocks start from a preview")
-    parser.add_argument("--share", type=float, help="of `gscore split`")
-    parser.add_argument("--margin", type=float, help="of `gscore split`")
+    parser.add_argument("--steps", type=int, default=1500, help="steps per block")
+    parser.add_argument("--splats", type=int, default=50_000, help="splats per block")
+    parser.add_argument("--whole-steps", type=int, help="default: blocks times --steps")
+    parser.add_argument("--whole-splats", type=int, help="default: blocks times --splats")
+    parser.add_argument("--coarse", action="store_true", help="start blocks from a preview")
+    parser.add_argument("--share", type=float, help="--share of `gscore split`")
+    parser.add_argument("--margin", type=float, help="--margin of `gscore split`")
     args = parser.parse_args()
     capture, blocks = args.output / "capture", args.output / "blocks"
     write_capture(args.run, capture, photos=args.photos, copies=args.blocks, width=args.width)
@@ -186,11 +186,11 @@ def main() -> int:
         *("eval", args.output / "merged.ply", "-s", capture, "-r", 1, "--hold-out", 8),
         *("-o", args.output / "measured"),
     )
-    print("| | steps | splats | PSNR | SSIM | MB at most | of the whole's |\n" + 7 * "|---" + "|")
+    print("| | steps | splats | PSNR | SSIM | peak MB | relative MB |\n" + 7 * "|---" + "|")
     peak = whole["peak_memory_bytes"]
-    told("whole", whole, f"{steps:,}", peak, peak)
+    print_row("whole", whole, f"{steps:,}", peak, peak)
     most = max(part["peak_memory_bytes"] for part in parts)
-    told("merged", merged, f"{args.blocks} x {args.steps:,}", most, peak)
+    print_row("merged", merged, f"{args.blocks} x {args.steps:,}", most, peak)
     return 0
 
 

@@ -1,12 +1,11 @@
-"""Camera import and export in Blender: times, and how long the main thread blocks.
+"""Camera import and export in Blender: times, and blocking of the main thread.
 
     python tools/measure/cameras.py [CAPTURE...] [--others N] [--frames N...]    (a Python with bpy)
 
-Each operator goes on bit by bit as in a window, to its end or to Esc, and so does the removal of
-what is no longer needed then. Prints, of each capture and each path: the seconds to its end, the
-processor milliseconds of the longest step of the main thread, and the most milliseconds that the
-main thread woke later than it asked to, as when a thread keeps Python's lock, or other programs the
-processor.
+Each operator runs in short steps as in a window, to its end or to Esc, and so does the later
+removal of unused data. Prints, for each capture and path: total seconds, CPU milliseconds of the
+longest step of the main thread, and the largest delay of its wake-up in milliseconds, caused by
+threads that hold Python's lock or by other programs.
 """
 
 import argparse
@@ -29,26 +28,26 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("captures", type=Path, nargs="*", metavar="CAPTURE")
     parser.add_argument("--others", type=int, default=0, help="other objects in the scene")
-    parser.add_argument("--frames", type=int, nargs="*", default=(250, 2500), help="of paths")
+    parser.add_argument("--frames", type=int, nargs="*", default=(250, 2500), help="path lengths")
     return parser.parse_args()
 
 
 def measured(name: str, operator: str, **settings: Any) -> None:
-    """Print what one call of an operator takes, and what it leaves to be removed afterwards."""
+    """Print the times of an operator call, and of the removal of unused data afterwards."""
     bpy.context.view_layer.update()
     printed(name, begun(operator, **settings))
     printed("  removed afterwards", removal())
 
 
 def begun(operator: str, **settings: Any) -> Any:
-    """An operator as a button begins it."""
+    """A started operator, as from a button."""
     from addon.process.incremental_tasks import TaskRunner
 
     return TaskRunner(stand_in(operator, **settings).pieces(bpy.context))
 
 
 def removal() -> Any:
-    """The removal of what is no longer needed, as work."""
+    """The removal of unused data, as a task."""
     from addon.interface.incremental_removal import clearing
     from addon.process.incremental_tasks import TaskRunner
 
@@ -56,7 +55,7 @@ def removal() -> Any:
 
 
 def printed(name: str, going: Any) -> None:
-    """Do some work, and print what it takes."""
+    """Run a task and print its times."""
     began = time.perf_counter()
     own, late = map(max, zip(*steps(going), strict=True))
     took = time.perf_counter() - began
@@ -64,7 +63,7 @@ def printed(name: str, going: Any) -> None:
 
 
 def given_up(folder: str) -> None:
-    """Print what Esc takes when all cameras are made."""
+    """Print the time of Esc after all cameras were created."""
     count = len(bpy.data.cameras)
     bpy.ops.wm.read_homefile(use_empty=True)
     going = begun("import_cameras", directory=folder)
@@ -77,7 +76,7 @@ def given_up(folder: str) -> None:
 
 
 def have_moved() -> None:
-    """All cameras have other poses and lenses than the files say."""
+    """Change the poses and lenses of all cameras."""
     from addon.cameras.objects import is_camera
 
     for ob in filter(is_camera, bpy.data.objects):
@@ -89,14 +88,14 @@ def have_moved() -> None:
 
 
 def have_gone() -> None:
-    """Half of the photos are others than those that the files have."""
+    """Replace the photo names of half of the cameras."""
     for ob in bpy.data.objects:
         if ob.type == "CAMERA" and ob.name.endswith(tuple("02468")):
             ob["gs_image"] = f"gone/{ob['gs_image']}"
 
 
 def measured_path(frames: int) -> None:
-    """Print what a path of a camera takes that moves and zooms in an empty scene."""
+    """Print the times of exporting and importing a camera path in an empty scene."""
     scene = bpy.context.scene
     ob = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(ob)
@@ -128,7 +127,7 @@ def main() -> None:
             folder = str(capture.resolve())
             print(folder)
             measured("Import Cameras", "import_cameras", directory=folder)
-            measured("Import Cameras, anew", "import_cameras", directory=folder)
+            measured("Import Cameras, again", "import_cameras", directory=folder)
             have_moved()
             measured("the same, all differ", "import_cameras", directory=folder)
             have_gone()

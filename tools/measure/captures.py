@@ -1,4 +1,4 @@
-"""Captures: trains those of GSCORE_DATA and the bundled one, and prints a Markdown table.
+"""Captures: trains those of GSCORE_DATA and the bundled one, prints a Markdown table.
 
 python tools/measure/captures.py --presets preview draft
 """
@@ -18,10 +18,10 @@ COLUMNS = (
 
 
 def main() -> int:
-    """Run the trainings one after another and print as they end."""
+    """Run the trainings in order and print each result."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--presets", nargs="+", default=["preview", "draft"])
-    parser.add_argument("--captures", nargs="+", help="names; default: all there are")
+    parser.add_argument("--captures", nargs="+", help="names; default: all")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "bench")
     args = parser.parse_args()
     captures = {"studio": ROOT / "examples" / "studio"}
@@ -36,7 +36,7 @@ def main() -> int:
 
 
 def row(name: str, source: Path, preset: str, output: Path) -> str:
-    """Train one capture and return its line of the table."""
+    """Train one capture and return its table row."""
     split = ["--hold-out", "6", "--mask-mode", "none"] if name == "studio" else ["--eval"]
     command = [sys.executable, "-m", "gscore", "train", source, "-o", output, "--overwrite"]
     command += ["--preset", preset, "--quiet", "--json", *split]

@@ -1,11 +1,11 @@
-"""Camera comparison: cameras found from photos alone against the given model of captures.
+"""Camera comparison: cameras of `gscore sfm` compared to the given COLMAP model of captures.
 
     python tools/measure/compare_cameras.py examples/studio $GSCORE_DATA/data/lund
 
 Prints a row of the table in docs/sfm.md for each capture: photos with a camera, attempts, points,
-error, places, focal lengths, seconds on the clock and of all cores. With --preset, what held-out
-views gain in PSNR by the cameras found, median and mean over the views of all --seeds and --offsets
-(of every 8 views, the one at that place is held out).
+error, positions, focal lengths, wall-clock and CPU seconds. With --preset also the gain in PSNR of
+held-out views from these cameras, median and mean over the views of all --seeds and --offsets (an
+offset selects the held-out view of every 8).
 """
 
 import argparse
@@ -25,16 +25,16 @@ from gscore.trainer.run import train
 
 
 def centers(model: ColmapModel) -> dict[str, np.ndarray]:
-    """Places of the cameras, [3] float64 by the names of their photos."""
+    """Positions of the cameras, [3] float64, by photo name."""
     return {i.name: -i.viewmat[:3, :3].T @ i.viewmat[:3, 3] for i in model.images}
 
 
 def distances(found: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """After the best similarity (Umeyama 1991), as shares of the given cameras' extent.
+    """[n] distances after the best similarity (Umeyama 1991), as shares of the given extent.
 
     Args:
-        found: [n, 3] places.
-        given: [n, 3] places of the same cameras.
+        found: [n, 3] positions.
+        given: [n, 3] positions of the same cameras.
     """
     a, b = given - given.mean(0), found - found.mean(0)
     u, s, vt = np.linalg.svd(a.T @ b)
@@ -44,9 +44,9 @@ def distances(found: np.ndarray, given: np.ndarray) -> np.ndarray:
 
 
 def psnr_by_view(capture: Path, preset: str, seed: int, offset: int) -> dict[str, float]:
-    """Of the held-out views after a training, dB, by their names."""
+    """PSNR of the held-out views after a training, dB, by name."""
     data, config = PRESETS[preset](capture)
-    # The search takes no masks along, so neither training may use any.
+    # SfM copies no masks, so neither training may use masks.
     data = replace(data, eval=True, test_offset=offset, mask_mode="none")
     with tempfile.TemporaryDirectory() as folder:
         found = train(replace(config, seed=seed), data, Path(folder) / "run")
@@ -54,7 +54,7 @@ def psnr_by_view(capture: Path, preset: str, seed: int, offset: int) -> dict[str
 
 
 def gains(found: Path, given: Path, args: argparse.Namespace) -> str:
-    """By the cameras found, as the end of a row."""
+    """Gain in PSNR from the found cameras, as the last cell of a row."""
     off = []
     for seed, offset in itertools.product(range(args.seeds), args.offsets):
         mine, theirs = (
@@ -65,13 +65,13 @@ def gains(found: Path, given: Path, args: argparse.Namespace) -> str:
 
 
 def cpu_seconds() -> float:
-    """Of this process so far, all cores together."""
+    """CPU time of this process on all cores."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
 def main() -> None:
-    """Search and print."""
+    """Find the cameras and print the rows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("captures", type=Path, nargs="+")
     parser.add_argument("--mapper", choices=MAPPERS, default="auto")

@@ -2,8 +2,8 @@
 
 python tools/measure/depth_cost.py SPLATS.ply
 
-Two trainings of the studio capture go on from the same splats, one with the exact depth, a step
-each in turn: medians of what the steps took, and of their ratios.
+Two trainings of the studio capture start from the same splats, one with the exact depth, and take
+steps alternately. Prints medians of their times and of the ratios.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from gscore.trainer.trainer import Trainer
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 WARM_UP = 6
-"""Pairs that are not counted."""
+"""Pairs of steps that are not measured."""
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     args = parser.parse_args()
     splats = read_ply(args.splats)
     data = DataConfig(source=STUDIO, mask_mode="none", depths="depths")
-    # Full size, no refinement and next to no learning: all steps of both do the same work.
+    # Full size, no refinement, tiny learning rates: all steps do the same work.
     config = TrainConfig(
         iterations=100_000,
         max_splats=len(splats),

@@ -1,18 +1,17 @@
-"""Edits in Blender on a million splats: times, and how long the main thread blocks.
+"""Edits in Blender on a million splats: times, and blocking of the main thread.
 
     python tools/measure/edits.py [--capture CAPTURE] [--splats N] [--group] [--text]
                                                                     (a Python with bpy)
 
-Splats of SH degree 3 lie on spheres, as those of captures lie on surfaces, with some floating
-around. Each operator goes on bit by bit as in a window. Prints, of two calls of each: the seconds
-to its end; the processor milliseconds of the longest step of the main thread, without what Blender
-does in it by itself (entering Edit Mode; the scene was evaluated before), and those of Blender; and
-the most milliseconds that the main thread woke later than it asked to while it had nothing to do,
-as when a thread keeps Python's lock, or other programs the processor; *Nothing* tells of these.
+Splats of SH degree 3 are on spheres, like surfaces of captures, with some floaters. Each operator
+runs in short steps as in a window. Prints, for two calls of each: total seconds; CPU milliseconds
+of the longest step of the main thread, without those of Blender itself (entering Edit Mode; the
+scene is evaluated before), and those of Blender; and the largest delay of the main thread's wake-up
+in milliseconds, caused by threads that hold Python's lock or by other programs, as in *Nothing*.
 
-*Separate* takes half of them away, *Join* brings as many back, turned, *Turn Shapes and Colors
-Along* comes after Blender's Apply, *Decimate* keeps half, and compares pictures from the capture's
-cameras. *Compare with Photo* is of a camera of the capture.
+*Separate* removes half of the splats, *Join* adds as many, rotated, *Turn Shapes and Colors Along*
+follows Blender's Apply, *Decimate* keeps half, and compares pictures from the capture's cameras.
+*Compare with Photo* uses a camera of the capture.
 """
 
 import argparse
@@ -33,7 +32,7 @@ from tools.measure.stand_in import stand_in, steps  # noqa: E402 - the path come
 
 SPHERES, RADII = 5, (1.0, 0.5, 0.3)
 FLOATING = 200
-"""Of so many splats one floats."""
+"""One of this many splats is a floater."""
 
 
 def parse() -> argparse.Namespace:
@@ -41,13 +40,13 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "studio")
     parser.add_argument("--splats", type=int, default=1_000_000)
-    parser.add_argument("--group", action="store_true", help="all are in a vertex group")
-    parser.add_argument("--text", action="store_true", help="all have an attribute of text")
+    parser.add_argument("--group", action="store_true", help="put all into a vertex group")
+    parser.add_argument("--text", action="store_true", help="add a text attribute")
     return parser.parse_args()
 
 
 def surfaces(count: int) -> dict[str, np.ndarray]:
-    """The arrays of `Splats`: thin ones on spheres side by side."""
+    """The arrays of `Splats`: flat splats on spheres side by side."""
     rng = np.random.default_rng(0)
 
     def noise(*shape: int) -> np.ndarray:
@@ -70,13 +69,13 @@ def surfaces(count: int) -> dict[str, np.ndarray]:
 
 
 class Blenders:
-    """Processor seconds that calls of Blender's own take."""
+    """CPU seconds of calls into Blender."""
 
     def __init__(self) -> None:
         self.spent = 0.0
 
     def timed(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The same call, whose time is added up."""
+        """Wrap a call and add up its time."""
 
         def timed(*args: Any, **options: Any) -> Any:
             began = time.thread_time()
@@ -89,7 +88,7 @@ class Blenders:
 
 
 def carry(ob: bpy.types.Object, *, group: bool, text: bool) -> None:
-    """Give all splats what is asked for."""
+    """Add the requested vertex group and attribute."""
     from addon.splats import string_attributes, vertex_groups
     from addon.splats.point_attributes import Column, blocks
 
@@ -106,7 +105,7 @@ def carry(ob: bpy.types.Object, *, group: bool, text: bool) -> None:
 
 
 def timed(name: str, operator: str, **settings: Any) -> None:
-    """Print what one call of an operator takes, from Object Mode, and end there."""
+    """Print the times of an operator call from Object Mode, and return there."""
     bpy.context.view_layer.update()
     bpy.ops.ed.undo_push(message=name)
     measured(name, stand_in(operator, **settings).pieces(bpy.context))
@@ -115,7 +114,7 @@ def timed(name: str, operator: str, **settings: Any) -> None:
 
 
 def measured(name: str, pieces: Any) -> None:
-    """Print what work takes."""
+    """Run a task and print its times."""
     from addon.process.incremental_tasks import TaskRunner
     from addon.splats import edit_operators, operators, select_operators
 
@@ -140,13 +139,13 @@ def measured(name: str, pieces: Any) -> None:
 
 
 def nothing() -> Iterator[str]:
-    """Pieces in which nothing is done: how late the main thread is by itself."""
+    """Empty steps, for the delay of the main thread itself."""
     for _ in range(100):
         yield ""
 
 
 def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
-    """What a stroke of the brush, and picking a color, begin with."""
+    """Measure the start of a brush stroke, and picking a color."""
     from addon.cameras.render_camera import render_camera
     from addon.paint import paint_target, visible_splats
     from addon.paint.brush import Brush
@@ -156,7 +155,7 @@ def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
     brush = Brush(radius=50, color=(1, 0, 0))
     measured("Paint", paint_target.begin_stroke(ob, brush, view))
     measured("Paint, Front Only", paint_target.begin_stroke(ob, brush, view, front_only=True))
-    with suppress(ValueError):  # there may be none in the middle
+    with suppress(ValueError):  # there may be no splat in the middle
         measured("Paint, Pick a Color", visible_splats.color_at(ob, view, np.array([800.0, 450.0])))
 
 

@@ -1,4 +1,4 @@
-"""gscore command lines for the measurements."""
+"""gscore command lines for measurements."""
 
 import json
 import subprocess
@@ -7,6 +7,6 @@ from typing import Any
 
 
 def verb(*arguments: object) -> dict[str, Any]:
-    """Run gscore; its last line as JSON."""
+    """Run a verb of gscore; returns its JSON result."""
     line = [sys.executable, "-m", "gscore", *map(str, arguments), "--json", "--quiet"]
     return json.loads(subprocess.check_output(line, text=True).splitlines()[-1])

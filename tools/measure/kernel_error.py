@@ -1,11 +1,11 @@
-"""Kernel error against time, by instruction set and degree of the exponential.
+"""Kernel error over time, by instruction set and degree of the exponential.
 
 python tools/measure/kernel_error.py --ply out/demo/point_cloud.ply --cameras examples/studio
 
-Builds the library once a degree of the exponential's polynomial (build/exp-N), then measures, in a
-process of its own, the error of pictures and gradients of random scenes against the float64
+Builds the library for each degree of the exponential's polynomial (build/exp-N), then measures in a
+separate process the error of pictures and gradients of random scenes compared to the float64
 reference, and nanoseconds per pair on a trained capture. Writes
-OUTPUT/{kernel_error.json,kernel-error.svg} and prints a table in Markdown.
+OUTPUT/{kernel_error.json,kernel-error.svg} and prints a Markdown table.
 """
 
 import argparse
@@ -32,14 +32,14 @@ from gscore.stress.scenes import draw_scene
 ROOT = Path(__file__).parents[2]
 DEGREES = (3, 4, 5, 6)
 SEEDS = range(8)
-"""Of the random scenes."""
+"""Seeds of the random scenes."""
 
 
 def main() -> int:
     """Build, measure, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--ply", type=Path, help="splat file; default: a synthetic cloud")
-    parser.add_argument("--cameras", type=Path, help="the capture they were trained on")
+    parser.add_argument("--cameras", type=Path, help="capture of the splats")
     parser.add_argument("--degrees", type=int, nargs="+", default=list(DEGREES))
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "kernel-error")
     parser.add_argument("--measure", metavar="ISA", help=argparse.SUPPRESS)
@@ -50,7 +50,7 @@ def main() -> int:
         return 0
     isas = native_library.available_isas()
     rows = []
-    print("| ISA | degree | ns a pair | picture, largest | picture, mean | gradient, median |")
+    print("| ISA | degree | ns per pair | picture, largest | picture, mean | gradient, median |")
     print("|---|---|---|---|---|---|", flush=True)
     for isa in isas:
         for degree in args.degrees:
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def build(degree: int) -> Path:
-    """The library with a polynomial of this degree."""
+    """Build the library with a polynomial of this degree."""
     folder = ROOT / "build" / f"exp-{degree}"
     tools = Path(sys.executable).parent
     options = ["-DCMAKE_BUILD_TYPE=Release", f"-DGS_EXP_DEGREE={degree}"]
@@ -79,7 +79,7 @@ def build(degree: int) -> Path:
 
 
 def measured(args: argparse.Namespace, isa: str, library: Path) -> dict[str, float]:
-    """`errors` and `speed` of another library, in a process of its own."""
+    """`errors` and `speed` of another library, in a separate process."""
     command = [sys.executable, __file__, "--measure", isa]
     if args.ply:
         command += ["--ply", args.ply, "--cameras", args.cameras]
@@ -89,7 +89,7 @@ def measured(args: argparse.Namespace, isa: str, library: Path) -> dict[str, flo
 
 
 def errors() -> dict[str, float]:
-    """Errors against the float64 reference, outside the band where rounding decides."""
+    """Errors compared to the float64 reference, outside the band where rounding decides."""
     pictures, gradients = [], []
     for seed in SEEDS:
         scene = draw_scene(
@@ -116,7 +116,7 @@ def errors() -> dict[str, float]:
 
 
 def speed(ply: Path | None, cameras: Path | None) -> dict[str, float]:
-    """Nanoseconds a pair, forward and backward blending together, all threads."""
+    """Nanoseconds per pair, forward and backward blending, all threads."""
     if ply is None or cameras is None:
         splats, views = synthetic_scene()
         chosen = [0]
@@ -129,7 +129,7 @@ def speed(ply: Path | None, cameras: Path | None) -> dict[str, float]:
 
 
 def drawing(isas: tuple[str, ...] | list[str], rows: list[dict]) -> str:
-    """One curve an instruction set, one dot a degree."""
+    """One curve per instruction set, one dot per degree."""
     series = [
         Series(
             label=f"{isa}, degree {', '.join(str(r['degree']) for r in rows if r['isa'] == isa)}",
@@ -140,8 +140,8 @@ def drawing(isas: tuple[str, ...] | list[str], rows: list[dict]) -> str:
     ]
     return figure(
         series,
-        title="Largest picture error against time",
-        x_label="nanoseconds a pair, forward and backward",
+        title="Largest picture error over time",
+        x_label="nanoseconds per pair, forward and backward",
         y_label="largest error of a picture",
         log_x=True,
         log_y=True,

@@ -1,9 +1,9 @@
 """Lens blur: PSNR lost to interpolation: python tools/measure/lens_blur.py CAPTURE... -o FOLDER.
 
-Adjusts the given COLMAP model of each capture anew by its own tracks, once with the straight lens
-that it has and once with one that may bend (OPENCV), and trains previews with the given model and
-both. Where error and places agree, what a bent lens gains in held-out views is the interpolation of
-the photos, held-out ones too. Prints the rows of the table in docs/sfm.md.
+Runs bundle adjustment of the given COLMAP model of each capture, with its pinhole lens and with a
+distorted one (OPENCV), and trains previews with the given model and both results. Where errors and
+positions agree, the gain of held-out views with the distorted lens is due to the interpolation of
+all photos. Prints the rows of the table in docs/sfm.md.
 """
 
 import argparse
@@ -19,10 +19,10 @@ from gscore_line import verb
 from gscore.sfm.bundle_adjustment import adjust
 
 
-def adjusted(model: Path, *, bends: bool) -> Any:
-    """The model, adjusted by its tracks; its lens must be straight."""
+def adjusted(model: Path, *, distorted: bool) -> Any:
+    """The model after bundle adjustment; its lens must be a pinhole."""
     found = pycolmap.Reconstruction(str(model))
-    for camera in found.cameras.values() if bends else ():
+    for camera in found.cameras.values() if distorted else ():
         fx, fy, cx, cy = camera.params
         camera.model = pycolmap.CameraModelId.OPENCV
         camera.params = [fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0]
@@ -41,7 +41,7 @@ def views_of(capture: Path, run: Path) -> np.ndarray:
 
 
 def main() -> int:
-    """Adjust, train, and print a row for each lens."""
+    """Adjust and train, and print a row for each lens."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("captures", type=Path, nargs="+")
     parser.add_argument("-o", "--output", type=Path, required=True)
@@ -49,12 +49,12 @@ def main() -> int:
     print("| capture | lens | error, px | dB | SSIM |\n|---|---|---|---|---|", flush=True)
     for capture in args.captures:
         given = views_of(capture, args.output / capture.name / "given")
-        for name, bends in (("straight", False), ("bends", True)):
+        for name, distorted in (("pinhole", False), ("distorted", True)):
             place = args.output / capture.name / f"capture_{name}"
             (place / "sparse/0").mkdir(parents=True, exist_ok=True)
             if not (place / "images").exists():
                 (place / "images").symlink_to((capture / "images").resolve())
-            model = adjusted(capture / "sparse/0", bends=bends)
+            model = adjusted(capture / "sparse/0", distorted=distorted)
             model.write(str(place / "sparse/0"))
             gained = views_of(place, args.output / capture.name / name) - given
             error = model.compute_mean_reprojection_error()

@@ -1,9 +1,9 @@
 """Levels of detail of a large model: python tools/measure/levels.py RUN -o FOLDER.
 
-Sets up what a finished run trained many times side by side, lets `gscore lod` make levels of it,
-and draws pictures at 640 x 360 from the disk: one camera among the copies, one that sees all of
-them, and a walk among them. Each picture is a process of its own, for its peak memory. The finest
-level is compared with the whole model in memory. What FOLDER holds from before is drawn again.
+Copies the splats of a finished run many times side by side, builds levels with `gscore lod`, and
+renders pictures at 640 x 360 from disk: one camera among the copies, one that shows all of them,
+and a walk among them. Each picture has its own process, for its peak memory. The finest level is
+compared to the whole model in memory. Existing files in FOLDER are reused.
 """
 
 import argparse
@@ -23,9 +23,9 @@ from gscore.splats import PARAMETERS, Splats
 
 WIDTH, HEIGHT, FOCAL = 640, 360, 500.0
 APART = 1.5
-"""Copies stand so many times as far apart as nine tenths of their splats reach."""
+"""Distance of copies, relative to the extent of 90 % of their splats."""
 STEPS, WARM = 60, 10
-"""Pictures of the walk; the first ones, which read what they show, do not count."""
+"""Pictures of the walk, and the number of first ones that are not measured as they load chunks."""
 DRAWN = {
     "among, --lod-px 0": ("among", {"lod_px": 0.0}),
     "all, --lod-px 0": ("all", {"lod_px": 0.0}),
@@ -37,8 +37,8 @@ DRAWN = {
 
 
 def tiled(splats: Splats, copies: int) -> tuple[Splats, np.ndarray]:
-    """Copies in a square along the two directions in which splats reach farthest, with SH degree 3,
-    and the two vectors, [2, 3], from each to its neighbours."""
+    """Copies in a square along the two largest axes of the splats, with SH degree 3, and the two
+    vectors [2, 3] between neighbours."""
     low, high = np.quantile(splats.means, (0.05, 0.95), axis=0)
     axes = np.argsort(low - high)[:2]
     moves = np.zeros((2, 3), np.float32)
@@ -53,8 +53,8 @@ def tiled(splats: Splats, copies: int) -> tuple[Splats, np.ndarray]:
 
 
 def viewmats(run: Path, moves: np.ndarray, copies: int) -> dict[str, np.ndarray]:
-    """[4, 4] of the camera among the copies and of that which sees all; [STEPS, 4, 4] of the
-    walk."""
+    """Viewmats [4, 4] of the camera among the copies and of one that shows all; [STEPS, 4, 4] of
+    the walk."""
     cameras = read_cameras_json(run / "cameras.json")
     side = int(np.ceil(np.sqrt(copies)))
     walk = np.repeat(cameras.viewmats[:1], STEPS, axis=0)
@@ -69,7 +69,7 @@ def viewmats(run: Path, moves: np.ndarray, copies: int) -> dict[str, np.ndarray]
 
 
 def picture(model: Path, viewmat: np.ndarray, how: dict[str, float]) -> tuple[np.ndarray, int]:
-    """RGB, and how many splats were drawn; of a file of levels, or of a whole PLY."""
+    """RGB picture and number of rendered splats, of a file of levels or of a whole PLY."""
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     if model.suffix == ".ply":
         splats = gscore.read_splats(model)
@@ -82,7 +82,7 @@ def picture(model: Path, viewmat: np.ndarray, how: dict[str, float]) -> tuple[np
 
 
 def walked(model: Path, walk: np.ndarray, how: dict[str, float]) -> tuple[float, int]:
-    """Median seconds of a picture of the walk, and splats drawn."""
+    """Median seconds per picture of the walk, and rendered splats."""
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     seconds, counts = [], []
     with LodModel(model) as levels:
@@ -96,13 +96,13 @@ def walked(model: Path, walk: np.ndarray, how: dict[str, float]) -> tuple[float,
 
 
 def peak_mb() -> float:
-    """Of this process, resident. Linux alone tells it apart from that of the process before."""
+    """Peak resident memory of this process, without that of its parent; Linux only."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return int(status["VmHWM"].split()[0]) / 1e3
 
 
 def as_process(folder: Path, *words: str) -> dict[str, float]:
-    """What another process of this file prints."""
+    """JSON result of another process of this script."""
     line = [sys.executable, __file__, str(folder), "-o", str(folder), "--one", *words]
     return json.loads(subprocess.check_output(line, text=True))
 
@@ -115,7 +115,7 @@ def tile(folder: Path, run: Path, copies: int) -> None:
 
 
 def one(folder: Path, name: str, where: str, how: dict[str, float]) -> dict[str, float]:
-    """Set the copies up, or draw a picture or the walk, and say what it took."""
+    """Create the copies, or render a picture or the walk; returns its costs."""
     if name == "tile":
         tile(folder, Path(where), int(how["copies"]))
         return {}
@@ -130,13 +130,13 @@ def one(folder: Path, name: str, where: str, how: dict[str, float]) -> dict[str,
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> str:
-    """How two pictures differ."""
+    """Difference of two pictures, as text."""
     most, mse = np.abs(a - b).max() * 255, float(((a - b) ** 2).mean())
     return "the same bits" if most == 0 else f"{most:.2f}/255, {-10 * np.log10(mse):.0f} dB"
 
 
 def main() -> int:
-    """Build, draw and print the tables."""
+    """Build, render and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
@@ -159,23 +159,21 @@ def main() -> int:
             return 1
         seconds, busy = time.perf_counter() - began, used.ru_utime + used.ru_stime
         print(f"Built in {seconds:.0f} s, {busy:.0f} s of processor, {used.ru_maxrss / 1e3:.0f} MB")
-    print(
-        "| picture | splats drawn | MB | against the whole model |\n|---|---|---|---|", flush=True
-    )
+    print("| picture | splats drawn | MB | from the whole model |\n|---|---|---|---|", flush=True)
     whole = {}
     for where in ("among", "all"):
-        told = as_process(folder, "whole", where, "{}")
+        cost = as_process(folder, "whole", where, "{}")
         whole[where] = np.load(folder / "whole.npy")
-        print(f"| {where}, the PLY | {told['splats']:,.0f} | {told['mb']:,.0f} | |", flush=True)
+        print(f"| {where}, the PLY | {cost['splats']:,.0f} | {cost['mb']:,.0f} | |", flush=True)
     for label, (where, how) in DRAWN.items():
-        told = as_process(folder, "levels", where, json.dumps(how))
+        cost = as_process(folder, "levels", where, json.dumps(how))
         found = apart(np.load(folder / "levels.npy"), whole[where])
-        print(f"| {label} | {told['splats']:,.0f} | {told['mb']:,.0f} | {found} |", flush=True)
-    print("| walk | splats drawn | MB | ms a picture |\n|---|---|---|---|", flush=True)
+        print(f"| {label} | {cost['splats']:,.0f} | {cost['mb']:,.0f} | {found} |", flush=True)
+    print("| walk | splats drawn | MB | ms per picture |\n|---|---|---|---|", flush=True)
     for how in ({"lod_px": 1.0}, {"lod_px": 4.0}, {"lod_px": 1.0, "most": 400_000}):
-        told = as_process(folder, "walk", "walk", json.dumps(how))
+        cost = as_process(folder, "walk", "walk", json.dumps(how))
         print(
-            f"| {how} | {told['splats']:,.0f} | {told['mb']:,.0f} | {1e3 * told['seconds']:.0f} |"
+            f"| {how} | {cost['splats']:,.0f} | {cost['mb']:,.0f} | {1e3 * cost['seconds']:.0f} |"
         )
     return 0
 

@@ -1,10 +1,10 @@
-"""Video rendering from a trained run as if hand-held, with motion blur and unusable stretches.
+"""Video of a trained run with hand-held camera motion, motion blur and unusable parts.
 
     python tools/measure/make_video.py RUN -o walk.mp4 --seconds 20
 
-The camera goes once around, trembles, stands still for a while and is shaken twice; some frames are
-held. Beside the video lies `walk.json`: for every frame what was done to it (`sharp`, `shaken`,
-`held`, `still`), and its true camera (world to camera, OpenCV axes).
+The camera orbits once, trembles, stops for a while and is shaken twice; some frames are repeated.
+`walk.json` next to the video has the kind of every frame (`sharp`, `shaken`, `held`, `still`) and
+its true camera (world to camera, OpenCV axes).
 """
 
 import argparse
@@ -21,17 +21,17 @@ from gscore.commands.pictures.video import write_video
 
 RATE = 30
 STILL, SHAKEN, HELD = (0.30, 0.36), ((0.15, 0.19), (0.62, 0.65)), ((0.45, 0.46), (0.80, 0.82))
-"""Parts of the video, in shares of its length."""
+"""Parts of the video, as shares of its length."""
 TREMBLE, SHAKE = 0.004, 0.06
-"""Largest angles, in radians."""
+"""Largest angles, radians."""
 FINE = 24
-"""Moments of an exposure while the camera is shaken: fewer give several pictures, not a blur."""
+"""Samples of an exposure while the camera is shaken; fewer give distinct pictures, not blur."""
 EXPOSURE = 0.5
-"""Of the time between two frames."""
+"""Exposure time, as a share of the time between two frames."""
 
 
 def kinds(count: int) -> list[str]:
-    """What is done to each frame."""
+    """The kind of each frame."""
 
     def kind(share: float) -> str:
         if any(a <= share < b for a, b in SHAKEN):
@@ -44,7 +44,7 @@ def kinds(count: int) -> list[str]:
 
 
 def places(what: list[str], samples: int) -> np.ndarray:
-    """[frames, samples] how far along the path the camera is, from 0 to 1, during each exposure."""
+    """[frames, samples] position along the path, 0 to 1, during each exposure."""
     speed = np.array([0.0 if kind == "still" else 1.0 for kind in what])
     speed = np.convolve(speed, np.ones(15) / 15, mode="same")
     way = np.concatenate([[0.0], np.cumsum(speed)])
@@ -53,7 +53,7 @@ def places(what: list[str], samples: int) -> np.ndarray:
 
 
 def trembling(what: list[str], samples: int, seed: int) -> np.ndarray:
-    """[frames, samples, 2] turns of the camera about x and y in radians, smooth in time."""
+    """[frames, samples, 2] rotations of the camera about x and y, radians, smooth in time."""
     rng = np.random.default_rng(seed)
     moments = np.arange(len(what))[:, None] + np.arange(samples) / samples * EXPOSURE
     turns = np.zeros((*moments.shape, 2))
@@ -67,7 +67,7 @@ def trembling(what: list[str], samples: int, seed: int) -> np.ndarray:
 
 
 def turned(viewmat: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """[4, 4] world to camera after a turn about the camera's x and y axes."""
+    """[4, 4] world to camera after a rotation about the camera's x and y axes."""
     (sx, sy), (cx, cy) = np.sin(turn), np.cos(turn)
     about = np.eye(4)
     about[:3, :3] = [[cy, 0, sy], [sx * sy, cx, -sx * cy], [-cx * sy, sx, cx * cy]]
@@ -82,15 +82,15 @@ def pictures(
     size: tuple[int, int],
     samples: int,
 ) -> Iterator[np.ndarray]:
-    """[H, W, 3] uint8 a frame: the mean of the exposure's moments; held ones come twice.
+    """Frames [H, W, 3] uint8: the mean over the samples of an exposure; `held` repeats a frame.
 
     Args:
-        run: With the splats.
+        run: Folder of the run.
         viewmats: [frames, FINE, 4, 4].
-        what: As `kinds` says.
+        what: Result of `kinds`.
         K: [3, 3].
         size: Width and height.
-        samples: Moments of an exposure that is not shaken.
+        samples: Samples of an exposure without shaking.
     """
     model = open_model(run)
     last = None
@@ -112,18 +112,18 @@ def pictures(
 
 
 def main() -> None:
-    """Render and write."""
+    """Render and write the video."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="a run of `gscore train`")
     parser.add_argument("-o", "--output", type=Path, required=True, help="the .mp4")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--width", type=int, default=800, help="pixels")
-    parser.add_argument("--samples", type=int, default=4, help="pictures an exposure is made of")
+    parser.add_argument("--samples", type=int, default=4, help="pictures per exposure")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     model = open_model(args.run)
     if model.data is None:
-        parser.error(f"{args.run} is no run of gscore train")
+        parser.error(f"{args.run} is not a run of gscore train")
     cameras = gscore.load_dataset(model.data).scene.cameras
     width = args.width // 2 * 2
     scale = width / float(cameras.widths[0])

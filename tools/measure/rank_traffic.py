@@ -1,9 +1,9 @@
 """Rank traffic: network use of a distributed training: python tools/measure/rank_traffic.py.
 
-Trains with 1, 2 and 4 ranks of one thread on this machine, then with two ranks over a network that
-is made slower by pauses: each time the ranks meet, the pause of a message on its way (half of a
-round trip), with some probability that of a message sent again, and that of the bytes over a narrow
-line. Writes a table of bytes and seconds a batch. Further arguments are options of `gscore train`.
+Trains with 1, 2 and 4 ranks of one thread on this machine, then with two ranks over a simulated
+slow network: each collective operation pauses for the latency of a message (half a round trip), for
+a retransmission with some probability, and for its bytes at a limited bandwidth. Prints a table of
+bytes and seconds per batch. Other arguments are options of `gscore train`.
 """
 
 import argparse
@@ -20,30 +20,30 @@ from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 SENT_AGAIN = 0.2
-"""Seconds after which TCP sends again at the earliest what was lost (RFC 6298, as Linux has it)."""
+"""Minimum retransmission timeout of TCP on Linux, s (RFC 6298)."""
 
 
 class Network(NamedTuple):
-    """What lies between two machines."""
+    """A simulated network between two machines."""
 
     delay_ms: float = 0.0
-    """Of a message, one way."""
+    """Latency of a message, one way."""
     loss: float = 0.0
-    """Share of messages that are lost, and sent again."""
+    """Share of messages that are lost and retransmitted."""
     mbit: float = 0.0
-    """Bits a second, in millions; 0: as many as wanted."""
+    """Bandwidth, Mbit/s; 0: unlimited."""
 
     @property
     def words(self) -> str:
-        """For a row of the table."""
-        told = [f"{self.delay_ms:g} ms"] if self.delay_ms else []
-        told += [f"{self.loss:.1%} lost"] if self.loss else []
-        told += [f"{self.mbit:g} Mbit/s"] if self.mbit else []
-        return ", ".join(told) or "this machine"
+        """Description for a row of the table."""
+        parts = [f"{self.delay_ms:g} ms"] if self.delay_ms else []
+        parts += [f"{self.loss:.1%} lost"] if self.loss else []
+        parts += [f"{self.mbit:g} Mbit/s"] if self.mbit else []
+        return ", ".join(parts) or "this machine"
 
 
 def rank(network: Network, arguments: list[str]) -> int:
-    """Be one of the ranks: gscore over such a network; returns the exit code."""
+    """Run gscore as one of the ranks over a simulated network; returns the exit code."""
     from gscore.commands import main
     from gscore.trainer.distributed.process_group import ProcessGroup
 
@@ -74,21 +74,21 @@ def measure(capture: Path, out: Path, ranks: int, network: Network, more: list[s
     subprocess.run([sys.executable, *line], check=True, cwd=ROOT, stderr=subprocess.DEVNULL)
     metrics = json.loads((out / "metrics.json").read_text())
     photo = metrics["train_seconds"] / metrics["steps"]
-    told = metrics.get("ranks")
-    if told is None:
+    traffic = metrics.get("ranks")
+    if traffic is None:
         return [str(ranks), network.words, "0", "", "", f"{photo:.3f}"]
     return [
         str(ranks),
         network.words,
-        f"{max(told['sent_bytes_per_batch']) / 1e6:.2f}",
-        f"{max(told['worked_seconds_per_batch']):.3f}",
-        f"{min(told['waited_seconds_per_batch']):.3f}",
+        f"{max(traffic['sent_bytes_per_batch']) / 1e6:.2f}",
+        f"{max(traffic['worked_seconds_per_batch']):.3f}",
+        f"{min(traffic['waited_seconds_per_batch']):.3f}",
         f"{photo:.3f}",
     ]
 
 
 def main() -> int:
-    """Measure, or be a rank of what is measured."""
+    """Measure, or run as a rank of a measurement."""
     if sys.argv[1:2] == ["--rank"]:
         return rank(Network(*json.loads(sys.argv[2])), sys.argv[4:])
     parser = argparse.ArgumentParser(description=__doc__)
@@ -100,7 +100,7 @@ def main() -> int:
     plans += [(2, Network(delay_ms=delay)) for delay in (1, 10, 50)]
     plans += [(2, Network(delay_ms=1, loss=loss)) for loss in (0.001, 0.01)]
     plans += [(2, Network(delay_ms=1, mbit=mbit)) for mbit in (10000, 1000, 100)]
-    print("| ranks | network | MB sent a batch | works, s | waits, s | s a photo |", flush=True)
+    print("| ranks | network | MB per batch | works, s | waits, s | s per photo |", flush=True)
     print("|---|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory(prefix="gscore-ranks-") as folder:
         for ranks, network in plans:

@@ -1,7 +1,7 @@
 """Redraw scene, inside a Blender with a window, for redraws.py: orbits splats and measures.
 
-`blender -P tools/measure/redraw_scene.py -- FOLDER PACKAGES...`; FOLDER/splats.ply is shown as
-FOLDER/asked.json says. Leaves FOLDER/seen.json: rows of numbers, or a problem.
+`blender -P tools/measure/redraw_scene.py -- FOLDER PACKAGES...` shows FOLDER/splats.ply with the
+options of FOLDER/asked.json, and writes FOLDER/seen.json: rows of numbers, or a problem.
 """
 
 import json
@@ -32,32 +32,32 @@ from tools.window import desk  # noqa: E402
 ASKED = json.loads((FOLDER / "asked.json").read_text())
 seen: dict[str, Any] = {"rows": []}
 STILL_REDRAWS = 20
-"""Of a view at rest."""
+"""Number of redraws of a view at rest."""
 FIRST = Quaternion((1, 0, 0), 1.2)
-"""From where the view begins: from the side, and a little from above."""
+"""Initial view: from the side and slightly above."""
 
 
 @dataclass
 class Redraw:
-    """What the add-on did in one redraw of the view."""
+    """Work of the add-on in one redraw of the view."""
 
     began: float
-    """Seconds of `time.perf_counter`."""
+    """Start, seconds of `time.perf_counter`."""
     total_ms: float = 0.0
-    """Of Blender's main thread."""
+    """Time of Blender's main thread."""
     card_ms: float = 0.0
-    """Of these, in draw calls, in waits and for the card's memory: where the processor stands in
-    for a card, its work."""
+    """Share of it in draw calls, waits and memory transfers; with software rendering, the GPU
+    work."""
     drawn: int = 0
-    """Splats."""
+    """Number of splats."""
     calls: int = 0
-    """Draw calls."""
+    """Number of draw calls."""
     uploaded: int = 0
-    """Bytes."""
+    """Uploaded bytes."""
 
 
 class Meter:
-    """Listens to the add-on's drawing, from now on."""
+    """Measures the add-on's drawing, from its creation on."""
 
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
@@ -82,15 +82,15 @@ class Meter:
 
         handler.draw, card.Card.__init__ = timed, made
         uploads.texture = card.texture = counted
-        # The room for an atlas, which the processor empties where it stands in for a card.
+        # Allocation of an atlas, which software rendering clears on the CPU.
         uploads.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
         view_picture._wait = lambda target: self.time(wait, target)
         depths._read_depths = lambda *given: self.time(
             read, *given
-        )  # waits for all that Blender draws
+        )  # waits for all drawing of Blender
 
     def time(self, act: Callable, *given: Any, **named: Any) -> Any:
-        """Do something whose time is the card's."""
+        """Call a function and add its time to the GPU's."""
         began = time.perf_counter()
         found = act(*given, **named)
         self.redraws[-1].card_ms += (time.perf_counter() - began) * 1000
@@ -104,12 +104,12 @@ class _Batch:
         self._batch, self._meter = batch, meter
 
     def draw(self, *given: Any) -> None:
-        """Over the view."""
+        """Draw over the view."""
         self._meter.time(self._batch.draw, *given)
         self._meter.redraws[-1].calls += 1
 
     def draw_instanced(self, shader: Any, *, instance_count: int) -> None:
-        """Splats."""
+        """Draw splats."""
         self._meter.time(self._batch.draw_instanced, shader, instance_count=instance_count)
         now = self._meter.redraws[-1]
         now.calls += 1
@@ -117,15 +117,14 @@ class _Batch:
 
 
 def alone() -> None:
-    """The 3D view fills the window."""
+    """Maximise the 3D view."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=desk.area(), region=desk.region()):
         bpy.ops.screen.screen_full_area(use_hide_panels=True)
 
 
 def add_splats() -> None:
-    """Those of the file, a cube among them if one is asked for, and a view that turns around most
-    of them."""
+    """Add the splats of the file, a cube among them if requested, and set the view around them."""
     splats = read_splats(FOLDER / "splats.ply")
     objects.create(splats, "splats", collection=bpy.context.scene.collection)
     middle = np.median(splats.means, axis=0)
@@ -138,7 +137,7 @@ def add_splats() -> None:
 
 
 def turn(steps: int) -> Iterator[object]:
-    """Once around, a redraw a step."""
+    """Orbit once, with one redraw per step."""
     for k in range(steps):
         desk.space().region_3d.view_rotation = (
             Quaternion((0, 0, 1), 2 * np.pi * (k + 1) / steps) @ FIRST
@@ -148,7 +147,7 @@ def turn(steps: int) -> Iterator[object]:
 
 
 def drag(steps: int) -> Iterator[object]:
-    """A filter's limit, a redraw a step, with the histograms in the view."""
+    """Drag a filter's limit, with one redraw per step and histograms in the view."""
     bpy.context.window_manager.gscore_histograms = desk.space().show_gizmo = True
     ob = bpy.data.objects["splats"]
     for k in range(steps):
@@ -159,7 +158,7 @@ def drag(steps: int) -> Iterator[object]:
 
 
 def redraw() -> Iterator[object]:
-    """Again and again the same."""
+    """Redraw the same view repeatedly."""
     for _ in range(STILL_REDRAWS):
         desk.area().tag_redraw()
         yield 0.0
@@ -171,7 +170,7 @@ def is_exact() -> bool:
 
 
 def story() -> Iterator[object]:
-    """Without splats, then with each shading: turning, and at rest."""
+    """Measure without splats, then with each shading: turning, and at rest."""
     desk.clear()
     meter = Meter()
     alone()
@@ -194,7 +193,7 @@ def story() -> Iterator[object]:
 
 
 def measured(what: str, meter: Meter, at_rest: Callable[[], bool]) -> Iterator[object]:
-    """Notes what the first picture takes, turning, coming to rest, and then standing still."""
+    """Record the first picture, turning, coming to rest, and redraws at rest."""
     meter.redraws.clear()
     yield at_rest
     if any(r.calls for r in meter.redraws):
@@ -212,13 +211,13 @@ def measured(what: str, meter: Meter, at_rest: Callable[[], bool]) -> Iterator[o
 
 
 def note(what: str, meter: Meter, *, summed: bool = False) -> None:
-    """Keep what was measured; `summed`: all redraws together make one picture."""
+    """Store a measurement; `summed`: all redraws together are one picture."""
     redraws = [asdict(r) for r in meter.redraws]
     seen["rows"].append({"what": what, "redraws": redraws, "summed": summed})
 
 
 def end(problem: str) -> None:
-    """Leave all of it, and the program."""
+    """Write the results and quit Blender."""
     shown = desk.region()
     seen.update(problem=problem, blender=bpy.app.version_string, size=[shown.width, shown.height])
     (FOLDER / "seen.json").write_text(json.dumps(seen))

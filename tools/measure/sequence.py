@@ -2,9 +2,9 @@
 
 python tools/measure/sequence.py out/warm out/scratch
 
-Prints, for each folder that `gscore sequence` wrote, means over the frames after the first: PSNR of
-the test views, of the median view, of moving and of still pixels, and how much still pixels of a
-test view change from one frame to the next (flicker, mean absolute difference of 255).
+Prints, for each output folder of `gscore sequence`, means over the frames after the first: PSNR of
+the test views, of the median view, of moving and of still pixels, and flicker, the mean absolute
+difference (of 255) of still pixels of a test view between consecutive frames.
 """
 
 import argparse
@@ -28,7 +28,7 @@ COLUMNS = ("PSNR", "median view", "moving", "still", "flicker")
 def main() -> int:
     """Print a row in Markdown for each sequence."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sequences", nargs="+", type=Path, help="what `gscore sequence` wrote")
+    parser.add_argument("sequences", nargs="+", type=Path, help="outputs of `gscore sequence`")
     args = parser.parse_args()
     print(f"| sequence | {' | '.join(COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}")
     for folder in args.sequences:
@@ -41,7 +41,7 @@ def measure(folder: Path) -> np.ndarray:
     """[5] values of COLUMNS."""
     index = read_sequence(folder)
     if index is None:
-        raise SystemExit(f"{folder} holds no sequence.json; give what `gscore sequence` wrote.")
+        raise SystemExit(f"{folder} has no sequence.json; give an output of `gscore sequence`.")
     rows: list[list[float]] = []
     before: tuple[list[np.ndarray], list[np.ndarray]] | None = None
     for entry in index.frames:
@@ -72,7 +72,7 @@ def compare(
     old_photos: list[np.ndarray],
     old_renders: list[np.ndarray],
 ) -> list[float]:
-    """Values of COLUMNS for a frame and the one before it."""
+    """Values of COLUMNS for a frame and the previous one."""
     whole, moving, still, flicker = [], [], [], []
     for photo, render, old, was in zip(photos, renders, old_photos, old_renders, strict=True):
         moves = binary_dilation(np.abs(photo - old).max(axis=2) > MOVES, iterations=MARGIN_PX)
@@ -88,7 +88,7 @@ def compare(
 
 
 def psnr(error: np.ndarray) -> float:
-    """Of squared errors in units of 255, dB."""
+    """PSNR of squared errors in units of 255, dB."""
     return float(-10 * np.log10(max(error.mean(), 1e-6) / 255**2))
 
 

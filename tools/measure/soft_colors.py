@@ -1,12 +1,12 @@
-"""Soft colours: soft or native splats in Cycles against the colours of the engine.
+"""Soft colours: soft or native splats in Cycles compared to the colours of the engine.
 
     python tools/measure/soft_colors.py CAPTURE SPLATS [SPLATS ...]    (a Python with bpy)
 
-Renders one view of the capture's first camera with the engine Gaussian Splats and with the display
-Soft Splats (`--display NATIVE`: Blender's own, 5.3), over one grey, with the view transform
-Standard. Prints the mean difference of the two pictures, 8 bit, per channel: over the pixels that
-the splats cover by half and more, and that of each such pixel, without its sign; and the seconds of
-the second one. `--keep FOLDER` leaves the pictures.
+Renders the capture's first camera with the engine Gaussian Splats and with the display Soft Splats
+(`--display NATIVE`: Blender's own, 5.3), over grey, with the view transform Standard. Prints the
+mean and the mean absolute difference of both pictures, 8 bit, per channel, over pixels with an
+opacity of at least a half; and the seconds of the second picture. `--keep FOLDER` keeps the
+pictures.
 """
 
 import argparse
@@ -26,19 +26,19 @@ def parse() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("capture", type=Path)
-    parser.add_argument("splats", type=Path, nargs="+", help="what was trained on it")
+    parser.add_argument("splats", type=Path, nargs="+", help="splat files of trainings on it")
     parser.add_argument("--camera", default="", help="name of a photo; default: the first")
     parser.add_argument("--engine", default=CYCLES, help="CYCLES, or EEVEE's name in this Blender")
     parser.add_argument("--display", default="SOFT", choices=("SOFT", "NATIVE"))
     parser.add_argument("--samples", type=int, default=32)
     parser.add_argument("--width", type=int, default=400)
-    parser.add_argument("--grey", type=float, default=0.2, help="of the background, scene-linear")
+    parser.add_argument("--grey", type=float, default=0.2, help="background, scene-linear")
     parser.add_argument("--keep", type=Path)
     return parser.parse_args()
 
 
 def prepare(options: argparse.Namespace) -> bpy.types.Scene:
-    """Cameras of the capture, a grey world, and nothing that changes colours."""
+    """Set up cameras of the capture and a grey world, without colour transforms."""
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
     index = -1 if options.camera else 0
@@ -58,7 +58,7 @@ def prepare(options: argparse.Namespace) -> bpy.types.Scene:
 
 
 def picture(scene: bpy.types.Scene, engine: str, path: Path, mode: str = "RGB") -> np.ndarray:
-    """[H, W, 3 or 4], 8 bit values as floats."""
+    """Render a picture [H, W, 3 or 4], 8-bit values as floats."""
     scene.render.engine = engine
     scene.render.film_transparent = mode == "RGBA"
     settings = scene.render.image_settings
@@ -74,7 +74,7 @@ def picture(scene: bpy.types.Scene, engine: str, path: Path, mode: str = "RGB") 
 
 def compare(scene: bpy.types.Scene, path: Path, options: argparse.Namespace, folder: Path) -> None:
     """Print a row."""
-    bpy.context.view_layer.objects.active = scene.camera  # whose capture's place they take
+    bpy.context.view_layer.objects.active = scene.camera  # import places splats in its capture
     bpy.ops.gscore.import_splats(filepath=str(path.absolute()))
     ob = bpy.context.object
     name = f"{path.parent.name}_{path.stem}"
@@ -89,9 +89,9 @@ def compare(scene: bpy.types.Scene, path: Path, options: argparse.Namespace, fol
     seconds = time.perf_counter() - started
     apart = (shown - exact)[covered]
     print(
-        f"{path}: {covered.mean():.0%} covered; R, G, B apart by "
-        f"{', '.join(f'{v:+.2f}' for v in apart.mean(axis=0))} of 255 in the mean, "
-        f"{', '.join(f'{v:.2f}' for v in np.abs(apart).mean(axis=0))} a pixel; {seconds:.1f} s",
+        f"{path}: {covered.mean():.0%} covered; R, G, B differ by "
+        f"{', '.join(f'{v:+.2f}' for v in apart.mean(axis=0))} of 255 on average, absolute "
+        f"{', '.join(f'{v:.2f}' for v in np.abs(apart).mean(axis=0))}; {seconds:.1f} s",
         flush=True,
     )
     bpy.data.objects.remove(ob)

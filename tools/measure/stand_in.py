@@ -12,12 +12,12 @@ INTERVAL = 0.01
 
 
 def stand_in(name: str, **settings: Any) -> Any:
-    """What an operator is in Python, with its settings, but none of Blender's: its `pieces` can be
-    had, as of a button, and `said` has what it reported.
+    """An instance of an operator's Python class with its settings, outside of Blender's operator
+    system: `pieces` works as from a button, and `said` collects its reports.
 
     Args:
-        name: As in `bpy.ops.gscore`.
-        settings: Those that differ from the defaults.
+        name: Name in `bpy.ops.gscore`.
+        settings: Settings that differ from the defaults.
     """
     cls = getattr(bpy.types, f"GSCORE_OT_{name}")
     bases = tuple(base for base in cls.__bases__ if base is not bpy.types.Operator)
@@ -37,8 +37,8 @@ def stand_in(name: str, **settings: Any) -> Any:
 
 
 def steps(going: Any) -> Iterator[tuple[float, float]]:
-    """Do work as a window does: processor seconds of each step on the thread that calls, which
-    other programs do not change, and how much later than asked for it went on after it, seconds."""
+    """Run a task as in a window. For each step: CPU seconds of the calling thread, which other
+    programs do not affect, and the delay of the wake-up after it, seconds."""
     done = False
     while not done:
         began = time.thread_time()
@@ -46,7 +46,7 @@ def steps(going: Any) -> Iterator[tuple[float, float]]:
         ended = time.thread_time()
         late = 0.0
         for _ in range(round(INTERVAL / 0.002)):
-            asked = time.perf_counter() + 0.002
+            due = time.perf_counter() + 0.002
             time.sleep(0.002)
-            late = max(late, time.perf_counter() - asked)
+            late = max(late, time.perf_counter() - due)
         yield ended - began, late

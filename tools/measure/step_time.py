@@ -2,13 +2,13 @@
 
     python tools/measure/captures.py && python tools/measure/step_time.py out/bench/*
 
-Fits, to the speeds that finished trainings noted in their history,
+Fits, to the speeds in the history of finished trainings,
 
     seconds = step + a_pixel * pixels + splats * (a_splat + a_number * numbers)
 
-with no negative part, errors counted relative, and says what each training would have been said to
-take. Also times the picture by which `gscore.trainer.estimate.forecast` compares machines. All on
-one quiet machine.
+with non-negative coefficients and relative errors, and prints the resulting forecast of each
+training. Also times the picture by which `gscore.trainer.estimate.forecast` compares machines. Run
+everything on one idle machine.
 """
 
 import argparse
@@ -27,9 +27,9 @@ from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.schedule.plan import Plan
 
 SKIPPED = 60
-"""First steps, which warm up."""
+"""First steps, which are not used."""
 WINDOW = 50
-"""Steps that a speed in the history is the mean of."""
+"""Number of steps averaged for a speed in the history."""
 
 
 class Run(NamedTuple):
@@ -42,7 +42,7 @@ class Run(NamedTuple):
 
     @classmethod
     def read(cls, folder: Path) -> "Run":
-        """From the folder of a training that was not resumed."""
+        """Read the folder of a training that was not resumed."""
         names = ("metrics.json", "config.json", "cameras.json")
         metrics, config, cameras = (json.loads((folder / name).read_text()) for name in names)
         sizes = np.array([(camera["width"], camera["height"]) for camera in cameras])
@@ -56,7 +56,7 @@ class Run(NamedTuple):
         return cls(folder.name, plan, metrics["train_seconds"], metrics["history"])
 
     def rows(self) -> list[list[float]]:
-        """[seconds, pixels, splats, numbers] of a step, as often as the history tells."""
+        """[seconds, pixels, splats, numbers] of a step, for each entry of the history."""
         found = []
         for entry in self.history:
             middle = entry["step"] - WINDOW // 2
@@ -68,9 +68,9 @@ class Run(NamedTuple):
 
 
 def main() -> None:
-    """Read, fit, print."""
+    """Read the runs, fit and print the constants."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="+", type=Path, help="of finished trainings")
+    parser.add_argument("folders", nargs="+", type=Path, help="folders of finished trainings")
     runs = [Run.read(folder) for folder in parser.parse_args().folders]
     print(f"_REFERENCE_MS = {forecast.machine_pace() * forecast._REFERENCE_MS:.2f}")
     seconds, pixels, count, numbers = np.array([row for run in runs for row in run.rows()]).T
@@ -81,10 +81,10 @@ def main() -> None:
     ratio = columns @ weights / seconds
     low, middle, high = np.percentile(ratio, [5, 50, 95])
     print(f"predicted / measured: median {middle:.2f}, 5 to 95 %: {low:.2f} to {high:.2f}")
-    print("With the constants as they are now:")
+    print("With the current constants:")
     for run in runs:
-        said = Cost(run.plan).seconds_after(0, run.history[0]["splats"])
-        print(f"  {run.name}: {said:.0f} s said, {run.seconds:.0f} s taken")
+        forecast_seconds = Cost(run.plan).seconds_after(0, run.history[0]["splats"])
+        print(f"  {run.name}: forecast {forecast_seconds:.0f} s, measured {run.seconds:.0f} s")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Zoom: held-out quality nearer and farther than the photos were taken.
+"""Zoom: held-out quality at higher and lower resolution than in the training.
 
     python tools/measure/zoom.py $GSCORE_DATA/data/plush --compare antialias=true finest=0.45
 
-Trains each capture on photos of a quarter of their width, as the preset does and with each change,
-and measures the held-out views at 4 to 1/8 times that size. Prints the rows of the table in
+Trains each capture on photos of a quarter of their width, with the preset and with each change, and
+measures the held-out views at 4 to 1/8 times that size. Prints the rows of the table in
 docs/quality.md: PSNR, dB, and SSIM, means over the views.
 """
 
@@ -17,7 +17,7 @@ from gscore.config import DataConfig
 from gscore.datasets.read import read_capture
 
 SIZES = {"4": 4.0, "2": 2.0, "1": 1.0, "1/2": 1 / 2, "1/4": 1 / 4, "1/8": 1 / 8}
-"""Of the pictures, against those trained on."""
+"""Sizes of the pictures, relative to those of the training."""
 
 
 def row(capture: Path, width: int, preset: str, change: str) -> list[str]:
@@ -46,7 +46,7 @@ def main() -> None:
         full = max(view.camera.width for view in views)
         for change in ("", *args.compare):
             cells = row(capture, full // 4, args.preset, change)
-            print(f"| {capture.name} | {change or 'as it is'} | {' | '.join(cells)} |", flush=True)
+            print(f"| {capture.name} | {change or 'preset'} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Script helpers inside a Blender with a window: its 3D view, and steps run one by one.
+"""Script helpers inside a Blender with a window: its 3D view, and scripts run in steps.
 
-The add-on is there before this is imported.
+Import this after enabling the add-on.
 """
 
 import json
@@ -18,7 +18,7 @@ from addon.live import handler
 
 
 def area() -> bpy.types.Area:
-    """The area of the 3D view, the largest there is."""
+    """The area of the 3D view."""
     screen = bpy.context.window_manager.windows[0].screen
     return next(a for a in screen.areas if a.type == "VIEW_3D")
 
@@ -34,7 +34,7 @@ def region() -> bpy.types.Region:
 
 
 def at_rest() -> bool:
-    """Whether the view shows everything as it is now, live or in the engine's exact picture."""
+    """Whether the view shows the complete current scene, live or as the engine's exact picture."""
     if region().as_pointer() in handler.viewport.EXACT:
         return True
     view = handler.view_of(region())
@@ -42,7 +42,7 @@ def at_rest() -> bool:
 
 
 def clear() -> None:
-    """Nothing in the scene, and nothing over the view but splats."""
+    """Remove all objects, and all overlays of the view except splats."""
     for ob in list(bpy.data.objects):
         bpy.data.objects.remove(ob)
     space().show_region_ui = space().show_region_header = False
@@ -53,7 +53,7 @@ def clear() -> None:
 
 
 def look_down() -> bpy.types.RegionView3D:
-    """The 3D view, which looks straight down at the origin from 4 above it, in perspective."""
+    """Set the 3D view straight down to the origin from a height of 4, in perspective."""
     view = space().region_3d
     view.view_rotation, view.view_distance = Quaternion((1, 0, 0, 0)), 4.0
     view.view_location, view.view_perspective = (0, 0, 0), "PERSP"
@@ -61,14 +61,14 @@ def look_down() -> bpy.types.RegionView3D:
 
 
 def send(key: str, value: str = "PRESS", right: int = 0, up: int = 0, **held: bool) -> None:
-    """An event, for which Blender needs `--enable-event-simulate`.
+    """Simulate an event; Blender needs `--enable-event-simulate`.
 
     Args:
-        key: What it is of, in Blender's word.
-        value: The same.
-        right: Pixels of the mouse to the right of the view's middle.
-        up: Above it.
-        held: Keys that are down meanwhile.
+        key: Blender's event type.
+        value: Blender's event value.
+        right: Position of the mouse to the right of the view's middle, pixels.
+        up: Position above it, pixels.
+        held: Pressed modifier keys.
     """
     shown = region()
     x, y = shown.x + shown.width // 2 + right, shown.y + shown.height // 2 + up
@@ -76,16 +76,16 @@ def send(key: str, value: str = "PRESS", right: int = 0, up: int = 0, **held: bo
 
 
 def shoot(file: Path) -> None:
-    """The screen as a file."""
+    """Write a screenshot."""
     subprocess.run(["import", "-window", "root", str(file)], check=True)
 
 
 def leaving(folder: Path, seen: dict) -> Callable[[str], None]:
-    """The end of a story: what was seen goes into a file, the add-on off, and Blender ends.
+    """Callback for the end of a script: writes the results, disables the add-on, quits Blender.
 
     Args:
-        folder: Gets seen.json.
-        seen: Strict JSON; "log" is a list, and gets what went wrong.
+        folder: Folder of seen.json.
+        seen: Results as strict JSON; errors are appended to the list "log".
     """
 
     def end(problem: str) -> None:
@@ -99,41 +99,41 @@ def leaving(folder: Path, seen: dict) -> Callable[[str], None]:
 
 
 class Teller:
-    """Goes on with a story when what it waits for is there; a timer of Blender's.
+    """Blender timer that runs a script, given as a generator.
 
-    Each yield of the story hands over to Blender: for seconds, or until what is yielded says that
-    it may go on.
+    Each yield returns to Blender, for the yielded number of seconds or until the yielded function
+    returns True.
     """
 
     LONGEST = 60.0
-    """Seconds that a story waits for anything."""
+    """Time limit of each wait, s."""
     STEP = 0.1
 
     def __init__(self, story: Iterator[object], end: Callable[[str], None]) -> None:
-        """Begin soon.
+        """Start the script soon.
 
         Args:
-            story: What happens.
-            end: Called once after it, with what went wrong or an empty string.
+            story: The script.
+            end: Called once afterwards, with an error message or an empty string.
         """
         self._story, self._end = story, end
-        self._wish: object = 0.0
+        self._condition: object = 0.0
         self._since = time.monotonic()
         bpy.context.preferences.view.show_splash = False
-        # a story may open another file
+        # persistent, as a script may open another file
         bpy.app.timers.register(self._go_on, first_interval=2.0, persistent=True)
 
     def _go_on(self) -> float | None:
         """Seconds to the next call."""
-        if callable(self._wish) and not self._wish():
+        if callable(self._condition) and not self._condition():
             if time.monotonic() - self._since > self.LONGEST:
-                return self._end(f"waited in vain for {self._wish}")
+                return self._end(f"timed out waiting for {self._condition}")
             area().tag_redraw()
             return self.STEP
         try:
-            self._wish, self._since = next(self._story), time.monotonic()
+            self._condition, self._since = next(self._story), time.monotonic()
         except StopIteration:
             return self._end("")
         except Exception:
             return self._end(traceback.format_exc())
-        return self.STEP if callable(self._wish) else float(self._wish)
+        return self.STEP if callable(self._condition) else float(self._condition)

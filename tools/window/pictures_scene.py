@@ -1,10 +1,11 @@
 """Picture scene, inside a Blender with a window: draws the sidebar's panels for docs/.
 
 `blender --factory-startup --enable-event-simulate -P tools/window/pictures_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER/walk.mp4 is a video,
-FOLDER/python names the Python that trains. Without FOLDER/figure.blend it takes the tour from a
-video to a render, with it the other pictures of its splats. Leaves FOLDER/seen.json, that file and
-pictures of the screen, from which `tools/build/blender_pictures.py` makes those of pages.
+PACKAGES...`; PACKAGES are folders with packages that Blender's Python lacks. FOLDER/walk.mp4 is a
+video, and FOLDER/python contains the path of the Python that trains. Without FOLDER/figure.blend,
+the script takes the pictures of the tour from a video to a render, else the other pictures of its
+splats. Writes FOLDER/seen.json, figure.blend and screenshots, from which
+`tools/build/blender_pictures.py` makes the pictures of pages.
 """
 
 import shutil
@@ -24,7 +25,7 @@ from addon.panels import CLASSES  # noqa: E402
 
 IS_TRAINED = (FOLDER / "figure.blend").exists()
 OPEN = {"progress"}, {"result", "filters", "region", "sequence"}
-"""Open panels of the tour, and of the pictures of its result."""
+"""Open panels in the tour, and in the pictures of its result."""
 for panel in CLASSES:
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
     if name in OPEN[IS_TRAINED]:
@@ -43,18 +44,18 @@ from tools.window.desk import Teller, area, at_rest, leaving, region, send, shoo
 
 Teller.LONGEST = 200.0
 WIDER = 60
-"""Pixels by which the sidebar is drawn out, for labels that would be cut."""
+"""Pixels by which the sidebar is widened, so that labels are not cut."""
 CREAM = 0.85, 0.8, 0.7
 """Color of the blouse."""
 CAPTURE, CAMERAS, TRAIN = 0, 1, 3
-"""Rows of panels in the sidebar, while all are closed."""
+"""Rows of panels in the sidebar when all are closed."""
 seen: dict = {"log": []}
 python = (FOLDER / "python").read_text().strip()
 bpy.context.preferences.addons["addon"].preferences.python_path = python
 
 
 def press(name: str, **given: object) -> None:
-    """Call an operator, `room.name`, as a user does with the mouse over the view."""
+    """Call an operator, `room.name`, in the context of the 3D view."""
     room, operator = name.split(".")
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area(), region=region()):
@@ -62,7 +63,7 @@ def press(name: str, **given: object) -> None:
 
 
 def choose(ob: bpy.types.Object) -> None:
-    """Click on an object."""
+    """Select an object and make it active."""
     for other in bpy.context.view_layer.objects:
         other.select_set(other == ob)
     bpy.context.view_layer.objects.active = ob
@@ -74,7 +75,7 @@ def sidebar() -> bpy.types.Region:
 
 
 def open_sidebar() -> Iterator[object]:
-    """The add-on's tab, wider than it opens."""
+    """Open the add-on's tab and widen it."""
     press("screen.screen_full_area")
     yield 1.0
     space().show_region_ui = True
@@ -96,7 +97,7 @@ def open_sidebar() -> Iterator[object]:
 
 
 def look_at_figure() -> None:
-    """From the front and somewhat above, as large as the view's height."""
+    """Set the view to the front and slightly above, with the figure filling its height."""
     view = space().region_3d
     view.view_perspective = "PERSP"
     view.view_distance = 3.5 if IS_TRAINED else 4.5
@@ -105,25 +106,25 @@ def look_at_figure() -> None:
 
 
 def state() -> RunState:
-    """Where the training stands."""
+    """State of the training."""
     job = job_of(bpy.context.scene)
     assert job is not None
     return job.state
 
 
 def trained() -> bool:
-    """Whether the training has ended and its splats are there."""
+    """Whether the training has ended and its splats are loaded."""
     return state().ended and not any(f.waits() for f in poll_timer.POLLERS)
 
 
 def toggled(row: int) -> Iterator[object]:
-    """A click on a header of the sidebar, which opens or closes its panel.
+    """Click on a panel header in the sidebar, which opens or closes the panel.
 
     Args:
         row: Number of closed panels above it.
     """
     window, shown = bpy.context.window_manager.windows[0], sidebar()
-    place = {"x": shown.x + 60, "y": shown.y + shown.height - 14 - 28 * row}  # height of a header
+    place = {"x": shown.x + 60, "y": shown.y + shown.height - 14 - 28 * row}  # header height 28
     window.event_simulate("MOUSEMOVE", "NOTHING", **place)
     yield 0.2
     for value in ("PRESS", "RELEASE"):
@@ -135,13 +136,13 @@ def toggled(row: int) -> Iterator[object]:
 
 
 def searched() -> bool:
-    """Whether the search for cameras has ended and its capture is imported."""
+    """Whether the camera poses are estimated and their capture is imported."""
     ends = not any(f.waits() for f in poll_timer.POLLERS)
     return ends and any("gs_viewmat" in ob for ob in bpy.data.objects)
 
 
 def tour() -> Iterator[object]:
-    """The ten pictures from a video to a render, and frames of the training."""
+    """Take the ten pictures from a video to a render, and frames of the training."""
     scene, settings = bpy.context.scene, bpy.context.scene.gscore
     bpy.context.preferences.addons["addon"].preferences.live_seconds = 1.0
     bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "figure.blend"))
@@ -217,7 +218,7 @@ def finished(ob: bpy.types.Object) -> Iterator[object]:
 
 
 def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
-    """A crop box, histograms with limits, what trains the box; the histograms in the view."""
+    """Pictures of a crop box, histograms with limits, region training, and view histograms."""
     press("gscore.add_crop_box")
     box = bpy.context.object
     box.location.z, box.scale = 1.2, [0.6 * v for v in box.scale]
@@ -244,8 +245,8 @@ def displays(ob: bpy.types.Object) -> Iterator[object]:
         ob.gscore.display = display
         ob.gscore.opacity_min = 0.3 if display == "ELLIPSOIDS" else 0.0
         area().tag_redraw()
-        yield 60.0  # for its shaders, until which all is white
-        space().shading.type = "SOLID"  # or some white would stay in the mean
+        yield 60.0  # for its shaders; until then everything is white
+        space().shading.type = "SOLID"  # else white would remain in the accumulated mean
         yield 1.0
         space().shading.type = "MATERIAL"
         yield 60.0
@@ -256,7 +257,7 @@ def displays(ob: bpy.types.Object) -> Iterator[object]:
 
 
 def photo(ob: bpy.types.Object) -> Iterator[object]:
-    """A photo behind splats that stand beside the figure in it."""
+    """Picture of a photo with splats next to the figure in it."""
     scene = bpy.context.scene
     press("gscore.use_camera", index=0, look_through=True)
     for other in scene.objects:
@@ -300,7 +301,7 @@ def sequence() -> Iterator[object]:
 
 
 def torn(ob: bpy.types.Object) -> Iterator[object]:
-    """What is said of splats after Apply."""
+    """Picture of the warning on splats after Apply."""
     choose(ob)
     ob.rotation_euler = (0.0, 0.0, 1.2)
     press("object.transform_apply", location=False, rotation=True, scale=False)
@@ -310,7 +311,7 @@ def torn(ob: bpy.types.Object) -> Iterator[object]:
 
 
 def question() -> Iterator[object]:
-    """What Make Environment asks."""
+    """Picture of the dialog of Make Environment."""
     bpy.context.preferences.system.use_online_access = True
     setup.private_folder = lambda: Path("/home/me/gscore/trainer")
     window = bpy.context.window_manager.windows[0]
@@ -325,7 +326,7 @@ def question() -> Iterator[object]:
 
 
 def result() -> Iterator[object]:
-    """What is done with the splats of a training."""
+    """Pictures of work with the splats of a training."""
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "figure.blend"), load_ui=False)
     yield 2.0
     yield from open_sidebar()

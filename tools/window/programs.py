@@ -12,29 +12,29 @@ from pathlib import Path
 import plyfile
 
 PICTURES = ("import", "convert")
-"""ImageMagick, for pictures of the screen."""
+"""ImageMagick, for screenshots."""
 
 
 def find(*tools: str) -> tuple[str, str]:
-    """A Blender that can be used, else an empty string; and why there is none.
+    """A usable Blender, or an empty string, and the reason why there is none.
 
     Args:
-        tools: Programs that are needed besides the screen.
+        tools: Other required programs.
     """
     found = os.environ.get("GSCORE_BLENDER") or shutil.which("blender")
     missing = [name for name in ("Xvfb", *tools) if shutil.which(name) is None]
     if found is None or missing:
         return "", f"there is no {'Blender' if found is None else ', '.join(missing)}"
-    told = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
-    version = re.search(r"Blender (\d+)\.(\d+)", told)
+    text = subprocess.run([found, "--version"], capture_output=True, text=True, check=False).stdout
+    version = re.search(r"Blender (\d+)\.(\d+)", text)
     if version is None or tuple(map(int, version.groups())) < (4, 2):
-        return "", f"{found} is no Blender of 4.2 or later"
+        return "", f"{found} is not Blender 4.2 or later"
     return found, ""
 
 
 @contextmanager
 def screen(width: int, height: int) -> Iterator[str]:
-    """The name of a display of that many pixels that is not there."""
+    """Context with the name of a virtual display of this size, pixels."""
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24"],
@@ -43,8 +43,8 @@ def screen(width: int, height: int) -> Iterator[str]:
         stderr=subprocess.DEVNULL,
     )
     os.close(write)
-    with os.fdopen(read) as told:
-        number = told.readline().strip()
+    with os.fdopen(read) as pipe:
+        number = pipe.readline().strip()
     time.sleep(0.5)
     try:
         yield f":{number}"
@@ -62,19 +62,19 @@ def run(
     seconds: float,
     *options: str,
 ) -> str:
-    """Run a script in a window, with a profile of its own, drawn by the processor.
+    """Run a script in a window with its own profile and software rendering.
 
     Args:
         blender: The program.
-        script: Called with `folder`, and with a folder of what Blender's Python lacks.
-        folder: For what the script leaves, and the profile.
-        display: Of `screen`.
+        script: Called with `folder` and a folder of packages that Blender's Python lacks.
+        folder: Folder for results and the profile.
+        display: Display of `screen`.
         size: Width and height of the window, pixels.
-        seconds: Longest it may take.
-        options: Of Blender's command line, besides.
+        seconds: Time limit.
+        options: Additional options of Blender's command line.
 
     Returns:
-        All that it wrote to the terminal.
+        Its terminal output.
 
     Raises:
         subprocess.TimeoutExpired: it took longer.
@@ -82,7 +82,7 @@ def run(
     (folder / "profile").mkdir()
     packages = folder / "packages"
     packages.mkdir()
-    shutil.copy(plyfile.__file__, packages)  # alone: numpy beside it is for another Python
+    shutil.copy(plyfile.__file__, packages)  # without numpy, which is for another Python
     environment = {
         **os.environ,
         "DISPLAY": display,

@@ -1,4 +1,4 @@
-"""Errors of the builders: one sentence instead of a traceback."""
+"""Error exit of build scripts: one sentence instead of a traceback."""
 
 import functools
 import subprocess
@@ -8,8 +8,8 @@ from collections.abc import Callable
 import bpy_venvs
 
 
-def told(work: Callable[[], None]) -> Callable[[], int]:
-    """`work` as a program's `main`: it returns 0, or 1 after the sentence of what failed."""
+def exit_with_message(work: Callable[[], None]) -> Callable[[], int]:
+    """Decorator for `main`: returns 0, or prints the error and returns 1."""
 
     @functools.wraps(work)
     def main() -> int:
@@ -19,7 +19,7 @@ def told(work: Callable[[], None]) -> Callable[[], int]:
             print(error, file=sys.stderr)
             return 1
         except subprocess.CalledProcessError as error:
-            print(f"{error.cmd[0]} failed; what it says stands above.", file=sys.stderr)
+            print(f"{error.cmd[0]} failed; see its output above.", file=sys.stderr)
             return 1
         return 0
 
