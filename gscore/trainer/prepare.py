@@ -39,7 +39,7 @@ _MASKS = {
     "composite": "Masks are used as the opacity of the subject, and only the subject is trained. "
     "--mask-mode none trains whole photos, ignore does not constrain masked pixels.",
 }
-"""By `mask_mode`."""
+"""Decision on masks, by `mask_mode`."""
 _KEPT = ("stereo", "drops", "ensemble", "exposure", "poses")
 """Topics that a resumed run may not decide again: its earlier decisions still hold."""
 

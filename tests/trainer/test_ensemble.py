@@ -1,4 +1,4 @@
-"""Models that are trained side by side and shown as one."""
+"""Models that are trained in parallel and merged."""
 
 import math
 from collections.abc import Callable
@@ -256,7 +256,7 @@ def test_how_many_models_there_are(
     assert found == models
     assert bool(words) == (models > 1 and below > 0)
     if words:
-        whose = "75% of the subject's pixels:" if subject else "25% of their pixels, less"
+        whose = "75% of the subject's pixels," if subject else "25% of their pixels, less"
         assert f"the depth of {whose}" in words and f"{models} models" in words
 
 

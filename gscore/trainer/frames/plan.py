@@ -133,7 +133,7 @@ def _after(before: PlannedFrame, config: TrainConfig, options: SequenceOptions) 
         time_budget=config.time_budget / 4,
         start_splats=RunFolder(before.folder).point_cloud.absolute(),
         start_opacity=options.carried_opacity,
-        prune_share=0.0,  # else each frame would have fewer than the one before
+        prune_share=0.0,  # else the number of splats would fall from frame to frame
     )
 
 

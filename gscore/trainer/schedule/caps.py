@@ -181,8 +181,8 @@ def cap_by_photos(
     if config.steps_a_photo and not config.time_budget and steps < given:
         config = replace(config, iterations=steps)
         reasons.append(
-            f"{number(steps)} of {number(given)} steps are taken: more do not make unseen views of "
-            f"{of_photos} better (--steps-a-photo 0 takes them all)."
+            f"{number(steps)} of {number(given)} steps are taken: more do not improve unseen views "
+            f"with {of_photos} (--steps-a-photo 0 takes them all)."
         )
     if compared:
         models, _ = model_count(
@@ -194,7 +194,7 @@ def cap_by_photos(
     if not subject and splats < most:
         config = replace(config, max_splats=splats)
         reasons.append(
-            f"At most {number(splats)} of {number(most)} splats grow: more do not make unseen "
-            f"views of {of_photos} better (--splats-a-photo 0 allows them all)."
+            f"The model grows to {number(splats)} of {number(most)} splats: more do not improve "
+            f"unseen views with {of_photos} (--splats-a-photo 0 allows them all)."
         )
     return config, " ".join(reasons)
