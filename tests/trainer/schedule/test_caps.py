@@ -93,7 +93,7 @@ def test_each_model_may_have_as_many_splats_as_one_alone() -> None:
     config = TrainConfig(max_splats=900_000, splats_a_photo=6000, ensemble=2)
     found, why = cap_by_photos(config, photos=60)
     assert found == replace(config, max_splats=720_000)
-    assert "At most 720,000 of 900,000 splats grow" in why
+    assert "grows to 720,000 of 900,000 splats" in why
     high = PRESETS["high"](Path())[1]
     assert cap_by_photos(high, photos=30)[0].max_splats == high.max_splats
     agreeing, _ = cap_by_photos(high, photos=30, known=0.5, compared=True)
