@@ -22,7 +22,7 @@ reduce overfitting where the photos disagree."""
 
 
 def preview(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """A first impression in about 15 s on two cores; 30 s with AVX2."""
+    """A first impression, in about 15 s on two cores; 30 s with AVX2."""
     # Few steps need a higher weight to fill dark areas (docs/experiments).
     train = TrainConfig(iterations=1500, max_splats=50_000, sh_degree=1, opaque_weight=0.02)
     return DataConfig(source=source, max_width=400), train

@@ -123,6 +123,7 @@ def test_no_preset_contradicts_the_estimate(scene: bpy.types.Scene, name: str) -
     assert not re.search(r"minute|hour|second|cores", said)
     assert PRESETS[name].__doc__.startswith(f"{item.description},") and len(item.description) > 10
     assert preset_sentence(scene.gscore).startswith(f"{item.description}. Photos up to ")
+    assert "two cores" not in said and ".." not in said
 
 
 def test_a_preset_alone_is_that_preset(scene: bpy.types.Scene) -> None:
