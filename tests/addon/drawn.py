@@ -13,7 +13,7 @@ class Layout:
         self.notes: list[str] = [] if notes is None else notes
         """Texts of labels and bars, names of operators and properties, in order."""
         self.fields: list[str] = [] if fields is None else fields
-        """What stands in the fields of properties that are called otherwise than their own name."""
+        """Labels of fields that differ from the names of their properties."""
         self.enabled = True
         self.scale_y = 1.0
 

@@ -43,7 +43,7 @@ STARTED = {
 
 
 CONFIG = {"write": ["$out/config.json", '{"gscore": "0.1.0", "data": {}, "train": {}}']}
-"""What every training writes before all else."""
+"""The file that every training writes first."""
 
 
 def step(number: int | str, **changes: object) -> dict:

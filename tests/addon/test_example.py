@@ -1,4 +1,4 @@
-"""Oracle: the files that examples/photos_to_blend.py leaves, opened again."""
+"""Oracle: the files written by examples/photos_to_blend.py, opened again."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ def test_photos_to_blend(
     make_splats: Callable[..., Splats],
     tmp_path: Path,
 ) -> None:
-    """Oracle: gscore.render with the exact camera kept in the file; the PLY's number of splats."""
+    """Oracle: gscore.render with the exact camera in the file; the PLY's number of splats."""
     splats, ply = make_splats(3000), tmp_path / "some.ply"
     write_splats(ply, splats)
     views = [{"width": 40, "height": 30}] * 7
@@ -51,14 +51,15 @@ def test_photos_to_blend(
     pixels = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(pixels)
     shown = pixels.reshape(height, width, 4)[::-1, :, :3]
-    assert expected.alpha.mean() > 0.05  # an empty file has no world, so black lies behind
+    assert expected.alpha.mean() > 0.05  # an empty file has no world, so the background is black
     assert np.abs(shown - np.clip(expected.rgb, 0, 1)).max() <= 1 / 255
 
 
 def test_a_comparison_that_fails_loses_no_file(
     run_blender: Callable[..., str], make_splats: Callable[..., Splats], tmp_path: Path
 ) -> None:
-    """Oracle: splats and cameras in the .blend, though the photo goes away after the render."""
+    """Oracle: splats and cameras in the .blend file, although the photo is removed after the
+    render."""
     capture, ply, blend = tmp_path / "capture", tmp_path / "some.ply", tmp_path / "scene.blend"
     shutil.copytree(STUDIO / "sparse", capture / "sparse")
     shutil.copytree(STUDIO / "images", capture / "images")
@@ -92,7 +93,7 @@ def test_a_comparison_that_fails_loses_no_file(
 def test_files_of_others_stay(
     taken: str, arguments: tuple[str | Path, ...], said: str, tmp_path: Path
 ) -> None:
-    """Oracle: a file that was there keeps its content, and nothing else is made."""
+    """Oracle: an existing file keeps its content, and nothing else is made."""
     mine = tmp_path / taken
     mine.parent.mkdir(exist_ok=True)
     mine.write_text("mine")
@@ -103,7 +104,7 @@ def test_files_of_others_stay(
 
 
 def test_python_without_bpy(tmp_path: Path) -> None:
-    """Oracle: one sentence instead of a traceback, in a Python that sees no packages."""
+    """Oracle: one sentence instead of a traceback, in a Python without packages."""
     done = started((STUDIO, "-o", "scene.blend"), tmp_path, "-I", "-S")
     assert done.returncode == 1 and "has no bpy" in done.stderr
     assert "Traceback" not in done.stderr
@@ -112,7 +113,7 @@ def test_python_without_bpy(tmp_path: Path) -> None:
 def started(
     arguments: tuple[str | Path, ...], folder: Path, *flags: str
 ) -> subprocess.CompletedProcess[str]:
-    """The script, run in a folder by this Python."""
+    """Run the script in a folder with this Python."""
     return subprocess.run(
         [sys.executable, *flags, str(SCRIPT), *map(str, arguments)],
         cwd=folder,

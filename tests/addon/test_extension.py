@@ -86,7 +86,7 @@ print("GONE")
 
 @pytest.fixture(scope="session")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The extension of this checkout with the library compiled in it; Blender has validated it."""
+    """The extension of this checkout with its compiled library, validated by Blender."""
     python = ROOT / ".venv" / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     (library,) = [p for p in (ROOT / "gscore" / "raster").glob("*gscore.*") if p.suffix != ".py"]
     output = tmp_path_factory.mktemp("dist")
@@ -109,7 +109,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_zip_is_whole(package: Path) -> None:
-    """Oracle: the checkout's files, and the members Blender's manual asks for at the top."""
+    """Oracle: the checkout's files, and the top-level members required by Blender's manual."""
     with zipfile.ZipFile(package) as archive:
         names = set(archive.namelist())
     files = [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
@@ -145,7 +145,7 @@ def test_the_wheel_does_without_what_measures(package: Path, tmp_path: Path) -> 
 
 
 def test_pip_accepts_the_wheel(package: Path, tmp_path: Path) -> None:
-    """Oracle: pip, which checks name, tag and metadata; hashes taken of the files it wrote."""
+    """Oracle: pip, which checks name, tag and metadata; hashes of the files it wrote."""
     with zipfile.ZipFile(package) as archive:
         (name,) = [n for n in archive.namelist() if n.startswith("wheels/gscore-")]
         archive.extract(name, tmp_path)
@@ -190,7 +190,7 @@ def test_updates_in_a_running_session(
 
 
 def _marked(wheel: bytes, name: str, folder: Path) -> Path:
-    """A wheel like this one with one more line of source, made by the tool from its parts."""
+    """A copy of this wheel with one more line of source, built by the tool."""
     project, version, *_, tag = Path(name).stem.split("-")
     plain = version.split("+")[0]
     parts = {}
@@ -213,5 +213,5 @@ def _marked(wheel: bytes, name: str, folder: Path) -> Path:
 
 
 def test_uninstalls(package: Path, run_blender: Callable[..., str]) -> None:
-    """Oracle: Blender's preferences and types, and the folder its installer unpacked wheels to."""
+    """Oracle: Blender's preferences and types, and the folder of its unpacked wheels."""
     assert "GONE" in run_blender(INSTALL + UNINSTALL, package)

@@ -1,4 +1,4 @@
-"""Oracle: the classes, properties and handlers Blender itself lists, before and after."""
+"""Oracle: Blender's own lists of classes, properties and handlers, before and after."""
 
 import ast
 import importlib
@@ -32,7 +32,7 @@ def _subclasses(cls: type) -> Iterator[type]:
 
 
 def _ours() -> set[str]:
-    """Everything of the add-on that Blender knows now."""
+    """All registrations of the add-on in Blender."""
     found = {
         f"class {cls.__name__}"
         for cls in _subclasses(bpy.types.bpy_struct)
@@ -62,8 +62,8 @@ def disabled(switch: Callable[[bool], None]) -> Iterator[Callable[[bool], None]]
 
 
 def test_every_module_registers() -> None:
-    """Oracle: MODULES, each with classes, handlers or hooks; every module that has any is among
-    them."""
+    """Oracle: MODULES, each with classes, handlers or hooks; it includes every module that has
+    any."""
     marks = ("CLASSES", "HANDLERS", "on_register", "on_unregister")
     for name in addon.MODULES:
         module = importlib.import_module(f"addon.{name}")
@@ -75,13 +75,13 @@ def test_every_module_registers() -> None:
         defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
         assigned = (node.targets for node in tree.body if isinstance(node, ast.Assign))
         named = {one.id for names in assigned for one in names if isinstance(one, ast.Name)}
-        defined |= named & {"HANDLERS"}  # CLASSES are gathered from other files too
+        defined |= named & {"HANDLERS"}  # CLASSES may come from other files too
         if defined & set(marks):
             assert name in addon.MODULES
 
 
 def test_disabling_leaves_nothing(disabled: Callable[[bool], None]) -> None:
-    """Oracle: Blender's lists hold nothing of ours."""
+    """Oracle: Blender's lists have nothing of the add-on."""
     assert _ours() == set()
 
 
@@ -98,7 +98,7 @@ def test_enabling_again_brings_the_same(switch: Callable[[bool], None]) -> None:
 def test_a_failure_leaves_nothing(
     disabled: Callable[[bool], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: Blender's lists are empty after the last module refused to register."""
+    """Oracle: Blender's lists are empty after the last module failed to register."""
     last = importlib.import_module(f"addon.{addon.MODULES[-1]}")
 
     def refuse() -> None:
@@ -112,13 +112,13 @@ def test_a_failure_leaves_nothing(
 
 
 def test_a_new_file_keeps_the_add_on(scene: bpy.types.Scene) -> None:
-    """Oracle: the operators are there in the empty file."""
+    """Oracle: the operators exist in the empty file."""
     assert scene.objects.keys() == []
     assert [name for name in _ours() if name.startswith("operator")]
 
 
 def test_every_operator_and_property_explains_itself() -> None:
-    """Oracle: Blender's RNA, which tooltips are drawn from."""
+    """Oracle: Blender's RNA, the source of tooltips."""
     types = {f"gscore.{n}": getattr(bpy.ops.gscore, n).get_rna_type() for n in dir(bpy.ops.gscore)}
     silent = [name for name, rna in types.items() if not (rna.name and rna.description)]
     groups = (bpy.types.PropertyGroup, bpy.types.AddonPreferences)
@@ -150,5 +150,5 @@ def test_the_root_is_empty_outside_blender() -> None:
 
 @pytest.mark.skipif(bpy.app.version < (4, 5), reason="bpy 4.2 crashes with any add-on at its end")
 def test_python_ends_after_the_add_on_was_used(run_blender: Callable[..., str]) -> None:
-    """Nothing keeps bpy alive when Python ends: bpy 4.5 then hangs for ever."""
+    """Nothing keeps bpy alive when Python ends; otherwise bpy 4.5 hangs forever."""
     run_blender(ENABLED_AND_DISABLED.format(root=str(ROOT)), timeout=60)

@@ -29,7 +29,7 @@ from tests.addon.trainings import positions, splats, until
 
 @pytest.fixture
 def two(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[SimpleNamespace]:
-    """A scene and two captures, plush and studio; no training is left when the test ends."""
+    """A scene and two captures, plush and studio; trainings end with the test."""
     folders = [tmp_path / name for name in ("plush", "studio")]
     for capture in folders:
         shutil.copytree(STUDIO, capture)
@@ -44,13 +44,13 @@ def two(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[SimpleNamespace]:
 
 
 def run(two: SimpleNamespace, *script: dict, name: str = "p") -> None:
-    """The next training plays a script."""
+    """Let the next training play a script."""
     python = fake_python(two.tmp / name, [{"say": STARTED}, *script])
     preferences.get().python_path = str(python)
 
 
 def trained(two: SimpleNamespace, capture: Path, model: Splats) -> Job:
-    """Choose a capture and train it with a fake that leaves a run and these splats."""
+    """Choose a capture and train it with a fake that writes a run with these splats."""
     two.scene.gscore.capture_path = str(capture)
     output = output_folder(two.scene)
     write_splats(two.tmp / f"{capture.name}.ply", model)
@@ -61,7 +61,7 @@ def trained(two: SimpleNamespace, capture: Path, model: Splats) -> Job:
 
 
 def leave_run(output: Path, capture: Path, model: Splats, steps: int = 3000) -> None:
-    """What a training of so many steps leaves on the disk."""
+    """Write the files of a training with a number of steps."""
     (output / "checkpoints").mkdir(parents=True, exist_ok=True)
     (output / "checkpoints" / f"step_{steps:08d}.safetensors").write_bytes(b"x")
     (output / "config.json").write_text(config_json(*PRESETS["preview"](capture)))
@@ -74,7 +74,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 
 
 def test_a_second_capture_leaves_the_first_alone(two: SimpleNamespace) -> None:
-    """Plush's folder, object and picture are what they were, and come back when it is chosen."""
+    """Plush's folder, object and picture are unchanged, and restored when it is chosen."""
     settings = two.scene.gscore
     first, second = splats(10, 1), splats(20, 2)
     trained(two, two.plush, first)
@@ -98,7 +98,7 @@ def test_a_second_capture_leaves_the_first_alone(two: SimpleNamespace) -> None:
 
 
 def test_start_over_names_what_it_replaces(two: SimpleNamespace) -> None:
-    """The question has the folder with its path, steps and date, and the object by name."""
+    """The dialog has the folder's path, steps and date, and the object's name."""
     trained(two, two.plush, splats(10))
     settings, folder = two.scene.gscore, output_folder(two.scene)
     for path in contents(folder):
@@ -119,7 +119,7 @@ def test_start_over_names_what_it_replaces(two: SimpleNamespace) -> None:
 
 
 def test_the_run_of_another_capture_is_never_replaced(two: SimpleNamespace) -> None:
-    """Neither by Start Over nor by Resume, where the output is set by hand to its folder."""
+    """Neither by Start Over nor by Resume, if the output is set by hand to its folder."""
     trained(two, two.plush, splats(10))
     settings, folder = two.scene.gscore, output_folder(two.scene)
     plush, before = settings.result, contents(folder)
@@ -145,9 +145,9 @@ def test_the_run_of_another_capture_is_never_replaced(two: SimpleNamespace) -> N
 
 
 def test_an_object_whose_folder_is_gone_is_kept(two: SimpleNamespace) -> None:
-    """It is the only copy: another capture's training, and one of the same, make objects of theirs.
+    """It is the only copy: trainings of another capture, and of the same, make new objects.
 
-    No question named it, for there was no run to replace.
+    No dialog named it, because there was no run to replace.
     """
     first = splats(10, 1)
     trained(two, two.plush, first)
@@ -169,7 +169,7 @@ def test_an_object_whose_folder_is_gone_is_kept(two: SimpleNamespace) -> None:
 
 
 def test_splats_arrive_where_their_capture_is(two: SimpleNamespace) -> None:
-    """Snapshots and result of plush, after studio was chosen, reach plush's object alone."""
+    """Snapshots and result of plush, after studio was chosen, go to plush's object only."""
     settings = two.scene.gscore
     settings.capture_path = str(two.plush)
     for name, count in (("a", 10), ("b", 20), ("r", 30)):
@@ -193,7 +193,7 @@ def test_splats_arrive_where_their_capture_is(two: SimpleNamespace) -> None:
 
 
 def test_discarding_a_new_start_keeps_the_old_object(two: SimpleNamespace) -> None:
-    """Until the new run has filled it: its splats are the only ones left of the old run."""
+    """Until the new run has filled it, because it has the only splats of the old run."""
     trained(two, two.plush, splats(10))
     plush = two.scene.gscore.result
     run(two, step(1), {"sleep": 60})
@@ -207,7 +207,7 @@ def test_discarding_a_new_start_keeps_the_old_object(two: SimpleNamespace) -> No
 
 
 def test_captures_of_the_same_name_get_folders_of_their_own(two: SimpleNamespace) -> None:
-    """Where the file is saved, both would lie beside it; so they would in two scenes."""
+    """Otherwise both would be next to the saved file, also in two scenes."""
     other = two.tmp / "elsewhere" / "plush"
     shutil.copytree(STUDIO, other)
     bpy.ops.wm.save_as_mainfile(filepath=str(two.tmp / "a.blend"))
@@ -253,7 +253,7 @@ def test_outcomes_move_with_the_file(two: SimpleNamespace) -> None:
 
 
 def test_a_capture_that_has_moved_keeps_its_outcome(two: SimpleNamespace) -> None:
-    """Its old folder is gone; another capture, whose folder stays, does not take it over."""
+    """Its old folder is missing; another capture, whose folder exists, does not get it."""
     settings = two.scene.gscore
     settings.capture_path, settings.output_path = str(two.plush), str(two.tmp / "out")
     moved = two.plush.rename(two.tmp / "moved")
@@ -265,7 +265,7 @@ def test_a_capture_that_has_moved_keeps_its_outcome(two: SimpleNamespace) -> Non
 
 
 def test_the_sidebar_is_about_the_chosen_capture(two: SimpleNamespace) -> None:
-    """Its empty, whichever was imported first; a second one can be imported; roots keep apart."""
+    """Its empty, whichever was imported first; a second one can be imported at another place."""
     settings = two.scene.gscore
     settings.capture_path = str(two.plush)
     bpy.ops.gscore.import_cameras()
@@ -285,7 +285,7 @@ def test_the_sidebar_is_about_the_chosen_capture(two: SimpleNamespace) -> None:
 
 
 def test_resume_goes_on_in_the_same_object(two: SimpleNamespace) -> None:
-    """The run's own capture may have moved since: what it is called in the run counts too."""
+    """The run's capture may have moved since: its path in the run counts too."""
     trained(two, two.plush, splats(10))
     settings = two.scene.gscore
     plush = settings.result
@@ -301,7 +301,7 @@ def test_resume_goes_on_in_the_same_object(two: SimpleNamespace) -> None:
 
 
 def test_captures_are_listed_and_chosen(two: SimpleNamespace) -> None:
-    """Oracle: the folders; a menu is there from the second capture on, and brings its splats."""
+    """Oracle: the folders; a menu appears with the second capture, and switches to its splats."""
     scene = two.scene
     assert captures.known(scene) == [] and "[menu" not in drawn(CapturePanel)
     trained(two, two.plush, splats(20))
@@ -317,7 +317,8 @@ def test_captures_are_listed_and_chosen(two: SimpleNamespace) -> None:
 
 
 def test_captures_of_one_name_are_told_apart(two: SimpleNamespace) -> None:
-    """Oracle: cameras are those of the chosen folder alone, until the other is gone: it moved."""
+    """Oracle: only cameras of the chosen folder, until the other is missing, because it has
+    moved."""
     other = two.tmp / "elsewhere" / "plush"
     shutil.copytree(STUDIO, other)
     bpy.ops.gscore.import_cameras(directory=str(two.plush), photos=False)

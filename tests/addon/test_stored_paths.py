@@ -1,4 +1,4 @@
-"""Oracle: the folders where things lie, and the splats and photos that are found there."""
+"""Oracle: the folders, and the splats and photos found in them."""
 
 import shutil
 from pathlib import Path
@@ -23,7 +23,8 @@ def _first(kind: str) -> bpy.types.Object:
 
 
 def test_a_project_moves_as_a_whole(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """The photos of the first camera are read from the new place, saved before or after import."""
+    """The first camera's photo is read from the new folder, with the file saved before or after
+    import."""
     for number, saved in enumerate((False, True)):
         here, there = tmp_path / f"here {number}", tmp_path / f"thäre {number}"
         shutil.copytree(STUDIO, here / "shots")
@@ -44,7 +45,7 @@ def test_a_project_moves_as_a_whole(scene: bpy.types.Scene, tmp_path: Path) -> N
 
 
 def test_saving_elsewhere_keeps_what_is_meant(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Also after a copy was saved, which is not the file that is open, or a save that failed."""
+    """Also after saving a copy, which is not the open file, or a failed save."""
     (tmp_path / "a" / "shots").mkdir(parents=True)
     _save(tmp_path / "a" / "x.blend")
     settings = scene.gscore

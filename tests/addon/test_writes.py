@@ -1,4 +1,4 @@
-"""The watch over the add-on's writes sees what it should; the watch itself is on for all tests."""
+"""The audit hook records the add-on's writes; it is active for all tests."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Splats to be trained by a fake, and the beat that brings them into the scene."""
+"""Splats as results of a fake training, and the poll that imports them."""
 
 import time
 from collections.abc import Callable
@@ -32,7 +32,7 @@ def positions(ob: bpy.types.Object) -> np.ndarray:
 
 
 def until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
-    """Tick as Blender does until something is so."""
+    """Poll like Blender until a condition is true."""
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, "waited in vain"

@@ -1,7 +1,7 @@
-"""Watches where the add-on's Python writes: an audit hook, which nothing in the process can avoid.
+"""Record of the add-on's writes by an audit hook, which no code in the process can avoid.
 
-What Blender itself writes for the add-on (saved files, rendered pictures) is out of its sight, and
-so are the processes the add-on starts.
+It does not record writes by Blender itself (saved files, rendered pictures) or by processes that
+the add-on starts.
 """
 
 import os
@@ -26,14 +26,14 @@ _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 class Writes:
-    """The paths that code of the add-on, or what it calls, has written to, made or removed."""
+    """Paths that the add-on's code, or code it calls, has written, made or removed."""
 
     def __init__(self) -> None:
         self.paths: set[Path] = set()
         sys.addaudithook(self._audit)
 
     def outside(self, *allowed: Path) -> list[Path]:
-        """Those that lie in none of the folders."""
+        """Paths outside of all given folders."""
         roots = [folder.resolve() for folder in allowed]
         return sorted(p for p in self.paths if not any(p.is_relative_to(r) for r in roots))
 
@@ -47,11 +47,11 @@ class Writes:
         for place, folder in places.items():
             given = arguments[place]
             within = folder is not None and arguments[folder] not in (-1, None)
-            # A file that is open already; what lies in a tree whose removal was seen at its root.
+            # An open file, or a path in a tree whose removal was recorded at its root.
             if isinstance(given, int) or within:
                 continue
             path = Path(os.fsdecode(given)).absolute()
-            # Bytecode is Python's affair; Blender lets it lie beside the modules.
+            # Bytecode is written by Python; Blender keeps it next to the modules.
             if "__pycache__" not in path.parts and path != Path(os.devnull):
                 self.paths.add(path.resolve())
 

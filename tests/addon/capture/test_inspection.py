@@ -140,7 +140,7 @@ def test_photos_stored_sideways(capture: Path) -> None:
 
 
 def test_masks(capture: Path) -> None:
-    """Oracle: files beside names as COLMAP has them; a size that differs stops."""
+    """Oracle: files next to names in COLMAP's layout; a different size is an error."""
     for i in range(19):
         write_photo(capture / "masks" / "sub" / f"v{i:03}.png.png", 60, 40)
     facts = inspect(capture)

@@ -31,7 +31,7 @@ addon_utils.disable("addon")
 print("pushed")
 sys.stdout.flush()
 import os
-os._exit(0)  # bpy 4.2 crashes at the end of Python whatever was done
+os._exit(0)  # bpy 4.2 crashes at the end of Python in any case
 """
 
 

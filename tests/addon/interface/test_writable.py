@@ -81,7 +81,7 @@ CALLS: dict[str, dict[str, Any]] = {
         "radius": 1e3,
     },
 }
-"""What operators are called with; names of files lie in the test's folder."""
+"""Arguments of operators; file names are relative to the test's folder."""
 _OF_OVERRIDES = (
     "reset_filters",
     "add_crop_box",
@@ -98,7 +98,7 @@ DONE = {
     ("set_up_compositing", "override"),
     *((f"import_{what}", case) for what in IMPORTS for case in CASES if case != "scene"),
 }
-"""What has to work: an override keeps settings, and the scene is the user's own."""
+"""Operators that must work: an override keeps settings, and the scene is the user's own."""
 NOT_IN_THE_SCENE = {
     *("export_splats", "export_cameras", "export_camera_path"),
     *("train", "resume_training", "find_cameras", "predict_depth", "check_depth"),
@@ -110,7 +110,7 @@ NOT_IN_THE_SCENE = {
     *("save_mask", "discard_mask", "mask_brush"),
     *("straighten_photos", "stop_straightening", "remove_straight_photos", "open_manual"),
 }
-"""Operators that write files, or start, steer and show what runs beside Blender."""
+"""Operators that write files, or start, control and show background processes."""
 
 
 def test_all_operators_are_looked_at() -> None:

@@ -1,4 +1,4 @@
-"""Painted masks; oracle: the files where training looks for them, decoded by Blender."""
+"""Painted masks; oracle: the files that training reads, decoded by Blender."""
 
 import json
 import shutil
@@ -26,7 +26,7 @@ from tests.addon.splat_scenes import read_image
 
 @pytest.fixture
 def studio(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Scene:
-    """A scene with the cameras of a copy of the studio, whose photos must stay as they are."""
+    """A scene with the cameras of a copy of the studio, whose photos must not change."""
     shutil.copytree(STUDIO, tmp_path / "studio", ignore=shutil.ignore_patterns("masks"))
     scene.gscore.capture_path = str(tmp_path / "studio")
     facts.refresh(scene)
@@ -48,7 +48,7 @@ def write_png(file: Path, levels: np.ndarray) -> None:
 
 
 def painted(image: bpy.types.Image) -> np.ndarray:
-    """Erase a rectangle and half-erase a row, as brushes do; [H, W] uint8 of what is left."""
+    """Erase a rectangle and half-erase a row, as brushes do; return the alpha, [H, W] uint8."""
     width, height = image.size
     pixels = np.array(image.pixels[:], np.float32).reshape(height, width, 4)
     pixels[10:40, 5:25, 3] = 0
@@ -59,7 +59,7 @@ def painted(image: bpy.types.Image) -> np.ndarray:
 
 
 def test_from_button_to_training(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the mask as training reads it, the photos' bytes, and what is told before a start."""
+    """Oracle: the mask as training reads it, the photos' bytes, and the warnings before a start."""
     own = stated(studio.camera)
     before = {path: path.read_bytes() for path in (tmp_path / "studio" / "images").iterdir()}
     assert "(Paint Mask)" in drawn(CamerasPanel)
@@ -84,8 +84,8 @@ def test_from_button_to_training(studio: bpy.types.Scene, tmp_path: Path) -> Non
 
 
 def test_what_painting_needs_is_at_hand(studio: bpy.types.Scene) -> None:
-    """Oracle: Blender's own image editor: its mode, and what its brush does; what lies around it is
-    tried in a window."""
+    """Oracle: Blender's own image editor: its mode, and the effect of its brush; the regions around
+    it are tested in a window."""
     area = bpy.context.window_manager.windows[0].screen.areas[0]
     before, area.type = area.type, "IMAGE_EDITOR"
     try:
@@ -100,7 +100,7 @@ def test_what_painting_needs_is_at_hand(studio: bpy.types.Scene) -> None:
 
 @pytest.mark.parametrize("inverted", [False, True])
 def test_a_mask_that_is_there_is_painted_on(studio: bpy.types.Scene, inverted: bool) -> None:
-    """Oracle: the levels of a file, and those after something was painted on it."""
+    """Oracle: the levels of a file, and those after painting."""
     own = stated(studio.camera)
     studio.gscore.invert_masks = inverted
     file = Path(studio.gscore.capture_path) / "masks" / Path(own.image).with_suffix(".png").name
@@ -119,8 +119,8 @@ def test_a_mask_that_is_there_is_painted_on(studio: bpy.types.Scene, inverted: b
 
 
 def test_what_is_painted_outlives_a_blend_file(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the pixels after the file was saved and opened again, and that they are still named
-    as not saved; a second press of the button goes on with them."""
+    """Oracle: the pixels after saving and loading the file, and that they are still reported as not
+    saved; a second press of the button continues with them."""
     bpy.ops.gscore.paint_mask()
     image = next(filter(masks.is_mask, bpy.data.images))
     levels = painted(image)
@@ -149,7 +149,7 @@ def test_discarding_leaves_the_file(studio: bpy.types.Scene, tmp_path: Path) -> 
 
 
 def test_undo_of_a_save_is_told(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the image as undo brings it back, with its properties, beside the file that stays."""
+    """Oracle: the image restored by undo, with its properties, and the remaining file."""
     bpy.ops.gscore.paint_mask()
     image = next(filter(masks.is_mask, bpy.data.images))
     before = {key: image[key] for key in image.keys() if key.startswith("gs_mask")}  # noqa: SIM118
@@ -162,7 +162,7 @@ def test_undo_of_a_save_is_told(studio: bpy.types.Scene, tmp_path: Path) -> None
 
 
 def test_no_mask_among_photos(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: a folder of masks that is the photos' by a link: a sentence, and their bytes."""
+    """Oracle: a folder of masks that links to the photos': an error, and the photos' bytes."""
     folder = tmp_path / "studio"
     before = {path: path.read_bytes() for path in (folder / "images").iterdir()}
     bpy.ops.gscore.paint_mask()
@@ -174,11 +174,11 @@ def test_no_mask_among_photos(studio: bpy.types.Scene, tmp_path: Path) -> None:
 
 
 def test_photos_with_opacity_of_their_own(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: what training makes of such photos beside one file: nothing of their alpha."""
+    """Oracle: training ignores the alpha of such photos if there is one mask file."""
     folder = tmp_path / "cut out"
     write_png(folder / "a.png", np.zeros((30, 40), np.uint8))
     grey = (folder / "a.png").read_bytes()
-    # A chunk that says that one level is transparent.
+    # A tRNS chunk, which makes one level transparent.
     clear = b"tRNS\0\0"
     chunk = struct.pack(">I", 2) + clear + struct.pack(">I", zlib.crc32(clear))
     (folder / "a.png").write_bytes(grey[:33] + chunk + grey[33:])
@@ -194,7 +194,7 @@ def test_photos_with_opacity_of_their_own(scene: bpy.types.Scene, tmp_path: Path
 
 
 def test_a_mask_that_the_capture_names(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the file that transforms.json names, which training reads."""
+    """Oracle: the file named in transforms.json, which training reads."""
     folder = tmp_path / "c"
     write_png(folder / "a.png", np.zeros((30, 40), np.uint8))
     write_png(folder / "m" / "a.png", np.full((30, 40), 255, np.uint8))
@@ -216,7 +216,7 @@ def test_a_mask_that_the_capture_names(scene: bpy.types.Scene, tmp_path: Path) -
 def test_what_is_kept_is_small_in_a_file(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: Blender's own packing, within a tenth; the levels; and that nothing is unsaved then.
 
-    Between, pixels are kept as they are, which takes no time.
+    Before, pixels are packed uncompressed, which is fast.
     """
     bpy.ops.gscore.paint_mask()
     image = next(filter(masks.is_mask, bpy.data.images))
@@ -239,7 +239,8 @@ def test_what_is_kept_is_small_in_a_file(studio: bpy.types.Scene, tmp_path: Path
 def test_full_size_masks_of_either_folder_keep_their_size(
     studio: bpy.types.Scene, folder: str
 ) -> None:
-    """Oracle: the levels of a file twice as large as its photo, and what gscore's rule finds."""
+    """Oracle: the levels of a file twice as large as its photo, and the file found by gscore's
+    rule."""
     own, source = stated(studio.camera), Path(studio.gscore.capture_path)
     file = source / folder / f"{own.image}.png"
     given = np.kron(
@@ -257,7 +258,7 @@ def test_full_size_masks_of_either_folder_keep_their_size(
 
 @pytest.mark.parametrize("folder", ["masks", "mask"])
 def test_a_comparison_takes_the_same_masks(studio: bpy.types.Scene, folder: str) -> None:
-    """Oracle: the mask that was written, at the photo's size; 2 x 2 pixels of it are alike."""
+    """Oracle: the written mask at the photo's size; blocks of 2 x 2 pixels are equal."""
     own = stated(studio.camera)
     given = np.zeros((own.height, own.width), np.uint8)
     given[:20] = 255

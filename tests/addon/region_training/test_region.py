@@ -1,4 +1,4 @@
-"""Oracle: files that a scripted training is given, a real training's bytes, and the scene."""
+"""Oracle: files passed to a scripted training, a real training's bytes, and the scene."""
 
 import json
 import os
@@ -49,7 +49,8 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
 
 @pytest.fixture
 def play(tmp_path: Path) -> Play:
-    """The preferences' Python becomes a fake that plays a script; gives where its call is noted."""
+    """Replace the preferences' Python by a fake that plays a script; return the file of its
+    arguments."""
 
     def choose(*script: dict) -> Path:
         preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
@@ -59,7 +60,7 @@ def play(tmp_path: Path) -> Play:
 
 
 def cropped(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
-    """Splats of a file as a result of the capture, active, with a turned crop box in the middle."""
+    """Active splats of a file as a result of the capture, with a rotated crop box in the middle."""
     root = next(ob for ob in scene.objects if ob.get("gs_kind") == "capture")
     ob = import_splats(bpy.context, path, parent=root)
     bpy.context.view_layer.objects.active = ob
@@ -71,7 +72,7 @@ def cropped(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
 
 
 def in_box(ob: bpy.types.Object, points: np.ndarray) -> np.ndarray:
-    """[N] bool, by Blender's own matrices: which points of the object's data lie in its crop."""
+    """Points of the object's data inside its crop by Blender's own matrices, [N] bool."""
     box = ob.gscore.crop_object
     inverse = box.matrix_world.inverted() @ ob.matrix_world
     local = np.array([inverse @ Vector(p.tolist()) for p in points])
@@ -79,8 +80,9 @@ def in_box(ob: bpy.types.Object, points: np.ndarray) -> np.ndarray:
 
 
 def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
-    """Oracle: the box in the file holds the splats that Blender's own matrices say, and the PLY has
-    the object's splats to the bit; the result replaces them, and the earlier folder stays."""
+    """Oracle: the box in the file contains the same splats as by Blender's own matrices, and the
+    PLY has the object's splats to the bit; the result replaces them, and the earlier folder
+    stays."""
     write_splats(tmp_path / "a.ply", splats(500))
     write_splats(tmp_path / "b.ply", splats(700, seed=1))
     result = done(40, "finished", str(tmp_path / "b.ply"))
@@ -90,7 +92,7 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     inside = in_box(ob, positions(ob))
     assert 3 < inside.sum() < 497
     assert "(Train Region)" in drawn(RegionPanel)
-    studio.gscore.sky = True  # for which a region has no place
+    studio.gscore.sky = True  # which a region cannot represent
 
     assert bpy.ops.gscore.train_region() == {"FINISHED"}
     job = train_region.job_of(studio)
@@ -140,7 +142,7 @@ def test_undo_brings_the_earlier_splats_back(
 def test_a_moved_object_stays_where_it_is_seen(
     studio: bpy.types.Scene, tmp_path: Path, play: Play
 ) -> None:
-    """Oracle: places of splats and box in Blender's world, of a result that is the start itself."""
+    """Oracle: positions of splats and box in Blender's world, for a result equal to the start."""
     write_splats(tmp_path / "a.ply", splats(50))
     ob = cropped(studio, tmp_path / "a.ply")
     ob.location, ob.rotation_euler, ob.scale = (1, 2, 3), (0.5, 0, 0.3), (1.5, 1.5, 1.5)
@@ -159,7 +161,7 @@ def test_a_moved_object_stays_where_it_is_seen(
 def test_splats_that_were_edited_meanwhile_are_kept(
     studio: bpy.types.Scene, tmp_path: Path, play: Play
 ) -> None:
-    """Oracle: the mesh that was edited, a second object, and a sentence."""
+    """Oracle: the edited mesh, a second object, and a warning."""
     write_splats(tmp_path / "a.ply", splats(50))
     write_splats(tmp_path / "b.ply", splats(70))
     play({"await": "go"}, {"say": done(40, "finished", str(tmp_path / "b.ply"))})
@@ -183,8 +185,8 @@ def test_splats_that_were_edited_meanwhile_are_kept(
 def test_a_result_that_has_no_place_is_told_where_it_lies(
     studio: bpy.types.Scene, tmp_path: Path, play: Play, with_what: str
 ) -> None:
-    """Oracle: the mesh as it was; the panel names the folder, the file, and the button that brings
-    it in, which then does so."""
+    """Oracle: the unchanged mesh; the panel names the folder, the file, and the button that imports
+    it, which then works."""
     write_splats(tmp_path / "a.ply", splats(50))
     output = tmp_path / "out_region_1"
     play({"await": "go"}, {"say": done(40, "finished", str(output / "point_cloud.ply"))})
@@ -227,8 +229,9 @@ def test_stopping_leaves_all_as_it_was(studio: bpy.types.Scene, tmp_path: Path, 
 def test_no_step_of_the_start_is_long(
     studio: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: attributes that one call reads, none by the press itself; the thread that writes; the
-    splats of the moment of the press, byte by byte, though all were painted over meanwhile."""
+    """Oracle: the attributes read per call, none by the button press itself; the thread that
+    writes; the splats at the button press, byte by byte, although all were painted over
+    meanwhile."""
     write_splats(tmp_path / "a.ply", splats(50))
     play({"say": STARTED}, {"follow": 30})
     ob = cropped(studio, tmp_path / "a.ply")
@@ -261,7 +264,7 @@ def test_no_step_of_the_start_is_long(
 
 
 def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
-    """Oracle: no file, no mesh, and no process is left of it, and the next one may begin."""
+    """Oracle: no file, mesh or process is left, and the next one may begin."""
     write_splats(tmp_path / "a.ply", splats(50))
     told = play({"say": STARTED}, {"follow": 30})
     cropped(studio, tmp_path / "a.ply")
@@ -279,7 +282,7 @@ def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play
 def test_a_start_that_cannot_be_written(
     studio: bpy.types.Scene, tmp_path: Path, play: Play
 ) -> None:
-    """Oracle: a sentence in the panel that names the file, or says that the splats are gone."""
+    """Oracle: an error in the panel that names the file, or the missing splats."""
     write_splats(tmp_path / "a.ply", splats(50))
     play({"say": STARTED}, {"follow": 30})
     cropped(studio, tmp_path / "a.ply")
@@ -306,7 +309,7 @@ def test_a_start_that_fails_begins_nothing(
     monkeypatch: pytest.MonkeyPatch,
     error: Exception,
 ) -> None:
-    """Oracle: a word in the panel, and no program that was begun."""
+    """Oracle: an error in the panel, and no started process."""
     write_splats(tmp_path / "a.ply", splats(50))
     play({"say": STARTED}, {"follow": 30})
     cropped(studio, tmp_path / "a.ply")
@@ -325,11 +328,11 @@ def test_a_start_that_fails_begins_nothing(
 
 
 def test_what_is_no_region(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
-    """Oracle: a sentence for each, and that nothing was written."""
+    """Oracle: an error for each, and that nothing was written."""
     write_splats(tmp_path / "a.ply", splats(50))
     play({"exit": 1})
     ob = cropped(studio, tmp_path / "a.ply")
-    ob.shape_key_add(name="Basis")  # the result would have no place for it
+    ob.shape_key_add(name="Basis")  # which the result cannot keep
     with pytest.raises(RuntimeError, match="has shape keys"):
         bpy.ops.gscore.train_region()
     ob.shape_key_clear()
@@ -374,7 +377,7 @@ def test_a_real_training_of_a_region(studio: bpy.types.Scene, tmp_path: Path) ->
         kept, new = getattr(whole, name)[:count], getattr(after, name)
         rest = getattr(start, name)[outside]
         assert kept.tobytes() == rest.tobytes()
-        # Blender keeps deviations, not their logarithms, and unit quaternions.
+        # Blender stores standard deviations, not their logarithms, and unit quaternions.
         assert np.allclose(new[:count], getattr(before, name)[outside], rtol=1e-5, atol=1e-6)
     assert after.means[:count].tobytes() == before.means[outside].tobytes()
     assert after.means[count:].tobytes() != before.means[~outside].tobytes()

@@ -33,7 +33,7 @@ def point(place: tuple[float, float, float]) -> Splats:
 def open_lens(
     scene: bpy.types.Scene, diameter: float, focus: float, count: int = 256
 ) -> bpy.types.Camera:
-    """Give the scene's camera a hole of a diameter in world units, with what is in focus."""
+    """Give the scene's camera an aperture of a diameter in world units, and a focus distance."""
     data = scene.camera.data
     data.dof.use_dof, data.dof.focus_distance = True, focus
     length = data.lens * 1e-3 if data.type == "PERSP" else 1.0
@@ -43,7 +43,7 @@ def open_lens(
 
 
 def spot(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Middle, standard deviations (x, y in pixels) and sum of the light of a picture."""
+    """Centroid, standard deviations (x, y in pixels) and sum of the light of a picture."""
     light = picture[..., 3].astype(np.float64)
     y, x = np.mgrid[: light.shape[0], : light.shape[1]] + 0.5
     places = np.stack([x, y])
@@ -77,7 +77,7 @@ def test_circle_of_confusion(scene, tmp_path, depth, focus, diameter):
 
 
 def test_what_is_in_focus_stays_as_it_is(scene, tmp_path):
-    """Oracle: the picture without depth of field, to 2/255 in sRGB; what is before it differs."""
+    """Oracle: the picture without depth of field, to 2/255 in sRGB; nearer splats differ."""
     lab.prepare(scene, light=0.2)
     lab.add(scene, lab.wall(0.0, (0.2, 0.5, 0.8), half=0.8))
     lab.add(scene, lab.wall(0.001, (0.9, 0.5, 0.1), half=0.3), "smaller")
@@ -136,7 +136,7 @@ def test_blades_and_ratio_shape_the_hole():
 
 
 def test_a_shutter_curve_gives_moments_their_share():
-    """Oracle: a curve that opens linearly has gone half way in light after sqrt(1/2)."""
+    """Oracle: a shutter that opens linearly has half of its light after sqrt(1/2)."""
     even = Shutter(opens=-0.25, length=0.5)
     times = [even.time(s) for s in samples(4)]
     np.testing.assert_allclose(times, [-0.1875, -0.0625, 0.0625, 0.1875])
@@ -146,7 +146,7 @@ def test_a_shutter_curve_gives_moments_their_share():
 
 
 def column(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Middle and standard deviation of the light of each row, pixels."""
+    """Centroid and standard deviation of the light of each row, pixels."""
     light = picture[..., 3].astype(np.float64)
     x = np.arange(light.shape[1]) + 0.5
     middle = (light * x).sum(1) / light.sum(1)
@@ -155,7 +155,7 @@ def column(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
 def test_a_rolling_shutter_leans_like_that_of_cycles(scene, tmp_path, share):
-    """Oracle: a thin bar that Cycles renders, row by row; and a lean by the speed."""
+    """Oracle: a thin bar rendered by Cycles, row by row; and its slant by the speed."""
     camera = lab.prepare(scene, size=(120, 60))
     scene.render.film_transparent = True
     places = np.stack([np.zeros(81), np.linspace(-1.2, 1.2, 81), np.zeros(81)], 1)
@@ -215,7 +215,7 @@ def test_mattes_and_borders_roll_too(scene, tmp_path):
 
 
 def test_composites_roll_where_cycles_draws_the_meshes(scene):
-    """Oracle: the share of Cycles; none where another engine draws, or none rolls."""
+    """Oracle: the duration in Cycles; none with another engine, or without a rolling shutter."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     scene.render.engine = "CYCLES"
@@ -231,7 +231,7 @@ def test_composites_roll_where_cycles_draws_the_meshes(scene):
 @pytest.mark.parametrize("what", ["splats", "camera"])
 @pytest.mark.parametrize(("position", "offset"), [("START", 0.5), ("CENTER", 0), ("END", -0.5)])
 def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
-    """Oracle: a streak of speed times shutter, whose place is that of the exposure."""
+    """Oracle: a streak of speed times shutter, at the position of the exposure."""
     camera = lab.prepare(scene, size=(160, 40))
     scene.render.film_transparent = True
     splats = lab.add(scene, point((0.0, 0.0, 0.0)))
@@ -309,7 +309,7 @@ def test_same_picture_every_time(scene, tmp_path):
 
 
 def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
-    """Oracle: the mean of the frames that the exposure meets, rendered alone; their mesh stays."""
+    """Oracle: the mean of the frames within the exposure, rendered alone; their mesh stays."""
     lab.prepare(scene)
     scene.render.film_transparent = True
     folder = tmp_path / "frames"
@@ -337,7 +337,7 @@ def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
 
 @pytest.mark.parametrize("what", ["object", "camera", "instancer", "held", "layer"])
 def test_what_has_no_motion_blur_rests(scene, tmp_path, what):
-    """Oracle: the picture of the frame itself; and a streak where one switch is on again."""
+    """Oracle: the picture of the frame itself; and a streak with one switch on again."""
     camera = lab.prepare(scene)
     scene.render.film_transparent = True
     ob = lab.add(scene, lab.blob(200, size=0.3))
@@ -366,8 +366,8 @@ def test_what_has_no_motion_blur_rests(scene, tmp_path, what):
 
 
 def test_one_object_rests_while_another_moves(scene, tmp_path):
-    """Oracle: where the one that rests is alone, its own picture of the frame; a streak elsewhere;
-    it shows through the whole exposure, though it is hidden after the frame."""
+    """Oracle: where the unblurred object is alone, its own picture of the frame; a streak
+    elsewhere; it is visible for the whole exposure, although it is hidden after the frame."""
     lab.prepare(scene)
     scene.render.film_transparent = True
     rests = lab.add(scene, lab.blob(200, center=(-0.8, 0, 0), size=0.3), "rests")
@@ -387,7 +387,7 @@ def test_one_object_rests_while_another_moves(scene, tmp_path):
 
 
 def test_the_switch_is_offered(scene, tmp_path):
-    """Oracle: Blender's names of the switches; that of frames for an object that has some."""
+    """Oracle: Blender's names of the switches; that of frames only for a sequence."""
 
     def offered(ob: bpy.types.Object) -> str:
         layout = Layout()

@@ -195,7 +195,7 @@ def test_cameras_that_go_while_masks_are_read(studio, scene, gone):
 
 
 def test_masks_of_a_linked_capture_beside_a_local_one(studio, scene, tmp_path):
-    """Whose cameras have the same names. Oracle: the target of the local one, before."""
+    """With cameras of the same names. Oracle: the target of the local one, before."""
     local, file = studio[0], str(tmp_path / "capture.blend")
     name = local.cameras[9].name
     before = at_once_of(local.cameras[9])

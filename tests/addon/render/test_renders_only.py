@@ -43,7 +43,7 @@ SETTINGS = {
 
 @pytest.mark.parametrize("words", SETTINGS)
 def test_what_a_view_leaves_out_is_named(scene: bpy.types.Scene, words: str) -> None:
-    """Oracle: the names of Blender's panels, only while a camera is looked through."""
+    """Oracle: the names of Blender's panels, only in camera perspective."""
     lab.prepare(scene)
     assert not said(scene.camera)
     SETTINGS[words](scene)

@@ -37,7 +37,7 @@ def test_view_camera_is_the_camera_of_the_matrices(scene, kind):
     if kind == "PERSP":
         np.testing.assert_allclose(got.viewmat, want.viewmat, atol=1e-6)
         assert got.near == pytest.approx(want.near, rel=1e-3)
-    else:  # moved along its axis, which changes nothing but z
+    else:  # moved along its axis, which changes only z
         np.testing.assert_allclose(got.viewmat[:2], want.viewmat[:2], atol=1e-6)
         moved = got.viewmat[2, 3] - want.viewmat[2, 3]
         assert got.near - moved == pytest.approx(want.near, abs=1e-3)

@@ -1,4 +1,4 @@
-"""Imports that come bit by bit; oracle: the same files imported at once."""
+"""Incremental imports; oracle: the same files imported in one call."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 @pytest.fixture(autouse=True)
 def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One attribute, or one node group, a step."""
+    """One attribute or node group per step."""
     monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
     monkeypatch.setattr(async_import, "BUDGET", 0.0)
 
@@ -30,14 +30,14 @@ def paths(tmp_path: Path, make_splats: Callable[..., Splats]) -> list[Path]:
 
 
 def begun(paths: list[Path], **options: object) -> AsyncImport:
-    """An import whose files are read."""
+    """An import with its files read."""
     made = AsyncImport(bpy.context, [splat_files.want(path, **options) for path in paths])
     assert made._task.wait(20)
     return made
 
 
 def finished(coming: AsyncImport) -> list[bpy.types.Object]:
-    """Its objects."""
+    """Complete an import; return its objects."""
     for _ in range(200):
         made = coming.step()
         if made is not None:
@@ -46,14 +46,14 @@ def finished(coming: AsyncImport) -> list[bpy.types.Object]:
 
 
 def until_filling(coming: AsyncImport) -> bpy.types.Mesh:
-    """The mesh that is half filled."""
+    """Step until a mesh is half filled; return it."""
     while coming._fillings is None or coming._fillings[0].share < 0.5:
         assert coming.step() is None
     return next(mesh for mesh in bpy.data.meshes if "gs_temporary" in mesh)
 
 
 def same(one: bpy.types.Object, other: bpy.types.Object) -> None:
-    """Raise unless two objects hold the same splats at the same place."""
+    """Raise unless two objects have the same splats and transform."""
     got, wanted = objects.read(one), objects.read(other)
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
@@ -64,7 +64,7 @@ def same(one: bpy.types.Object, other: bpy.types.Object) -> None:
 
 @pytest.mark.parametrize("up", ["-Y", "Z"])
 def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
-    """Oracle: `import_splats`, to the bit; and nothing half made in the file meanwhile."""
+    """Oracle: `import_splats`, to the bit; no incomplete data in the file meanwhile."""
     coming = begun(paths, up=up)
     assert "table.ply" in coming.sentence
     until_filling(coming)
@@ -90,7 +90,7 @@ def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
 def test_the_axis_that_a_file_states_points_up(
     scene: bpy.types.Scene, tmp_path: Path, make_splats: Callable[..., Splats], line: str, up: tuple
 ) -> None:
-    """Oracle: the axis of the comment, turned to Blender's +Z; -Y where none states one."""
+    """Oracle: the axis of the comment, rotated to Blender's +Z; -Y without a comment."""
     write_splats(tmp_path / "a.ply", make_splats(20), comments=(line,))
     ob = splat_files.import_splats(bpy.context, tmp_path / "a.ply")
     turn = np.array(ob.matrix_basis)[:3, :3]
@@ -99,7 +99,7 @@ def test_the_axis_that_a_file_states_points_up(
 
 
 def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
-    """Oracle: an empty file, and a sentence with the name of the broken one."""
+    """Oracle: an empty file, and an error with the name of the broken one."""
     paths[1].write_bytes(paths[1].read_bytes()[:-100])
     with pytest.raises(ValueError, match=r"table\.ply is a truncated"):
         finished(begun(paths))
@@ -110,7 +110,7 @@ def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
 
 
 def test_what_undo_takes_comes_again(scene: bpy.types.Scene, paths: list[Path]) -> None:
-    """Oracle: `import_splats`; undo takes meshes that no object has, complete ones too."""
+    """Oracle: `import_splats`; undo removes meshes without users, complete ones too."""
     coming = begun(paths)
     bpy.data.meshes.remove(until_filling(coming))
     while coming._fillings[1].share < 0.5:
@@ -122,7 +122,7 @@ def test_what_undo_takes_comes_again(scene: bpy.types.Scene, paths: list[Path]) 
 
 
 def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
-    """Oracle: a file as it was, whether it was reading or filling."""
+    """Oracle: the unchanged file, whether it was reading or filling."""
     coming = begun(paths)
     until_filling(coming)
     coming.cancel()

@@ -1,4 +1,4 @@
-"""Where most splats are; oracle: numpy's quantiles of all of them."""
+"""Bounds of most splats; oracle: numpy's quantiles of all."""
 
 from collections.abc import Callable
 
@@ -17,7 +17,7 @@ def test_in_world(
     monkeypatch: pytest.MonkeyPatch,
     most: int,
 ) -> None:
-    """All of few; of many so many at most, whose quantiles, and so box and frame, are close."""
+    """All of few splats; of many a sample, whose quantiles, box and frame are close."""
     monkeypatch.setattr(bounds, "_MOST", most)
     ob = objects.create(make_splats(3999), "chair")
     ob.rotation_euler, ob.scale, ob.location = (0.4, 0.7, -0.2), (3, 3, 3), (1, 2, 3)

@@ -1,4 +1,5 @@
-"""What splats and their objects carry besides, through edits. Oracles: what was put there."""
+"""Attributes, groups and other data of splats and objects through edits. Oracles: the data
+added."""
 
 import gc
 
@@ -14,7 +15,7 @@ from tests.addon import splat_scenes as lab
 
 COUNT = 300
 BEFORE = {"head": (1, 2, 3), "locked": (4, 5, 6)}
-"""Which of every ten splats are in a group."""
+"""Indices modulo ten of the splats in each group."""
 
 _TYPES = bpy.types.Attribute.bl_rna.properties["data_type"].enum_items
 KINDS = {item.identifier for item in _TYPES}
@@ -22,8 +23,8 @@ KINDS = {item.identifier for item in _TYPES}
 
 
 def add(name: str, groups: dict[str, tuple[int, ...]], seed: int = 0) -> bpy.types.Object:
-    """A splat object in which every tenth is hidden, and weights are unlike each other, all the
-    same, or 0."""
+    """A splat object with every tenth splat hidden, and groups with different, equal, or zero
+    weights."""
     ob = lab.add(bpy.context.scene, lab.blob(COUNT, seed=seed), name)
     hidden = ob.data.attributes.new(".hide_vert", "BOOLEAN", "POINT")
     hidden.data.foreach_set("value", np.arange(COUNT) % 10 == 0)
@@ -38,7 +39,7 @@ def add(name: str, groups: dict[str, tuple[int, ...]], seed: int = 0) -> bpy.typ
 
 
 def carried(ob: bpy.types.Object) -> dict[str, dict[int, float]]:
-    """The weights of each group, by the number of the splat."""
+    """Weights of each group, by the index of the splat."""
     names = [group.name for group in ob.vertex_groups]
     found: dict[str, dict[int, float]] = {name: {} for name in names}
     for row, vertex in enumerate(ob.data.vertices):
@@ -56,7 +57,7 @@ def hidden(ob: bpy.types.Object) -> np.ndarray:
 
 
 def rows_of(before: dict[str, dict[int, float]], rows: np.ndarray) -> dict[str, dict[int, float]]:
-    """What is left of weights where those splats stay alone."""
+    """The weights of a subset of splats."""
     places = {int(row): at for at, row in enumerate(rows)}
     return {
         name: {places[row]: weight for row, weight in values.items() if row in places}
@@ -66,7 +67,7 @@ def rows_of(before: dict[str, dict[int, float]], rows: np.ndarray) -> dict[str, 
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene) -> bpy.types.Object:
-    """Splats with vertex groups, active."""
+    """Active splats with vertex groups."""
     made = add("splats", BEFORE)
     bpy.context.view_layer.objects.active = made
     made.select_set(True)
@@ -75,7 +76,8 @@ def ob(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 def give_all(ob: bpy.types.Object) -> None:
-    """Attributes of all data types, whose values tell the splat, with a long text and none."""
+    """Add attributes of all data types, with values that identify the splat, long and empty
+    texts."""
     for kind in sorted(KINDS):
         name = f"of {kind}"
         ob.data.attributes.new(name, kind, "POINT")
@@ -90,7 +92,7 @@ def give_all(ob: bpy.types.Object) -> None:
 
 
 def others_of(ob: bpy.types.Object) -> dict[str, list[object]]:
-    """What `give_all` gave, point by point, as Blender shows it."""
+    """Values of `give_all`, point by point, as Blender returns them."""
     found: dict[str, list[object]] = {}
     for kind in sorted(KINDS):
         attribute = ob.data.attributes.get(f"of {kind}")
@@ -108,7 +110,7 @@ def others_of(ob: bpy.types.Object) -> dict[str, list[object]]:
 def test_attributes_of_all_types_follow(
     ob: bpy.types.Object, edit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: what each point had, as Blender shows it; its number tells which it is."""
+    """Oracle: the earlier values of each point, identified by its index."""
     for module, name in ((carrying, "_BLOCK"), (string_attributes, "BLOCK")):
         monkeypatch.setattr(module, name, 7)
     give_all(ob)
@@ -129,7 +131,8 @@ def test_attributes_of_all_types_follow(
 
 
 def test_attributes_of_all_types_are_joined(ob: bpy.types.Object) -> None:
-    """Oracle: what each point had; what one lacks is 0, and no text; undo brings all back."""
+    """Oracle: the earlier values of each point; missing ones are 0, or an empty text; undo restores
+    all."""
     other = add("other", {}, seed=3)
     give_all(other)
     before = others_of(other)
@@ -143,7 +146,7 @@ def test_attributes_of_all_types_are_joined(ob: bpy.types.Object) -> None:
     for kind, values in joined.items():
         assert values[COUNT:] == before[kind], kind
         lacking = values[0]
-        assert lacking == b"" or not np.any(lacking)  # numpy 1 knows no truth of bytes
+        assert lacking == b"" or not np.any(lacking)  # numpy 1 cannot convert bytes to bool
         assert values[:COUNT] == [lacking] * COUNT
     bpy.ops.ed.undo()
     assert others_of(bpy.data.objects["other"]) == before
@@ -152,10 +155,10 @@ def test_attributes_of_all_types_are_joined(ob: bpy.types.Object) -> None:
 def test_what_cannot_be_kept_is_named(
     ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the sentence, and nothing is lost; moving keeps it, so that is done."""
+    """Oracle: the error, and nothing is lost; moving keeps the data and is allowed."""
     give_all(ob)
     before = others_of(ob)
-    monkeypatch.delitem(carrying.FORMATS, "FLOAT2")  # as a type of a later Blender
+    monkeypatch.delitem(carrying.FORMATS, "FLOAT2")  # like a type of a later Blender
     attributes.select(ob.data, np.arange(COUNT) % 7 == 3)
     with pytest.raises(RuntimeError, match="of FLOAT2 is of a type that this add-on cannot keep"):
         bpy.ops.gscore.separate_splats()
@@ -167,7 +170,7 @@ def test_what_cannot_be_kept_is_named(
 
 
 def check(ob: bpy.types.Object, before: dict[str, dict[int, float]], rows: np.ndarray) -> None:
-    """Compare groups, what is said of them, and what is hidden."""
+    """Compare groups, their settings, and hidden splats."""
     assert carried(ob) == rows_of(before, rows)
     assert [(g.name, g.lock_weight) for g in ob.vertex_groups] == [
         ("head", False),
@@ -178,9 +181,9 @@ def check(ob: bpy.types.Object, before: dict[str, dict[int, float]], rows: np.nd
 
 
 def test_numbers_are_as_blender_keeps_them(ob: bpy.types.Object) -> None:
-    """Oracle: the bytes from one point to the next in Blender's memory. Numbers of another size are
-    converted one by one, which holds Blender for 0.1 s of a million splats."""
-    for kind in sorted(KINDS - {"STRING", "BYTE_COLOR"}):  # which is handed over as floats
+    """Oracle: the stride between points in Blender's memory. Numbers of another size are converted
+    one by one, which blocks Blender for 0.1 s with a million splats."""
+    for kind in sorted(KINDS - {"STRING", "BYTE_COLOR"}):  # which is read as floats
         data = ob.data.attributes.new(kind, kind, "POINT").data
         stride = data[1].as_pointer() - data[0].as_pointer()
         assert carrying.empty_values(kind, 2).strides[0] == stride, kind
@@ -188,7 +191,7 @@ def test_numbers_are_as_blender_keeps_them(ob: bpy.types.Object) -> None:
 
 @pytest.mark.parametrize("what", ["groups", "text"])
 def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str) -> None:
-    """Oracle: Python's own news of it. In a Blender with add-ons it takes 0.05 s, over and over."""
+    """Oracle: Python's own callbacks. In a Blender with add-ons each collection takes 0.05 s."""
     mesh = lab.add(scene, lab.blob(2 * vertex_groups.BLOCK)).data
     group = scene.objects[0].vertex_groups.new(name="all")
     group.add(list(range(len(mesh.vertices))), 1.0, "REPLACE")
@@ -211,7 +214,7 @@ def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str)
 
 @pytest.mark.parametrize("edited", [False, True])
 def test_separated(ob: bpy.types.Object, edited: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: rows of what was there, in both parts, from Edit Mode too; and bit by bit."""
+    """Oracle: rows of the earlier data, in both parts, from Edit Mode too; also incrementally."""
     monkeypatch.setattr(vertex_groups, "BLOCK", 7)
     monkeypatch.setattr(carrying, "_BLOCK", 7)
     before, some = carried(ob), np.arange(COUNT) % 7 == 3
@@ -230,7 +233,7 @@ def test_separated(ob: bpy.types.Object, edited: bool, monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("how", ["decimated", "filtered"])
 def test_deleted(ob: bpy.types.Object, how: str) -> None:
-    """Oracle: rows of what was there, selected ones among them."""
+    """Oracle: rows of the earlier data, including selected ones."""
     ids = ob.data.attributes.new("id", "INT", "POINT")
     ids.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
     before, some = carried(ob), np.arange(COUNT) % 4 == 0
@@ -257,7 +260,7 @@ def test_turned(ob: bpy.types.Object) -> None:
 
 
 def test_stretched_parts_are_taken_apart(ob: bpy.types.Object) -> None:
-    """Oracle: what was there, of each object that Blender's Join has put together."""
+    """Oracle: the earlier data of each object that Blender's Join has merged."""
     other = add("other", BEFORE, seed=5)
     other.scale = (1, 2, 1)
     for one in (ob, other):
@@ -275,7 +278,7 @@ def test_stretched_parts_are_taken_apart(ob: bpy.types.Object) -> None:
 
 
 def test_joined(ob: bpy.types.Object) -> None:
-    """Oracle: what each object had, groups of one name together; undo brings all back."""
+    """Oracle: the data of each object, with groups of the same name merged; undo restores all."""
     other, third = add("other", {"tail": (7,), "head": (2, 8)}), add("third", {})
     box = bpy.data.objects.new("box", None)
     bpy.context.scene.collection.objects.link(box)
@@ -308,7 +311,7 @@ def test_joined(ob: bpy.types.Object) -> None:
 
 
 def test_one_without_groups_takes_them_in(scene: bpy.types.Scene) -> None:
-    """Oracle: what the other had."""
+    """Oracle: the data of the other object."""
     one, other = add("one", {}), add("other", BEFORE)
     theirs = carried(other)
     bpy.context.view_layer.objects.active = one
@@ -323,7 +326,7 @@ def test_one_without_groups_takes_them_in(scene: bpy.types.Scene) -> None:
 
 
 def test_a_group_may_be_called_as_an_attribute(ob: bpy.types.Object) -> None:
-    """Oracle: places and weights as before."""
+    """Oracle: positions and weights as before."""
     ob.vertex_groups["head"].name = "scale"
     if ob.vertex_groups[0].name != "scale":
         pytest.skip("this Blender does not allow it")
@@ -336,7 +339,7 @@ def test_a_group_may_be_called_as_an_attribute(ob: bpy.types.Object) -> None:
 
 @pytest.mark.parametrize("below", [False, True])
 def test_what_hangs_from_joined_objects_stays(ob: bpy.types.Object, below: bool) -> None:
-    """Oracle: places in the world before, of the object too where it hangs from one that goes."""
+    """Oracle: world matrices before, also of the object itself if its parent is joined into it."""
     other, box = add("other", {}), bpy.data.objects.new("box", None)
     root, between = (bpy.data.objects.new(name, None) for name in ("root", "between"))
     for one in (box, root, between):

@@ -1,5 +1,5 @@
-"""Splats selected, graded, taken apart and joined. Oracles: numpy on what was written, Blender's
-undo, and pictures of the rasterizer."""
+"""Selection, grading, separation and joining of splats. Oracles: numpy on the written attributes,
+Blender's undo, and pictures of the rasterizer."""
 
 import time
 from collections.abc import Callable
@@ -49,7 +49,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene, make_splats: Make) -> bpy.types.Object:
-    """Splats, active and selected; none of their vertices is."""
+    """Active, selected splats without selected vertices."""
     made = lab.add(scene, make_splats(COUNT))
     activate(made)
     choose(made, np.zeros(COUNT, bool))
@@ -71,7 +71,7 @@ def choose(ob: bpy.types.Object, chosen: np.ndarray) -> None:
 
 
 def chosen(ob: bpy.types.Object) -> np.ndarray:
-    """Which vertices are selected, after leaving Edit Mode, in which selections end."""
+    """Selected vertices, after leaving Edit Mode, which selection operators enter."""
     assert ob.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
     found = np.zeros(len(ob.data.vertices), bool)
@@ -85,7 +85,7 @@ def color_of(ob: bpy.types.Object) -> np.ndarray:
 
 
 def test_selections_are_those_of_vertices(scene: bpy.types.Scene) -> None:
-    """Oracle: what the vertices themselves say, with and without an attribute that says it."""
+    """Oracle: the vertices' own flags, with and without a selection attribute."""
     ob = lab.add(scene, lab.blob(50))
     wanted, found = np.arange(50) % 3 == 0, np.ones(50, bool)
     assert not attributes.selected(ob.data).any()
@@ -112,13 +112,13 @@ def test_by_opacity_and_size(ob: bpy.types.Object) -> None:
 
 
 def test_the_context_owns_what_it_did(run_blender: Callable[..., str]) -> None:
-    """Oracle: whose the window is in the next file; of the scene that is gone, Blender 4.2 crashes
+    """Oracle: the scene of the window in the next file; with a removed scene, Blender 4.2 crashes
     sooner or later."""
     assert "whole" in run_blender(IN_THE_NEXT_FILE.format(root=str(ROOT)))
 
 
 def test_by_color(ob: bpy.types.Object) -> None:
-    """Oracle: distances from the mean of the selected, or from the chosen colour."""
+    """Oracle: distances from the mean of selected splats, or from the chosen colour."""
     with pytest.raises(RuntimeError, match="Select a splat"):
         bpy.ops.gscore.select_by_color()
     seeds = np.arange(COUNT) < 2
@@ -168,7 +168,7 @@ def test_flood_and_floaters(scene: bpy.types.Scene) -> None:
 
 
 def test_grade(ob: bpy.types.Object) -> None:
-    """Oracle: the formulas in numpy; SH, opacity and what is not selected to the bit; undo."""
+    """Oracle: the formulas in numpy; SH, opacity and unselected splats to the bit; undo."""
     before, name = objects.read(ob), ob.name
     some = np.arange(COUNT) % 3 == 0
     choose(ob, some)
@@ -195,8 +195,8 @@ def test_grade(ob: bpy.types.Object) -> None:
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
 @pytest.mark.parametrize("share", [0, 3])
 def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, share: int) -> None:
-    """Oracle: the rows that changed: those that are selected, or all where none is; a script grades
-    all unless it says otherwise, and so does a button whose Only Selected is taken away."""
+    """Oracle: the changed rows: selected ones, or all if none is selected; a script grades all by
+    default, and so does the button without Only Selected."""
     sh0 = objects.read(ob).sh0
     some = np.arange(COUNT) % share == 0 if share else np.zeros(COUNT, bool)
     choose(ob, some)
@@ -218,7 +218,7 @@ def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, sha
 
 
 def test_many_are_graded_and_compared_as_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the same numbers where all splats are looked at at once."""
+    """Oracle: the same numbers when all splats are processed in one block."""
     base = np.random.default_rng(0).normal(size=(1000, 4)).astype(np.float32)
     grade = grading.Grade(lift=(0.1, 0, -0.1), gamma=(1.2, 1, 0.9), saturation=0.5)
     color = np.array([0.6, 0.5, 0.5])
@@ -238,7 +238,7 @@ def test_no_grade_changes_nothing(ob: bpy.types.Object) -> None:
 
 
 def test_separate_keeps_everything(ob: bpy.types.Object) -> None:
-    """Oracle: rows of what was there, an attribute of the user among them; from Edit Mode too."""
+    """Oracle: rows of the earlier data, including a user's attribute; from Edit Mode too."""
     own = ob.data.attributes.new("mine", "INT", "POINT")
     own.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
     ob.gscore.size_max, ob.gscore.display = 0.7, "ELLIPSOIDS"
@@ -262,9 +262,9 @@ def test_separate_keeps_everything(ob: bpy.types.Object) -> None:
 
 
 def test_join_shows_what_was_seen(scene: bpy.types.Scene) -> None:
-    """Oracle: the rasterizer's picture of both in the world before, turned and scaled; their SH
-    degrees differ. An attribute that one of them has is 0 in the other. What the first has stays to
-    the bit, which exponentials and logarithms would not do."""
+    """Oracle: the rasterizer's picture of both in the world before, rotated and scaled, with
+    different SH degrees. An attribute of only one of them is 0 in the other. Data of the first stay
+    equal to the bit, which would not survive exponentials and logarithms."""
     one, other = lab.add(scene, lab.blob(200)), lab.add(scene, lab.wall(0.4, (0.9, 0.2, 0.1)))
     one.location, one.scale = (0.2, 0, 0), (2, 2, 2)
     other.rotation_euler, other.scale = (0.5, 0.2, 1), (0.5, 0.5, 0.5)
@@ -297,7 +297,7 @@ def picture(splats: Splats) -> np.ndarray:
 
 
 def test_attributes_of_two_types_are_not_joined(scene: bpy.types.Scene) -> None:
-    """Oracle: the sentence that names the attribute, and the counts."""
+    """Oracle: an error that names the attribute, and the counts."""
     one, other = (lab.add(scene, lab.blob(20), name) for name in ("one", "other"))
     one.data.attributes.new("mine", "FLOAT", "POINT")
     other.data.attributes.new("mine", "INT", "POINT")
@@ -308,7 +308,7 @@ def test_attributes_of_two_types_are_not_joined(scene: bpy.types.Scene) -> None:
 
 
 def test_a_refused_join_changes_nothing(scene: bpy.types.Scene) -> None:
-    """Oracle: counts, and the sentence that names the object."""
+    """Oracle: counts, and an error that names the object."""
     one, other = (lab.add(scene, lab.blob(20), name) for name in ("one", "other"))
     other.scale = (1, 2, 3)
     activate(one, other)
@@ -319,7 +319,8 @@ def test_a_refused_join_changes_nothing(scene: bpy.types.Scene) -> None:
 
 @pytest.mark.slow
 def test_a_million_splats(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the clock, processor time; five times what is promised, for machines differ."""
+    """Oracle: the clock, processor time; five times the documented time, because machines
+    differ."""
     ob = lab.add(scene, make_splats(1_000_000))
     activate(ob)
     choose(ob, np.arange(1_000_000) < 10)
@@ -345,7 +346,7 @@ def test_a_million_splats(scene: bpy.types.Scene, make_splats: Make) -> None:
 def test_the_panel_leads_to_a_display_that_follows(
     ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: live splats follow edits of small objects; of large ones other displays do."""
+    """Oracle: live splats follow edits of small objects; other displays those of large ones."""
     ob.gscore.display = "SPLATS"
     bpy.ops.gscore.select_by_opacity()
     assert "Show Edits" not in drawn(EditPanel)

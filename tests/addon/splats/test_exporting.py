@@ -1,4 +1,4 @@
-"""Exports that go bit by bit; oracle: the same export at once, byte by byte."""
+"""Incremental exports; oracle: the same export in one call, byte by byte."""
 
 import threading
 from collections.abc import Callable
@@ -21,13 +21,13 @@ Make = Callable[..., Splats]
 
 @pytest.fixture(autouse=True)
 def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One attribute a step."""
+    """One attribute per step."""
     monkeypatch.setattr(read_chunked, "BUDGET", 0.0)
 
 
 @pytest.fixture
 def obs(scene: bpy.types.Scene, make_splats: Make) -> list[bpy.types.Object]:
-    """Two objects of different degrees; the second is moved, the first filtered."""
+    """Two objects of different SH degrees; the second is moved, the first filtered."""
     one = objects.create(make_splats(300), "chair")
     other = objects.create(make_splats(200, rest=3, seed=1), "table")
     other.location, other.scale = (5, 0, 0), (2, 2, 2)
@@ -37,7 +37,7 @@ def obs(scene: bpy.types.Scene, make_splats: Make) -> list[bpy.types.Object]:
 
 
 class Export(TaskRunner):
-    """An export that has begun."""
+    """A running export."""
 
     def __init__(self, *what: Any, **how: Any) -> None:
         super().__init__(exporting.exporting(*what, **how))
@@ -45,7 +45,7 @@ class Export(TaskRunner):
 
 
 def finished(export: Export) -> exporting.Written:
-    """What was written."""
+    """Complete an export; return its result."""
     for _ in range(10_000):
         if export.step():
             return export.result
@@ -54,7 +54,7 @@ def finished(export: Export) -> exporting.Written:
 
 
 def nothing_left(folder: Path, *names: str) -> None:
-    """Raise unless a folder holds these files alone, and Blender no copy of a mesh."""
+    """Raise unless a folder has only these files, and Blender no copy of a mesh."""
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
     assert sorted(mesh.name for mesh in bpy.data.meshes) == ["chair", "table"]
 
@@ -62,7 +62,7 @@ def nothing_left(folder: Path, *names: str) -> None:
 @pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".glb", ".splat"])
 @pytest.mark.parametrize(("world", "filtered"), [("SOURCE", True), ("BLENDER", False)])
 def test_as_at_once(obs: list, tmp_path: Path, ending: str, world: str, filtered: bool) -> None:
-    """Oracle: the file of `export_splats`, its count and its notes."""
+    """Oracle: the file of `export_splats`, its count and its warnings."""
     wanted, got = tmp_path / f"at once{ending}", tmp_path / f"bit by bit{ending}"
     told = export_splats(obs, wanted, world=world, filtered=filtered)
     export = Export(obs, got, world=world, filtered=filtered)
@@ -75,7 +75,7 @@ def test_as_at_once(obs: list, tmp_path: Path, ending: str, world: str, filtered
 
 
 def test_as_it_was(obs: list, tmp_path: Path) -> None:
-    """Oracle: the file before the object was edited, moved and filtered otherwise."""
+    """Oracle: the file before the object was edited, moved and filtered differently."""
     export_splats(obs, tmp_path / "before.ply", filtered=True)
     export = Export(obs, tmp_path / "after.ply", world="SOURCE", filtered=True)
     assert not export.step()
@@ -87,7 +87,7 @@ def test_as_it_was(obs: list, tmp_path: Path) -> None:
 
 
 def test_in_edit_mode(obs: list, tmp_path: Path) -> None:
-    """Oracle: the points that are left in Edit Mode, which the mesh does not know of yet."""
+    """Oracle: the remaining points in Edit Mode, which are not yet in the mesh."""
     ob = obs[0]
     ob.gscore.opacity_min = 0.0
     means = objects.read(ob).means
@@ -101,8 +101,8 @@ def test_in_edit_mode(obs: list, tmp_path: Path) -> None:
 
 
 def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the earlier file, and nothing beside it: while splats are read, and while the new one
-    is being written."""
+    """Oracle: the earlier file and no other: while splats are read, and while the new file is
+    written."""
     out = tmp_path / "out.ply"
     out.write_bytes(b"earlier")
     export = Export(obs, out, world="SOURCE", filtered=False)
@@ -131,7 +131,7 @@ def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_refuses(obs: list, tmp_path: Path) -> None:
-    """Oracle: the sentences of the export at once; the earlier file is untouched."""
+    """Oracle: the errors of the export in one call; the earlier file is unchanged."""
     out = tmp_path / "out.ply"
     out.write_bytes(b"earlier")
     options = {"world": "SOURCE", "filtered": True}

@@ -1,4 +1,4 @@
-"""The filters as a mask. Oracle: conditions written out by hand."""
+"""The filters as a mask. Oracle: conditions by hand."""
 
 import subprocess
 import sys
@@ -47,7 +47,7 @@ def test_limits(rows: dict[str, np.ndarray]) -> None:
 
 
 def test_limits_are_included() -> None:
-    """Oracle: the ends belong to what is shown."""
+    """Oracle: values at the limits are shown."""
     one = {
         "means": np.zeros((1, 3), np.float32),
         "scales": np.full((1, 3), 0.1, np.float32),
@@ -69,7 +69,8 @@ def test_crop(rows: dict[str, np.ndarray], shape: str, invert: bool) -> None:
 
 
 def test_crop_object_in_its_own_frame(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: mathutils takes every vertex into the frame of a turned, scaled, off-centre mesh."""
+    """Oracle: mathutils transforms each vertex to the space of a rotated, scaled, off-centre
+    mesh."""
     ob = objects.create(make_splats(400), "Splats")
     ob.location, ob.scale = (1, 2, 3), (2, 2, 2)
     mesh = bpy.data.meshes.new("Crop")

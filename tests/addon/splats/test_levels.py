@@ -18,8 +18,8 @@ COUNT = 2000
 
 @pytest.fixture
 def lod(tmp_path: Path, make_splats: Callable[..., Splats], monkeypatch) -> Path:
-    """Three levels: 2000 splats in 16 chunks, 500 and 125; merged as they come, for Blender has no
-    scipy to find neighbours with."""
+    """Three levels: 2000 splats in 16 chunks, 500 and 125; merged in file order, because Blender
+    has no scipy to find neighbours."""
     monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", 150)
     monkeypatch.setattr(build, "groups_of", lambda means, *_: np.arange(len(means)) // 4)
     write_splats(tmp_path / "city.ply", make_splats(COUNT))
@@ -28,12 +28,12 @@ def lod(tmp_path: Path, make_splats: Callable[..., Splats], monkeypatch) -> Path
 
 
 def rows(means: np.ndarray) -> np.ndarray:
-    """Places in an order of their own."""
+    """Positions in sorted order."""
     return means[np.lexsort(means.T)]
 
 
 def test_the_finest_that_is_not_too_many(scene, lod: Path, monkeypatch) -> None:
-    """Oracle: the level; its splats are those of the file, and say that they are antialiased."""
+    """Oracle: the level; its splats are those of the file, and marked as antialiased."""
     assert bpy.ops.gscore.import_splats(filepath=str(lod)) == {"FINISHED"}
     assert len(bpy.context.object.data.vertices) == COUNT
     monkeypatch.setattr(splat_files, "MOST_AT_ONCE", 600)
@@ -46,8 +46,8 @@ def test_the_finest_that_is_not_too_many(scene, lod: Path, monkeypatch) -> None:
 
 
 def test_the_crop_of_the_finest(scene, lod: Path) -> None:
-    """Oracle: the splats of the whole file that lie in the box, which is turned; they stand where
-    the coarse ones do, which were moved after their import."""
+    """Oracle: the splats of the whole file inside the rotated box; they have the transform of the
+    coarse ones, which were moved after their import."""
     bpy.ops.gscore.import_splats(filepath=str(lod), level=2)
     coarse = bpy.context.object
     coarse.location, coarse.rotation_euler = (1, 2, 3), (0.3, 0.2, 0.1)
@@ -70,7 +70,7 @@ def test_the_crop_of_the_finest(scene, lod: Path) -> None:
 
 
 def test_what_cannot_be_imported(scene, lod: Path) -> None:
-    """Oracle: an error that says why, and the scene as before."""
+    """Oracle: an error with the reason, and the scene as before."""
     with pytest.raises(RuntimeError, match="has 3 levels"):
         bpy.ops.gscore.import_splats(filepath=str(lod), level=7)
     with pytest.raises(RuntimeError, match="Select the splat object"):

@@ -1,4 +1,4 @@
-"""What Blender's Apply and Join leave behind: found, said and mended.
+"""Detection, report and repair of shapes after Blender's Apply and Join.
 
 Oracle of most: the engine's picture before Apply or Join.
 """
@@ -25,7 +25,7 @@ BUTTON, BACK = "(Turn Shapes and Colors Along)", "(Take Stretching Back)"
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene) -> bpy.types.Object:
-    """Splats before a camera, active and turned."""
+    """Active, rotated splats in front of a camera."""
     lab.prepare(scene)
     made = lab.add(scene, lab.blob())
     place(made, (0.3, -0.2, 0.4), (0.4, 1.1, -2.0), 1.5)
@@ -55,13 +55,13 @@ def activate(ob: bpy.types.Object, *more: bpy.types.Object) -> None:
 
 
 def apply(**which: bool) -> None:
-    """Blender's own."""
+    """Blender's own Apply."""
     wanted = {"location": True, "rotation": True, "scale": True} | which
     assert bpy.ops.object.transform_apply(**wanted) == {"FINISHED"}
 
 
 def reported() -> str:
-    """What a render says besides."""
+    """Warnings of a render about shapes."""
     context = bpy.context
     shown = unsupported_settings.Shown(
         scene=context.scene, layer=context.view_layer, camera=context.scene.camera
@@ -70,7 +70,7 @@ def reported() -> str:
 
 
 def is_said(button: str = BUTTON) -> bool:
-    """Whether panel and render tell it alike."""
+    """Whether panel and render report the same."""
     layout = Layout()
     result.draw_outdated(layout, bpy.context)
     panel = button in layout.text
@@ -92,8 +92,8 @@ def step(name: str) -> None:
 def test_apply_is_mended(
     ob: bpy.types.Object, tmp_path: Path, scale: float, which: dict[str, bool]
 ) -> None:
-    """Oracle: the picture of before, where Apply had changed it; the places are those that Apply
-    made, to the bit. The object hangs from another one, which is turned too."""
+    """Oracle: the picture before Apply, which changed it; positions are those made by Apply, to the
+    bit. The object has a rotated parent."""
     root = bpy.data.objects.new("root", None)
     bpy.context.scene.collection.objects.link(root)
     place(root, (0.1, 0, 0), (0.3, 0, 0.5), 0.9)
@@ -114,8 +114,8 @@ def test_apply_is_mended(
 
 
 def test_applied_twice(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the picture of before, after two turns that were applied and splats deleted between
-    and after; applied and turned back, nothing lags."""
+    """Oracle: the earlier picture, after two applied rotations with splats deleted in between and
+    afterwards; applied and rotated back, nothing is left to repair."""
     ob.data.vertices.foreach_set("select", np.zeros(400, bool))
     apply()
     ob.rotation_euler = (0, 0.7, 0.1)
@@ -145,8 +145,8 @@ def test_applied_twice(ob: bpy.types.Object, tmp_path: Path) -> None:
 
 
 def test_what_is_right_is_not_said(ob: bpy.types.Object) -> None:
-    """Oracle: pictures need no mending after moves, our own Apply, of an inversion too, edits of
-    single points, and a turn that was applied and taken back."""
+    """Oracle: pictures need no repair after moves, the add-on's Apply, also of an inversion, edits
+    of single points, and a rotation that was applied and reverted."""
     apply(rotation=False, scale=False)
     assert not is_said()
     for scale in (1.5, -1.0):
@@ -170,7 +170,7 @@ def test_what_is_right_is_not_said(ob: bpy.types.Object) -> None:
 
 
 def test_points_turned_in_edit_mode(ob: bpy.types.Object) -> None:
-    """Oracle: their own turn, found when Edit Mode is left."""
+    """Oracle: their own rotation, detected when Edit Mode ends."""
     turn = Matrix.Rotation(0.8, 4, "X")
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.context.view_layer.update()
@@ -183,8 +183,8 @@ def test_points_turned_in_edit_mode(ob: bpy.types.Object) -> None:
 
 
 def test_undo_takes_the_mark_along(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the picture tells which states are wrong; each way through undo and redo has the same
-    marks, and what mends after them is right."""
+    """Oracle: the picture shows which states are wrong; each path through undo and redo has the
+    same marks, and repairs after them are right."""
     name, before = ob.name, lab.render_exr(tmp_path, "before")
     step("start")
     apply()
@@ -211,7 +211,7 @@ def test_undo_takes_the_mark_along(ob: bpy.types.Object, tmp_path: Path) -> None
 
 
 def test_a_file_keeps_the_mark(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the file that was saved and opened; a copy of the mesh has it too."""
+    """Oracle: the saved and opened file; a copy of the mesh has it too."""
     apply()
     copy = ob.copy()
     copy.data = ob.data.copy()
@@ -228,7 +228,7 @@ def test_a_file_keeps_the_mark(ob: bpy.types.Object, tmp_path: Path) -> None:
 
 
 def test_linked_splats_are_not_mended(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the sentence of all operators on linked data, and the places and shapes there."""
+    """Oracle: the error of all operators on linked data, and unchanged positions and shapes."""
     apply()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -243,8 +243,8 @@ def test_linked_splats_are_not_mended(ob: bpy.types.Object, tmp_path: Path) -> N
 
 
 def test_the_last_apply_is_done_anew(ob: bpy.types.Object) -> None:
-    """Oracle: the turn that each Apply made, with undo between them, as where its settings are
-    changed: what was noted of the first says nothing of the second."""
+    """Oracle: the rotation of each Apply, with undo in between, as when its settings are adjusted:
+    the mark of the first does not apply to the second."""
     name = ob.name
     step("start")
     for turn in ((0.4, 1.1, -2.0), (0.1, 0, 0.5)):
@@ -261,9 +261,9 @@ def test_the_last_apply_is_done_anew(ob: bpy.types.Object) -> None:
 
 
 def test_a_look_is_rare(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: how often a mesh is looked at, for which Blender copies its splats: not where objects
-    are turned, or meshes change, but once where an object is turned after its mesh has changed."""
-    ob.rotation_euler.x = 0.1  # the last look at what is new
+    """Oracle: the number of mesh checks, each of which copies the splats: none when objects are
+    rotated or meshes change, but one when an object is rotated after its mesh has changed."""
+    ob.rotation_euler.x = 0.1  # the last check of new meshes
     bpy.context.view_layer.update()
     looks = []
     monkeypatch.setattr(lag, "follow", lambda mesh: looks.append(mesh.name))
@@ -286,7 +286,7 @@ def test_a_look_is_rare(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -
 
 
 def three(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Of different degrees, each with a turn of its own but the third."""
+    """Objects of different SH degrees, all rotated except the third."""
     lab.prepare(scene)
     plain = lab.blob(150, seed=3)
     splats = [lab.blob(200), lab.blob(300, seed=2), plain]
@@ -305,8 +305,8 @@ def three(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 @pytest.mark.parametrize("active", [0, 1, 2])
 @pytest.mark.parametrize("fewer", [False, True])
 def test_join_is_mended(scene: bpy.types.Scene, tmp_path: Path, active: int, fewer: bool) -> None:
-    """Oracle: the picture of before, or of our own Join, where splats were deleted; all orders of
-    objects in which Blender may put them together."""
+    """Oracle: the earlier picture, or that of the add-on's Join, with deleted splats; in all orders
+    in which Blender may merge objects."""
     obs = three(scene)
     activate(obs[active], *obs)
     before = lab.render_exr(tmp_path, "before")
@@ -340,7 +340,7 @@ def test_join_is_mended(scene: bpy.types.Scene, tmp_path: Path, active: int, few
 
 
 def _order(part: Splats) -> int:
-    """Which of `three` a part is from, by a splat of it."""
+    """The source among `three` of each part, identified by a splat."""
     scales = [lab.blob(200), lab.blob(300, seed=2), lab.blob(150, seed=3)]
     return next(
         k
@@ -350,15 +350,15 @@ def _order(part: Splats) -> int:
 
 
 def _lags(active: int) -> list[Matrix]:
-    """What each of `three` was turned by."""
+    """Rotation of each of `three`."""
     turns = [((0.2, 0.1, 0.5), 1.2), ((1.2, 0.4, 0), -0.8), ((0.2, 0.1, 0.5), 1.2)]
     made = [Euler(turn).to_matrix() * scale for turn, scale in turns]
     return [made[active].inverted() @ one for one in made]
 
 
 def test_joined_again_and_applied(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the picture of before: two are joined, the result is turned, applied, and joined into
-    a third, with undo between that goes back over a Join."""
+    """Oracle: the earlier picture: two are joined, the result is rotated, applied, and joined into
+    a third, with an undo over a Join in between."""
     a, b, c = three(scene)
     before = lab.render_exr(tmp_path, "before")
     activate(a, b)
@@ -381,8 +381,8 @@ def test_joined_again_and_applied(scene: bpy.types.Scene, tmp_path: Path) -> Non
 
 
 def test_joins_that_are_right(scene: bpy.types.Scene) -> None:
-    """Oracle: nothing is said where no part is turned against the active one, though all are; our
-    own Join of an inverted one is right too, and it refuses what lags."""
+    """Oracle: no report if no part is rotated relative to the active one, though all are; the
+    add-on's Join of an inverted one is right too, and it refuses objects that need repair."""
     obs = [lab.add(scene, lab.blob(100 + k, seed=k), f"o{k}") for k in range(3)]
     lab.prepare(scene)
     for k, ob in enumerate(obs):
@@ -406,8 +406,8 @@ def test_joins_that_are_right(scene: bpy.types.Scene) -> None:
 
 
 def test_stretching_is_taken_back(ob: bpy.types.Object) -> None:
-    """Oracle: matrix and places of before Apply, of the object, of one that shares its mesh, and of
-    what hangs from it."""
+    """Oracle: matrix and positions before Apply, of the object, of one that shares its mesh, and of
+    its children."""
     ob.scale = (1, 2, 0.5)
     child = bpy.data.objects.new("child", None)
     bpy.context.scene.collection.objects.link(child)
@@ -421,7 +421,7 @@ def test_stretching_is_taken_back(ob: bpy.types.Object) -> None:
     assert is_said(BACK)
     bpy.ops.gscore.mend_splats()
     bpy.context.view_layer.update()
-    now = attributes.column(ob.data, attributes.POSITION)  # a location that was applied stays so
+    now = attributes.column(ob.data, attributes.POSITION)  # an applied location stays applied
     np.testing.assert_allclose(now - now[0], places - places[0], atol=1e-5)
     shown = [np.array(one.matrix_world) for one in (ob, twin)]
     for one in shown:
@@ -435,7 +435,7 @@ def test_stretching_is_taken_back(ob: bpy.types.Object) -> None:
 
 
 def test_a_stretched_part_goes_again(scene: bpy.types.Scene) -> None:
-    """Oracle: places in the world of all splats, and the scale of what was joined."""
+    """Oracle: world positions of all splats, and the scale of the joined object."""
     a, b, c = three(scene)
     b.scale = (1, 2, 1)
     activate(a, b, c)
@@ -464,7 +464,7 @@ def _sorted(places: np.ndarray) -> np.ndarray:
 
 
 def test_flattened_splats_are_undone(ob: bpy.types.Object) -> None:
-    """Oracle: the sentence, and nothing is changed."""
+    """Oracle: the error, and nothing is changed."""
     ob.scale = (1, 1, 0)
     activate(ob)
     apply()
@@ -474,7 +474,7 @@ def test_flattened_splats_are_undone(ob: bpy.types.Object) -> None:
 
 
 def test_our_apply_keeps_a_lag(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the picture of before Blender's Apply, with ours between it and the mending."""
+    """Oracle: the picture before Blender's Apply, with the add-on's between it and the repair."""
     before = lab.render_exr(tmp_path, "before")
     apply()
     turn = Matrix.Rotation(1, 4, "Y") @ Matrix.Scale(0.5, 4)
@@ -490,7 +490,7 @@ def test_our_apply_keeps_a_lag(ob: bpy.types.Object, tmp_path: Path) -> None:
 
 
 def test_other_splats_have_no_lag(ob: bpy.types.Object) -> None:
-    """Oracle: a training or a sequence that puts others in, as many and more."""
+    """Oracle: a training or a sequence that replaces them by as many, or more."""
     for count in (400, 500):
         ob.rotation_euler = (1, 0, 0)
         apply()
@@ -518,7 +518,7 @@ TURN = np.array(Euler((0.3, 1, -2)).to_matrix(), np.float64)
     ids=["even", "mirror", "uneven", "plane", "thin", "outliers"],
 )
 def test_a_turn_is_found(points: np.ndarray, turn: np.ndarray) -> None:
-    """Oracle: the turn that was made, in float32 as Blender does."""
+    """Oracle: the actual rotation, in float32 as in Blender."""
     old = points.astype(np.float32)
     new = old @ turn.T.astype(np.float32) + np.float32(7)
     found = fitted.turn_between(old.astype(np.float64), new.astype(np.float64))
@@ -527,8 +527,8 @@ def test_a_turn_is_found(points: np.ndarray, turn: np.ndarray) -> None:
 
 
 def test_no_turn_is_found() -> None:
-    """Oracle: points of a line do not tell, single ones that moved are no turn, and a shift is the
-    identity itself."""
+    """Oracle: points on a line do not determine a rotation, single moved points are none, and a
+    translation is the identity."""
     line = np.arange(20)[:, None] * np.array([1.0, 2, 3])
     assert fitted.turn_between(line, line @ TURN.T) is None
     some = CLOUD.copy()

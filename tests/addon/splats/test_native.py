@@ -1,4 +1,4 @@
-"""Blender's own Gaussian splats: made by the display's nodes, and taken over from its importers."""
+"""Blender's own Gaussian splats: made by the display's nodes, and converted from its importers."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,14 +34,14 @@ needs_native = pytest.mark.skipif(
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene, make_splats: Make) -> bpy.types.Object:
-    """A splat object, active."""
+    """An active splat object."""
     ob = objects.create(make_splats(COUNT), "ours")
     bpy.context.view_layer.objects.active = ob
     return ob
 
 
 def theirs(scene: bpy.types.Scene, given: Splats) -> bpy.types.Object:
-    """A point cloud with the attributes of Blender's own splats, turned and moved, active."""
+    """An active, transformed point cloud with the attributes of Blender's own splats."""
     cloud = bpy.data.pointclouds.new("theirs")
     cloud.resize(len(given))
     attributes.write(cloud, given)
@@ -57,7 +57,7 @@ def theirs(scene: bpy.types.Scene, given: Splats) -> bpy.types.Object:
 
 
 def test_native_splats_are_offered_where_blender_has_them(ob: bpy.types.Object) -> None:
-    """Oracle: the type of what the display's nodes make of the mesh."""
+    """Oracle: the type of the geometry made by the display's nodes."""
     items = ob.gscore.bl_rna.properties["display"].enum_items
     assert ("NATIVE" in items) == bool(splat_cloud_type())
     if "NATIVE" not in items:
@@ -75,7 +75,8 @@ def test_native_splats_are_offered_where_blender_has_them(ob: bpy.types.Object) 
 
 @needs_native
 def test_files_of_older_blenders_show_native_splats(ob: bpy.types.Object) -> None:
-    """Oracle: the nodes, which are made anew where a file has those of a Blender without."""
+    """Oracle: the nodes, which are rebuilt if a file has those of a Blender without native
+    splats."""
     group = display.modifier_of(ob).node_group
     group["gs_nodes"] = group["gs_nodes"].removesuffix(" native")
     ob.gscore.display = "NATIVE"
@@ -83,7 +84,7 @@ def test_files_of_older_blenders_show_native_splats(ob: bpy.types.Object) -> Non
 
 
 def test_files_of_another_blender_get_its_display(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the nodes of this Blender, as soon as the file is open."""
+    """Oracle: the nodes of this Blender, immediately after loading."""
     group = display.modifier_of(ob).node_group
     tag = group["gs_nodes"]
     group["gs_nodes"] = tag.removesuffix(" native") if tag.endswith(" native") else f"{tag} native"
@@ -98,7 +99,7 @@ def test_files_of_another_blender_get_its_display(ob: bpy.types.Object, tmp_path
 def test_what_blender_imports_is_taken_over(
     scene: bpy.types.Scene, make_splats: Make, tmp_path: Path, ending: str, up: str
 ) -> None:
-    """Oracle: Blender's own importers of our files, and what we read of these ourselves."""
+    """Oracle: Blender's own importers of the add-on's files, and the add-on's readers."""
     file = tmp_path / f"chair.{ending}"
     write_splat_file(file, make_splats(COUNT))
     getattr(bpy.ops.wm, f"{ending}_import")(filepath=str(file))
@@ -119,7 +120,7 @@ def test_what_blender_imports_is_taken_over(
 
 @needs_resize
 def test_a_cloud_becomes_a_splat_object(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the splats given, the cloud's place, and Blender's undo."""
+    """Oracle: the given splats, the cloud's transform, and Blender's undo."""
     cloud = theirs(scene, make_splats(COUNT))
     cloud.parent = bpy.data.objects.new("parent", None)
     scene.collection.objects.link(cloud.parent)
@@ -142,7 +143,7 @@ def test_a_cloud_becomes_a_splat_object(scene: bpy.types.Scene, make_splats: Mak
 
 @needs_resize
 def test_a_broken_cloud_is_a_sentence(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: nothing is left of it, and the cloud is seen."""
+    """Oracle: no data are left, and the cloud is visible."""
     cloud = theirs(scene, make_splats(COUNT))
     cloud.data.attributes["scale"].data[3].vector = (float("nan"), 1, 1)
     assert "scale is not finite" in lab.error_of(bpy.ops.gscore.take_native_splats)
@@ -163,7 +164,7 @@ def test_blenders_splats_are_exported(
 
 @needs_resize
 def test_the_engine_renders_blenders_splats(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the picture of a splat object of the same splats; nothing is said to be left out."""
+    """Oracle: the picture of a splat object of the same splats; no warnings."""
     lab.prepare(scene)
     cloud = theirs(scene, lab.blob())
     cloud.rotation_euler, cloud.location = (0, 0, 0), (0, 0, 0)
@@ -183,7 +184,7 @@ def test_the_engine_renders_blenders_splats(scene: bpy.types.Scene, tmp_path: Pa
 def test_the_display_is_built_in_parts(
     scene: bpy.types.Scene, make_splats: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: how many node groups and materials there are after each piece."""
+    """Oracle: the number of node groups and materials after each step."""
     theirs(scene, make_splats(COUNT))
     for block in [*bpy.data.node_groups, *bpy.data.materials]:
         bpy.data.batch_remove([block])

@@ -1,4 +1,4 @@
-"""Splats as mesh objects. Oracle: the numbers that went in, bit by bit where float32 allows it."""
+"""Splats as mesh objects. Oracle: the input values, to the bit where float32 allows it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +26,7 @@ def equal(got: Splats, wanted: Splats) -> None:
 
 
 def raw_bytes(ob: bpy.types.Object) -> dict[str, bytes]:
-    """Every point attribute of our names as bytes."""
+    """Each splat attribute as bytes."""
     found = {}
     for name in (
         "position",
@@ -47,7 +47,7 @@ def raw_bytes(ob: bpy.types.Object) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("rest", [0, 3, 8, 15, 24])
 def test_round_trip(scene: bpy.types.Scene, make_splats: Make, rest: int) -> None:
-    """Oracle: the splats given."""
+    """Oracle: the given splats."""
     splats = make_splats(rest=rest)
     ob = objects.create(splats, "Splats")
     assert objects.is_splats(ob)
@@ -87,7 +87,7 @@ def test_quaternions_of_any_length(scene: bpy.types.Scene, make_splats: Make) ->
 
 
 def test_extreme_opacities(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: finite on the way back, and the same opacity; the documented limit at the top."""
+    """Oracle: finite and the same opacity after a round trip; the documented limit at the top."""
     splats = make_splats(5)
     logits = np.array([-60, -20, 0, 12, 60], np.float32)
     splats = Splats(**{n: getattr(splats, n) for n in RAW} | {"opacities": logits})
@@ -113,7 +113,7 @@ def test_save_and_load(scene: bpy.types.Scene, make_splats: Make, tmp_path: Path
 
 @pytest.mark.parametrize("change", [(500, 15), (800, 15), (200, 15), (500, 3), (0, 0), (900, 0)])
 def test_refresh(scene: bpy.types.Scene, make_splats: Make, change: tuple[int, int]) -> None:
-    """Oracle: the new splats; transform, parent and settings as they were."""
+    """Oracle: the new splats; unchanged transform, parent and settings."""
     parent = bpy.data.objects.new("Root", None)
     scene.collection.objects.link(parent)
     ob = objects.create(make_splats(), "Splats", parent=parent)
@@ -127,8 +127,8 @@ def test_refresh(scene: bpy.types.Scene, make_splats: Make, change: tuple[int, i
 
 
 def test_new_splats_are_not_selected(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the marks by which the live viewport tints what is selected, after each way in which
-    vertices are added; those that were selected before splats are joined still are."""
+    """Oracle: the marks with which the live viewport tints selected splats, after each way to add
+    vertices; splats selected before a join stay selected."""
     ob = objects.create(make_splats(), "Splats")
     assert read_marks(ob.data) is None
     objects.refresh(ob, make_splats(count=40))
@@ -149,7 +149,7 @@ def test_new_splats_are_not_selected(scene: bpy.types.Scene, make_splats: Make) 
 
 
 def test_delete_in_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the rows of the splats that were not selected, and all of them after undo."""
+    """Oracle: the rows of unselected splats, and all rows after undo."""
     splats = make_splats()
     ob = objects.create(splats, "Splats")
     bpy.context.view_layer.objects.active = ob
@@ -171,7 +171,7 @@ def test_delete_in_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:
 
 
 def test_vertex_added_by_hand(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: it is no splat that could be seen; the others stay."""
+    """Oracle: it is an invisible splat; the others stay."""
     splats = make_splats(4)
     ob = objects.create(splats, "Splats")
     ob.data.vertices.add(1)
@@ -183,7 +183,7 @@ def test_vertex_added_by_hand(scene: bpy.types.Scene, make_splats: Make) -> None
 
 
 def test_world(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: transform_splats with the matrix put together by hand."""
+    """Oracle: transform_splats with a matrix by hand."""
     splats = make_splats()
     parent = bpy.data.objects.new("Root", None)
     scene.collection.objects.link(parent)
@@ -200,7 +200,7 @@ def test_world(scene: bpy.types.Scene, make_splats: Make) -> None:
 
 
 def test_uneven_scale_is_refused(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the sentence names the object and the reason."""
+    """Oracle: the message names the object and the reason."""
     ob = objects.create(make_splats(), "Chair")
     ob.scale = (1, 1, 2)
     bpy.context.view_layer.update()
@@ -210,7 +210,7 @@ def test_uneven_scale_is_refused(scene: bpy.types.Scene, make_splats: Make) -> N
 
 @pytest.mark.parametrize("name", ["scale", "rotation", "radiance:base", "radiance:sh_2"])
 def test_missing_attribute(scene: bpy.types.Scene, make_splats: Make, name: str) -> None:
-    """Oracle: the sentence names the attribute."""
+    """Oracle: the message names the attribute."""
     ob = objects.create(make_splats(), "Chair")
     ob.data.attributes.remove(ob.data.attributes[name])
     with pytest.raises(ValueError, match=name):
@@ -218,7 +218,7 @@ def test_missing_attribute(scene: bpy.types.Scene, make_splats: Make, name: str)
 
 
 def test_not_finite(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the sentence names count, attribute and the first number."""
+    """Oracle: the message names count, attribute and the first index."""
     ob = objects.create(make_splats(), "Chair")
     ob.data.attributes["scale"].data[7].vector = (1, float("nan"), 1)
     with pytest.raises(ValueError, match=r"1 splats whose scale .* number 7"):
@@ -226,7 +226,7 @@ def test_not_finite(scene: bpy.types.Scene, make_splats: Make) -> None:
 
 
 def test_converted_attribute(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: a sentence with the name; replacing the splats brings the right type back."""
+    """Oracle: an error with the name; replacing the splats restores the right type."""
     ob = objects.create(make_splats(), "Chair")
     ob.data.attributes.remove(ob.data.attributes["scale"])
     ob.data.attributes.new("scale", "FLOAT", "POINT")
@@ -237,7 +237,7 @@ def test_converted_attribute(scene: bpy.types.Scene, make_splats: Make) -> None:
 
 
 def test_other_objects(scene: bpy.types.Scene) -> None:
-    """Oracle: an empty and a plain mesh hold no splats."""
+    """Oracle: an empty and a plain mesh have no splats."""
     empty = bpy.data.objects.new("Empty", None)
     plain = bpy.data.objects.new("Plain", bpy.data.meshes.new("Plain"))
     assert not any(objects.is_splats(ob) for ob in (None, empty, plain))
@@ -247,7 +247,7 @@ def test_other_objects(scene: bpy.types.Scene) -> None:
 
 
 def test_refresh_refuses_edit_mode(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the sentence, and the splats untouched."""
+    """Oracle: the error, and unchanged splats."""
     ob = objects.create(make_splats(), "Chair")
     bpy.context.view_layer.objects.active = ob
     bpy.ops.object.mode_set(mode="EDIT")
@@ -260,13 +260,13 @@ def test_refresh_refuses_edit_mode(scene: bpy.types.Scene, make_splats: Make) ->
 def test_blenders_own_importer_agrees(
     scene: bpy.types.Scene, make_splats: Make, tmp_path: Path
 ) -> None:
-    """Oracle: Blender's PLY importer, which brings the file's properties as attributes."""
+    """Oracle: Blender's PLY importer, which imports the file's properties as attributes."""
     splats = make_splats()
     write_splats(tmp_path / "a.ply", splats)
     ob = objects.create(read_splats(tmp_path / "a.ply"), "Ours")
     bpy.ops.wm.ply_import(filepath=str(tmp_path / "a.ply"), import_attributes=True)
     theirs = next(o for o in scene.objects if o != ob)
-    if theirs.type != "MESH":  # a Blender that knows splats makes them itself
+    if theirs.type != "MESH":  # a Blender with native splats makes them itself
         equal(objects.read(theirs), splats)
         return
     got = objects.read(ob)

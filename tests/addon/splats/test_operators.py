@@ -1,4 +1,4 @@
-"""Operators as a script calls them. Oracle: files read back with gscore, and the scene before."""
+"""Operators called by scripts. Oracle: files read with gscore, and the scene before."""
 
 import os
 import shutil
@@ -48,13 +48,13 @@ def ply(tmp_path: Path, make_splats: Make) -> Path:
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene, ply: Path) -> bpy.types.Object:
-    """The PLY imported; it is active and selected."""
+    """The imported PLY, active and selected."""
     assert bpy.ops.gscore.import_splats(filepath=str(ply)) == {"FINISHED"}
     return bpy.context.object
 
 
 def close(got: Splats, wanted: Splats, atol: float = 3e-6) -> None:
-    """Raise unless two models describe the same splats; a quaternion's sign is free."""
+    """Raise unless two models have the same splats, up to the sign of quaternions."""
     for name in ("means", "scales", "sh0", "shN"):
         np.testing.assert_allclose(getattr(got, name), getattr(wanted, name), atol=atol)
     np.testing.assert_allclose(got.opacities, wanted.opacities, rtol=1e-6, atol=2e-5)
@@ -63,7 +63,7 @@ def close(got: Splats, wanted: Splats, atol: float = 3e-6) -> None:
 
 
 def test_import(ob: bpy.types.Object, make_splats: Make) -> None:
-    """Oracle: the splats written; data in the file's world, -Y of it is up."""
+    """Oracle: the written splats; data in the file's world, whose -Y is up."""
     assert objects.is_splats(ob) and ob.name == "chair" and ob.select_get()
     close(objects.read(ob), make_splats(COUNT))
     up = ob.matrix_world.to_3x3() @ Matrix(((0, 0, 0), (-1, 0, 0), (0, 0, 0))).col[0]
@@ -74,7 +74,7 @@ def test_import(ob: bpy.types.Object, make_splats: Make) -> None:
     ("axis", "vector"), [("-Y", (0, -1, 0)), ("Y", (0, 1, 0)), ("Z", (0, 0, 1))]
 )
 def test_up_axis(scene: bpy.types.Scene, ply: Path, axis: str, vector: tuple) -> None:
-    """Oracle: the named axis ends as +Z, without a mirror."""
+    """Oracle: the given axis becomes +Z, without mirroring."""
     bpy.ops.gscore.import_splats(filepath=str(ply), up=axis)
     matrix = np.array([tuple(r) for r in bpy.context.object.matrix_world], np.float64)[:3, :3]
     np.testing.assert_allclose(matrix @ vector, [0, 0, 1], atol=1e-7)
@@ -82,7 +82,7 @@ def test_up_axis(scene: bpy.types.Scene, ply: Path, axis: str, vector: tuple) ->
 
 
 def test_import_several(scene: bpy.types.Scene, ply: Path, make_splats: Make) -> None:
-    """Oracle: one object a file."""
+    """Oracle: one object per file."""
     write_splats(ply.with_name("table.ply"), make_splats(20))
     files = [{"name": "chair.ply"}, {"name": "table.ply"}]
     bpy.ops.gscore.import_splats(directory=str(ply.parent), files=files)
@@ -108,8 +108,8 @@ def test_import_below_the_capture(scene: bpy.types.Scene, ply: Path) -> None:
 def test_splats_of_a_capture_hide_its_points(
     scene: bpy.types.Scene, ply: Path, under: bool, what: str
 ) -> None:
-    """Oracle: the points' eye; those of a capture that the splats do not hang from stay, and those
-    that are being edited."""
+    """Oracle: the visibility of the points; those of other captures stay visible, and those in Edit
+    Mode."""
     root = bpy.data.objects.new("Capture", None)
     dots = bpy.data.objects.new("Points", bpy.data.meshes.new("Points"))
     root["gs_kind"], dots["gs_kind"] = "capture", "points"
@@ -134,8 +134,8 @@ def test_splats_of_a_capture_hide_its_points(
 def test_splats_of_a_run_come_under_the_capture_it_was_trained_on(
     scene: bpy.types.Scene, ply: Path, wanted: bool
 ) -> None:
-    """Oracle: the source that the run's config.json states, of two captures that are there; nothing
-    is active. Without the option, or of another capture, there is no parent."""
+    """Oracle: the source in the run's config.json, with two captures in the scene and no active
+    object. Without the option, or for another capture, there is no parent."""
     roots = {}
     for name in ("horse", "street"):
         roots[name] = bpy.data.objects.new(name, None)
@@ -170,7 +170,7 @@ def test_the_panel_is_about_splats_that_are_there(
 def test_an_export_of_the_box_that_crops_is_of_the_splats(
     scene: bpy.types.Scene, ply: Path, tmp_path: Path
 ) -> None:
-    """Oracle: what the panel shows then; Add Crop Box leaves the box active."""
+    """Oracle: the panel after Add Crop Box, which leaves the box active."""
     bpy.ops.gscore.import_splats(filepath=str(ply))
     ob = bpy.context.object
     bpy.ops.gscore.add_crop_box()
@@ -185,8 +185,8 @@ def test_an_export_of_the_box_that_crops_is_of_the_splats(
 def test_an_export_lands_in_place(
     scene: bpy.types.Scene, ply: Path, tmp_path: Path, axis: str, world: str, under: bool
 ) -> None:
-    """Oracle: where the splats were in Blender's world before the export, whatever axis was up in
-    their file; under a turned capture too what was exported in Blender's world."""
+    """Oracle: the splats in Blender's world before the export, for each up axis of their file; for
+    exports in Blender's world under a rotated capture too."""
     bpy.ops.gscore.import_splats(filepath=str(ply), up=axis)
     first = bpy.context.object
     bpy.context.view_layer.update()
@@ -206,7 +206,7 @@ def test_an_export_lands_in_place(
     bpy.context.view_layer.update()
     matrix = np.array(ob.matrix_world)
     found = objects.read(ob).means @ matrix[:3, :3].T + matrix[:3, 3]
-    if under and world == "SOURCE":  # the capture's own world: its alignment turns it
+    if under and world == "SOURCE":  # the capture's own world, which its alignment rotates
         assert np.abs(found - wanted).max() > 0.1
     else:
         np.testing.assert_allclose(found, wanted, atol=1e-5)
@@ -214,7 +214,7 @@ def test_an_export_lands_in_place(
 
 @pytest.mark.parametrize("content", [b"", b"ply\nformat ascii 1.0\nend_header\n", b"hello"])
 def test_bad_file(scene: bpy.types.Scene, tmp_path: Path, ply: Path, content: bytes) -> None:
-    """Oracle: an error naming the file, and nothing in the scene; of good files neither."""
+    """Oracle: an error naming the file, and an unchanged scene, without the good files too."""
     (tmp_path / "bad.ply").write_bytes(content)
     with pytest.raises(RuntimeError, match=r"bad\.ply"):
         bpy.ops.gscore.import_splats(filepath=str(tmp_path / "bad.ply"))
@@ -227,7 +227,7 @@ def test_bad_file(scene: bpy.types.Scene, tmp_path: Path, ply: Path, content: by
 
 
 def test_untouched_round_trip(ob: bpy.types.Object, tmp_path: Path, ply: Path) -> None:
-    """Oracle: the file that came in; bit by bit where activation does not round."""
+    """Oracle: the imported file, to the bit where activation does not round."""
     out = tmp_path / "out.ply"
     assert bpy.ops.gscore.export_splats(filepath=str(out)) == {"FINISHED"}
     got, wanted = read_splats(out), read_splats(ply)
@@ -243,7 +243,8 @@ def test_untouched_round_trip(ob: bpy.types.Object, tmp_path: Path, ply: Path) -
 def test_other_formats(
     ending: str, ob: bpy.types.Object, scene: bpy.types.Scene, ply: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the file that came in, as this format keeps it; the same import without its name."""
+    """Oracle: the imported file, to the precision of the format; the same import without its
+    name."""
     out = tmp_path / f"out{ending}"
     assert bpy.ops.gscore.export_splats(filepath=str(out)) == {"FINISHED"}
     shutil.copy(out, tmp_path / "some.bin")
@@ -264,7 +265,7 @@ def test_every_format_that_is_written_can_be_chosen() -> None:
 
 
 def ending_items() -> list[bpy.types.EnumPropertyItem]:
-    """What the export offers."""
+    """Endings offered by the export."""
     return list(bpy.ops.gscore.export_splats.get_rna_type().properties["ending"].enum_items)
 
 
@@ -275,7 +276,7 @@ LACKING = pytest.mark.parametrize(
 
 @pytest.fixture
 def without_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blender's Python as it comes, without what SOG and USD need."""
+    """Blender's bundled Python, without the packages for SOG and USD."""
     for name in ("PIL", "PIL.Image", "pxr", "pxr.UsdVol"):
         monkeypatch.setitem(sys.modules, name, None)
 
@@ -290,8 +291,8 @@ def test_the_trainers_python_has_what_blenders_lacks(
     tmp_path: Path,
     without_packages: None,
 ) -> None:
-    """Oracle: the file that the same Python writes by itself of the same splats, to the byte (a zip
-    of USD: its size), and the splats that come in from it again; the mark of antialiasing."""
+    """Oracle: the file that the same Python writes directly from the same splats, to the byte (a
+    USD zip: its size), and the splats imported from it; the mark of antialiasing."""
     python = os.environ["GSCORE_TRAINER_PYTHON"]
     preferences.get().python_path = python
     ob["gs_antialias"] = True
@@ -334,8 +335,8 @@ def test_a_format_whose_package_is_missing(
     monkeypatch: pytest.MonkeyPatch,
     without_packages: None,
 ) -> None:
-    """Oracle: a sentence that names the package and what to press, and no file: where no Python for
-    training is set up, and where that one says that it cannot either."""
+    """Oracle: an error that names the package and the button to press, and no file: without a
+    Python for training, and with one that lacks the package too."""
     out = tmp_path / f"out{ending}"
     other = conversion.Other(python=None, folder=bpy.app.tempdir)
     monkeypatch.setattr(conversion, "other", lambda: other)
@@ -353,14 +354,14 @@ def test_a_format_whose_package_is_missing(
 
 
 def test_other_endings_are_refused(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: a sentence that lists what there is, and no file."""
+    """Oracle: an error that lists the formats, and no file."""
     with pytest.raises(RuntimeError, match=r"no format of splats has this ending.*\.spz"):
         bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.obj"))
     assert not (tmp_path / "out.obj").exists()
 
 
 def test_untouched_below_a_root(scene: bpy.types.Scene, ply: Path, tmp_path: Path) -> None:
-    """Oracle: the file that came in, bit by bit, whatever the root's alignment."""
+    """Oracle: the imported file, to the bit, whatever the root's alignment."""
     root = bpy.data.objects.new("Capture", None)
     root["gs_kind"] = "capture"
     root.rotation_euler, root.scale, root.location = (0.3, 2, 0.1), (3.3,) * 3, (100, 7, 1)
@@ -378,7 +379,7 @@ def test_untouched_below_a_root(scene: bpy.types.Scene, ply: Path, tmp_path: Pat
 def test_moved_export(
     scene: bpy.types.Scene, ply: Path, tmp_path: Path, world: str, mirrored: bool
 ) -> None:
-    """Oracle: transform_splats with matrices put together in float64 by hand."""
+    """Oracle: transform_splats with matrices by hand in float64."""
     root = bpy.data.objects.new("Capture", None)
     root["gs_kind"] = "capture"
     root.rotation_euler, root.scale, root.location = (0.3, 2, 0.1), (1.7,) * 3, (1, 7, 1)
@@ -411,7 +412,7 @@ def test_antialiasing_is_kept(
 
 
 def test_warnings_are_collected(tmp_path: Path, make_splats: Make) -> None:
-    """Oracle: a splat that is not finite is left out, and the sentence says how many."""
+    """Oracle: a splat that is not finite is left out, and the warning has the number."""
     splats = make_splats(10)
     splats.means[3, 1] = np.nan
     write_splats(tmp_path / "a.ply", splats)
@@ -423,7 +424,7 @@ def test_warnings_are_collected(tmp_path: Path, make_splats: Make) -> None:
 
 
 def test_export_in_blenders_world(ob: bpy.types.Object, tmp_path: Path, ply: Path) -> None:
-    """Oracle: the turn of the import by hand: y becomes -z, z becomes y."""
+    """Oracle: the rotation of the import by hand: y becomes -z, z becomes y."""
     bpy.ops.gscore.export_splats(filepath=str(tmp_path / "out.ply"), world="BLENDER")
     x, y, z = read_splats(ply).means.T
     got = read_splats(tmp_path / "out.ply").means
@@ -431,7 +432,7 @@ def test_export_in_blenders_world(ob: bpy.types.Object, tmp_path: Path, ply: Pat
 
 
 def test_export_joins(scene: bpy.types.Scene, tmp_path: Path, make_splats: Make) -> None:
-    """Oracle: the active one's splats, then the other's where they stand in its world."""
+    """Oracle: the active object's splats, then the other's in its world."""
     a = objects.create(make_splats(30, 15), "a")
     b = objects.create(make_splats(20, 3, seed=1), "b")
     b.location.x = 5
@@ -451,7 +452,7 @@ def test_export_joins(scene: bpy.types.Scene, tmp_path: Path, make_splats: Make)
 
 
 def test_export_refuses(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the sentence names object and reason; an older file is untouched."""
+    """Oracle: the message names object and reason; an older file is unchanged."""
     out = tmp_path / "out.ply"
     out.write_bytes(b"older")
     ob.scale = (1, 1, 1.5)
@@ -468,7 +469,7 @@ def test_export_refuses(ob: bpy.types.Object, tmp_path: Path) -> None:
 
 
 def test_export_visible(ob: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the mask's rows, and how many the others are; all of them where that is asked."""
+    """Oracle: the mask's rows, and the number of the others; all of them on request."""
     ob.gscore.opacity_min = 0.5
     keep = visible_mask(ob)
     out, means = tmp_path / "out.ply", objects.read(ob).means
@@ -482,7 +483,7 @@ def test_export_visible(ob: bpy.types.Object, tmp_path: Path) -> None:
 
 
 def test_apply_filters(ob: bpy.types.Object) -> None:
-    """Oracle: the rows that were visible, bit by bit, an attribute of the user among them."""
+    """Oracle: the visible rows, to the bit, including a user's attribute."""
     own = ob.data.attributes.new("mine", "INT", "POINT")
     own.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
     flag = ob.data.attributes.new("flag", "BOOLEAN", "POINT")
@@ -505,7 +506,7 @@ def test_apply_filters(ob: bpy.types.Object) -> None:
 
 
 def test_apply_filters_and_undo(ob: bpy.types.Object) -> None:
-    """Oracle: all splats and the filter are back after one undo."""
+    """Oracle: one undo restores all splats and the filter."""
     before = objects.read(ob)
     ob.gscore.opacity_min = 0.5
     bpy.ops.ed.undo_push(message="filter set")
@@ -541,7 +542,7 @@ def test_select_and_delete(ob: bpy.types.Object, which: str) -> None:
 
 
 def test_select_from_edit_mode(ob: bpy.types.Object) -> None:
-    """Oracle: what was deleted before in the same edit is gone, the selection fits the rest."""
+    """Oracle: splats deleted earlier in the same edit are gone, and the selection fits the rest."""
     bpy.ops.gscore.select_splats(which="HIDDEN")  # nothing is hidden
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.mesh.delete(type="VERT")
@@ -552,7 +553,7 @@ def test_select_from_edit_mode(ob: bpy.types.Object) -> None:
 
 
 def test_crop_box(ob: bpy.types.Object) -> None:
-    """Oracle: most splats lie inside; the box's corners in the scene say which."""
+    """Oracle: most splats are inside the box, by its corners in the scene."""
     bpy.ops.gscore.add_crop_box()
     box = ob.gscore.crop_object
     assert box.hide_render and box.display_type == "WIRE"
@@ -569,7 +570,7 @@ def test_crop_box(ob: bpy.types.Object) -> None:
 
 
 def test_a_crop_box_stands_upright_and_is_at_hand(ob: bpy.types.Object) -> None:
-    """Oracle: the world's axes, for splats that an import and a user turned; Blender's selection;
+    """Oracle: the world's axes, for splats rotated by an import and a user; Blender's selection;
     the filters' operators work on the splats while the box is active."""
     ob.rotation_euler, ob.scale = (0.4, 0.7, -0.2), (3, 3, 3)
     bpy.context.view_layer.update()
@@ -593,8 +594,8 @@ def test_a_crop_box_stands_upright_and_is_at_hand(ob: bpy.types.Object) -> None:
 
 @pytest.mark.parametrize("parented", [False, True])
 def test_an_uneven_scale_is_made_even(ob: bpy.types.Object, parented: bool) -> None:
-    """Oracle: the determinant, which is the volume, and that the splats can be read in the world;
-    the mirror stays."""
+    """Oracle: the determinant, which is the volume, and that the splats can be read in the world; a
+    mirrored object stays mirrored."""
     stretched = ob
     if parented:
         stretched = bpy.data.objects.new("parent", None)
@@ -612,7 +613,7 @@ def test_an_uneven_scale_is_made_even(ob: bpy.types.Object, parented: bool) -> N
 
 
 def test_a_stretch_that_no_scale_explains_is_refused(ob: bpy.types.Object) -> None:
-    """Oracle: the sentence, and the scale as it was: the stretch lies in the parent's inverse."""
+    """Oracle: the error, and an unchanged scale: the stretch is in the parent's inverse."""
     parent = bpy.data.objects.new("parent", None)
     bpy.context.collection.objects.link(parent)
     ob.parent, ob.matrix_parent_inverse = parent, Matrix.Diagonal((1, 2, 3, 1))
@@ -624,7 +625,7 @@ def test_a_stretch_that_no_scale_explains_is_refused(ob: bpy.types.Object) -> No
 
 
 def test_limits_that_are_off_say_so(ob: bpy.types.Object) -> None:
-    """Oracle: 0 means no limit, as the property's description says."""
+    """Oracle: 0 means no limit, as in the property's description."""
     assert {"Maximum Size (off)", "Minimum Opacity (off)"} <= set(labels(result.FiltersPanel))
     ob.gscore.size_max = 0.5
     assert "Maximum Size" in labels(result.FiltersPanel)
@@ -654,7 +655,7 @@ def test_applied_transform_still_knows_its_source(ob: bpy.types.Object, tmp_path
 
 
 def test_reset_display(ob: bpy.types.Object) -> None:
-    """Oracle: the modifier is back, once, with the object's settings."""
+    """Oracle: one modifier again, with the object's settings."""
     ob.gscore.opacity_min = 0.5
     ob.modifiers.clear()
     bpy.ops.gscore.reset_display()
@@ -666,7 +667,7 @@ def test_reset_display(ob: bpy.types.Object) -> None:
 
 
 def test_exporter_of_a_collection(ob: bpy.types.Object, make_splats: Make, tmp_path: Path) -> None:
-    """Oracle: the splats in the collection, though others are active and selected."""
+    """Oracle: the splats in the collection, although others are active and selected."""
     collection = bpy.data.collections.new("Some")
     bpy.context.scene.collection.children.link(collection)
     objects.create(make_splats(20, seed=1), "in it", collection=collection)
@@ -699,7 +700,7 @@ def test_only_on_splats(scene: bpy.types.Scene) -> None:
 
 
 def test_edit_mode_is_refused(ob: bpy.types.Object) -> None:
-    """Oracle: the sentence says to leave Edit Mode; export works in it."""
+    """Oracle: the message says to leave Edit Mode; export works in it."""
     bpy.ops.object.mode_set(mode="EDIT")
     for name in ("apply_filters", "apply_splat_transform"):
         with pytest.raises(RuntimeError, match="Edit Mode"):
@@ -709,7 +710,7 @@ def test_edit_mode_is_refused(ob: bpy.types.Object) -> None:
 
 
 def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
-    """Oracle: the scene before; what was there already is bit for bit the same."""
+    """Oracle: the scene before; existing data are unchanged to the bit."""
     bpy.ops.gscore.import_splats(filepath=str(ply))
     before = objects.read(bpy.data.objects["chair"])
     bpy.ops.ed.undo_push(message="first")
@@ -722,7 +723,7 @@ def test_import_and_undo(scene: bpy.types.Scene, ply: Path) -> None:
 
 
 def test_drop_handler(scene: bpy.types.Scene) -> None:
-    """Oracle: Blender knows a handler that calls our import, for every format of gscore."""
+    """Oracle: Blender has a handler that calls the add-on's import, for every format of gscore."""
     handler = bpy.types.GSCORE_FH_splats
     assert handler.bl_import_operator == "gscore.import_splats"
     endings = handler.bl_file_extensions.split(";")

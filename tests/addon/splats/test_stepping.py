@@ -1,4 +1,4 @@
-"""Edits that go on bit by bit. Oracle: the same operator called by a script, on an equal object."""
+"""Incremental edits. Oracle: the same operator called by a script, on an equal object."""
 
 import re
 import threading
@@ -40,13 +40,13 @@ IDS = [name for name, _ in EDITS]
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One attribute a step."""
+    """One attribute per step."""
     monkeypatch.setattr(read_chunked, "BUDGET", 0.0)
     monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
 
 
 def prepare(name: str) -> bpy.types.Object:
-    """An empty file with what an operator works on, the active object."""
+    """An empty file with the operator's target as active object."""
     bpy.ops.wm.read_homefile(use_empty=True)
     scene = bpy.context.scene
     far = lab.blob(20, center=(30, 0, 0), size=0.1)
@@ -76,7 +76,7 @@ def prepare(name: str) -> bpy.types.Object:
 
 
 def state() -> dict[str, Any]:
-    """All that edits may change: of each object its points to the bit, matrix, mode and users."""
+    """All data that edits may change: each object's points to the bit, matrix, mode and users."""
     found: dict[str, Any] = {}
     for ob in bpy.context.scene.objects:
         if not objects.is_splats(ob):
@@ -84,7 +84,7 @@ def state() -> dict[str, Any]:
         mode = ob.mode
         if mode == "EDIT":
             ob.update_from_editmode()
-        mesh = ob.data.copy()  # attributes are out of reach in Edit Mode
+        mesh = ob.data.copy()  # attributes cannot be read in Edit Mode
         for name, kind in point_attributes.kinds(mesh).items():
             values = point_attributes.empty_values(kind, len(mesh.vertices))
             point_attributes.copy_values(mesh, name, values)
@@ -98,14 +98,14 @@ def state() -> dict[str, Any]:
 
 
 def begun(name: str, settings: dict[str, Any]) -> TaskRunner:
-    """The operator after its first piece."""
+    """The operator after its first step."""
     going = TaskRunner(stand_in(name, **settings).pieces(bpy.context))
     assert not going.step()
     return going
 
 
 def until(going: TaskRunner, ends: Callable[[], bool]) -> bool:
-    """Go on until something holds, or all is done; whether that is so."""
+    """Run steps until a condition is true, or all are done; return whether it is true."""
     for _ in range(10_000):
         if ends():
             return False
@@ -117,7 +117,7 @@ def until(going: TaskRunner, ends: Callable[[], bool]) -> bool:
 
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
 def test_bit_by_bit_as_at_once(name: str, settings: dict[str, Any], capfd: Any) -> None:
-    """To the bit, with the same sentence."""
+    """Equal to the bit, with the same report."""
     prepare(name)
     assert getattr(bpy.ops.gscore, name)(**settings) == {"FINISHED"}
     wanted, said = state(), capfd.readouterr().out
@@ -133,8 +133,8 @@ def test_bit_by_bit_as_at_once(name: str, settings: dict[str, Any], capfd: Any) 
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
 @pytest.mark.parametrize("doing", ["Reading", "Handing"])
 def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doing: str) -> None:
-    """Whatever it was doing, if it does that: no datablock more, no value changed, and what is
-    selected."""
+    """In each phase that an operator has: no new datablock, no changed value, the same
+    selection."""
     prepare(name)
     before, selected = state(), bpy.context.selected_objects[:]
     going = begun(name, settings)
@@ -149,7 +149,7 @@ def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doi
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
 @pytest.mark.parametrize("what", ["edited", "deleted", "undone", "another mode"])
 def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what: str) -> None:
-    """A sentence; what somebody else did is kept, and nothing else is done."""
+    """An error; the other changes are kept, and nothing else is done."""
     ob = prepare(name)
     bpy.ops.ed.undo_push(message="before")
     ob.gscore.point_size *= 2
@@ -186,7 +186,7 @@ def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what:
     [("apply_splat_transform", "splats"), ("join_splats", "splats"), ("join_splats", "other")],
 )
 def test_what_is_moved_meanwhile_stays_there(name: str, moved: str) -> None:
-    """A sentence; Oracle: the state right after the move."""
+    """An error. Oracle: the state right after the move."""
     prepare(name)
     going = begun(name, {})
     bpy.data.objects[moved].location.x += 4
@@ -199,7 +199,7 @@ def test_what_is_moved_meanwhile_stays_there(name: str, moved: str) -> None:
 
 
 def test_lacking_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the splats of before, and what to do."""
+    """Oracle: the earlier splats, and a message with the remedy."""
     prepare("decimate_splats")
     before = state()
 
@@ -213,7 +213,7 @@ def test_lacking_memory_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_of_two_at_once_one_is_done() -> None:
-    """The later one to end is told that the splats are others now."""
+    """The one that ends later reports that the splats have changed."""
     ob = prepare("decimate_splats")
     first = begun("decimate_splats", {"count": 150})
     second = begun("separate_splats", {})
@@ -225,7 +225,7 @@ def test_of_two_at_once_one_is_done() -> None:
 
 @pytest.mark.parametrize("of", ["the first", "each other"])
 def test_those_that_share_splats_are_joined(of: str) -> None:
-    """Oracle: places in the world, by Blender's own matrices; no mesh is left."""
+    """Oracle: world positions by Blender's own matrices; no mesh is left."""
     ob = prepare("join_splats")
     other = bpy.data.objects["other"]
     copy = (ob if of == "the first" else other).copy()
@@ -246,7 +246,7 @@ def _places(ob: bpy.types.Object) -> np.ndarray:
 
 
 def test_what_others_show_is_not_moved() -> None:
-    """Oracle: the matrix and the splats of before, and who is named."""
+    """Oracle: the earlier matrix and splats, and the object named in the error."""
     ob = prepare("apply_splat_transform")
     other = ob.copy()
     bpy.context.scene.collection.objects.link(other)
@@ -257,7 +257,7 @@ def test_what_others_show_is_not_moved() -> None:
 
 
 def test_undo_brings_no_copy_back() -> None:
-    """To a step that somebody made while splats were read, and on from it."""
+    """Undo to a step made while splats were read, and redo from there."""
     prepare("grade_splats")
     bpy.ops.ed.undo_push(message="before")
     going = begun("grade_splats", {"saturation": 0.0})
@@ -291,7 +291,7 @@ def test_undo_takes_what_is_half_filled() -> None:
 
 
 def test_what_is_under_way_ends_with_the_add_on() -> None:
-    """Oracle: the datablocks and values of before, though Blender says nothing to operators."""
+    """Oracle: the earlier datablocks and values, although Blender does not notify operators."""
     prepare("decimate_splats")
     before = state()
     going = begun("decimate_splats", {"count": 150})
@@ -303,7 +303,7 @@ def test_what_is_under_way_ends_with_the_add_on() -> None:
 
 
 class _Told:
-    """In the place of a timer and a status bar."""
+    """Fake of a timer and a status bar."""
 
     ended = False
 
@@ -313,7 +313,7 @@ class _Told:
 
 
 def test_all_that_numbers_tell_follows() -> None:
-    """Oracle: what was written, of points that stay and of joined ones; 0 where there was none."""
+    """Oracle: the written values, of remaining and of joined points; 0 without a value."""
     ob = prepare("join_splats")
     kinds = {"FLOAT4X4": 16, "BYTE_COLOR": 4, "INT8": 1, "INT32_2D": 2}
     for kind, width in kinds.items():
@@ -333,7 +333,7 @@ def test_all_that_numbers_tell_follows() -> None:
 
 
 def test_edit_mode_is_entered_again() -> None:
-    """After the edit, and where it is given up."""
+    """After the edit, and after its cancellation."""
     ob = prepare("grade_splats")
     bpy.ops.object.mode_set(mode="EDIT")
     going = begun("grade_splats", {"saturation": 0.0})
@@ -347,7 +347,7 @@ def test_edit_mode_is_entered_again() -> None:
 
 @pytest.mark.parametrize("name", ["separate_splats", "join_splats", "decimate_splats"])
 def test_undo_takes_an_edit_back(name: str) -> None:
-    """With the mesh of before, though another took its place; once more it is done again."""
+    """With the earlier mesh, although it was replaced; redo works too."""
     prepare(name)
     bpy.ops.ed.undo_push(message="before")
     before = state()

@@ -1,5 +1,5 @@
-"""What users have put on the mesh of splats, where another takes its place. Oracles: what was put
-there, and that it still plays."""
+"""Users' data on a mesh of splats that is replaced. Oracles: the data, and that animation still
+plays."""
 
 from collections.abc import Callable
 
@@ -28,7 +28,7 @@ EDITS = {
 
 @pytest.fixture
 def ob(scene: bpy.types.Scene) -> bpy.types.Object:
-    """Splats, active, with something for each edit to do; another object to join is selected."""
+    """Active splats on which each edit has an effect; another object to join is selected."""
     lab.prepare(scene)
     made = lab.add(scene, lab.blob(COUNT), "splats")
     attributes.select(made.data, np.arange(COUNT) % 7 == 3)
@@ -38,8 +38,8 @@ def ob(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 def make_active(*obs: bpy.types.Object) -> None:
-    """Select objects alone; the first is active."""
-    bpy.context.view_layer.update()  # else it knows nothing of new ones
+    """Select only these objects; the first is active."""
+    bpy.context.view_layer.update()  # to update it with new objects
     for one in bpy.context.view_layer.objects:
         one.select_set(one in obs)
     bpy.context.view_layer.objects.active = obs[0]
@@ -47,7 +47,7 @@ def make_active(*obs: bpy.types.Object) -> None:
 
 
 def furnish(mesh: bpy.types.Mesh, *, chosen: bool = False) -> None:
-    """Put on a mesh what users may; `chosen`: attributes of theirs too."""
+    """Add users' data to a mesh; `chosen`: with attributes too."""
     if chosen:
         for name in ("tint", "shade"):
             mesh.attributes.new(name, "FLOAT_COLOR", "POINT")
@@ -69,7 +69,7 @@ def furnish(mesh: bpy.types.Mesh, *, chosen: bool = False) -> None:
 
 
 def put(mesh: bpy.types.Mesh) -> dict[str, object]:
-    """What `furnish` puts there, but for the mark as an asset."""
+    """The data of `furnish`, except for the asset mark."""
     animated, own, limits = mesh.animation_data, mesh.attributes, mesh.id_properties_ui("one")
     slot = getattr(animated, "action_slot", None)
     return {
@@ -83,7 +83,7 @@ def put(mesh: bpy.types.Mesh) -> dict[str, object]:
 
 
 def mark(mesh: bpy.types.Mesh) -> object:
-    """All that makes it an asset; None: it is none."""
+    """The asset data; None: not an asset."""
     about = mesh.asset_data
     if about is None:
         return None
@@ -99,7 +99,7 @@ def check_plays(mesh: bpy.types.Mesh) -> None:
 
 
 def ready(ob: bpy.types.Object, edit: str) -> None:
-    """Have something for an edit to do."""
+    """Prepare data on which an edit has an effect."""
     if edit == "join_splats":
         make_active(ob, lab.add(bpy.context.scene, lab.blob(40, seed=2), "another"))
     elif edit == "apply_splat_transform":
@@ -113,7 +113,7 @@ def ready(ob: bpy.types.Object, edit: str) -> None:
 
 @pytest.mark.parametrize("edit", EDITS)
 def test_edits_keep_it(ob: bpy.types.Object, edit: str) -> None:
-    """Of a part that leaves too, which is no asset beside the one that is."""
+    """Also on a separated part, which does not become a second asset."""
     furnish(ob.data, chosen=True)
     ready(ob, edit)
     before, marked, name, old = put(ob.data), mark(ob.data), ob.data.name, ob.data.session_uid
@@ -150,7 +150,7 @@ def by_refresh(ob: bpy.types.Object, count: int) -> None:
 
 
 def by_replace(ob: bpy.types.Object, count: int) -> None:
-    """A mesh made from nothing, as results of trainings come."""
+    """A new mesh, as for results of trainings."""
     other = objects.create(lab.blob(count, seed=3), "other")
     replace(ob, other.data)
     bpy.data.objects.remove(other)
@@ -171,7 +171,7 @@ Way = Callable[[bpy.types.Object, int], None]
 @pytest.mark.parametrize("count", [COUNT, 120])
 @pytest.mark.parametrize("way", WAYS)
 def test_other_splats_keep_it(ob: bpy.types.Object, way: Way, count: int) -> None:
-    """And nothing of what tells of the earlier points."""
+    """And no data about the earlier points."""
     ob.data["gs_frame"] = "3 of earlier ones"
     furnish(ob.data)
     before, marked = put(ob.data), mark(ob.data)
@@ -184,7 +184,7 @@ def test_other_splats_keep_it(ob: bpy.types.Object, way: Way, count: int) -> Non
 
 
 def test_copies_of_an_asset_play_without_it(ob: bpy.types.Object) -> None:
-    """Where others show the mesh, it stays theirs, with the mark; the frame's has all else."""
+    """A mesh with other users stays theirs, with the mark; the frame's mesh has all other data."""
     twin = ob.copy()
     bpy.context.scene.collection.objects.link(twin)
     furnish(ob.data)
@@ -219,8 +219,8 @@ def test_what_would_be_lost_is_refused_before_anything_is_read(
     give: Callable[[bpy.types.Object], None],
     why: str,
 ) -> None:
-    """Oracle: the sentence; reading, which takes seconds of a million, is not begun; all is as it
-    was. Where only places change, an edge stays."""
+    """Oracle: the error; reading, which takes seconds for a million splats, is not begun; nothing
+    changes. Edits of positions only keep an edge."""
     ready(ob, edit)
     give(ob)
     bpy.context.view_layer.update()
@@ -245,7 +245,7 @@ def test_what_would_be_lost_is_refused_before_anything_is_read(
 def test_what_join_would_take_away_is_refused(
     ob: bpy.types.Object, give: Callable[[bpy.types.Object], None], why: str
 ) -> None:
-    """Oracle: the sentence names the object that would go, and it stays."""
+    """Oracle: the message names the object that would be removed, and it stays."""
     ready(ob, "join_splats")
     give(bpy.data.objects["another"])
     bpy.context.view_layer.update()
@@ -258,7 +258,7 @@ def test_what_join_would_take_away_is_refused(
 def test_other_splats_refuse_what_would_be_lost(
     ob: bpy.types.Object, way: Way, give: Callable[[bpy.types.Object], None]
 ) -> None:
-    """Oracle: the mesh as it was; tracks are lost to a mesh made from nothing alone."""
+    """Oracle: the unchanged mesh; only a new mesh would lose tracks."""
     give(ob)
     before = ob.data
     if way is by_refresh and give is track:

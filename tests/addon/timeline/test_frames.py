@@ -1,4 +1,4 @@
-"""Which files are frames, and which of them a moment shows. Oracles are named in the tests."""
+"""Files of frames, and the frame at a time. Oracles are named in the tests."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def test_files_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
 
 
 def test_every_fifth_frame_has_no_gaps(tmp_path: Path) -> None:
-    """Oracle: the numbers that `--frames 0:20:5` leaves, one of which is gone."""
+    """Oracle: the numbers of `--frames 0:20:5`, one of which is missing."""
     _touch(*(tmp_path / f"f{n:03d}.spz" for n in (0, 5, 15, 20)))
     series = find_series(tmp_path)
     assert (series.stride, series.slots, series.gaps) == (5, 5, 1)
@@ -40,7 +40,7 @@ def test_every_fifth_frame_has_no_gaps(tmp_path: Path) -> None:
 
 
 def test_times_of_a_clock_are_no_count(tmp_path: Path) -> None:
-    """Oracle: the order; milliseconds of a camera would be a sequence of gaps."""
+    """Oracle: the order; a camera's milliseconds would be mostly gaps."""
     _touch(*(tmp_path / f"{n}.ply" for n in (1700000000033, 1700000000066, 1700000000101)))
     series = find_series(tmp_path)
     assert (series.slots, series.gaps) == (3, 0)
@@ -48,7 +48,7 @@ def test_times_of_a_clock_are_no_count(tmp_path: Path) -> None:
 
 
 def test_results_of_gscore_sequence(tmp_path: Path) -> None:
-    """Oracle: the list in sequence.json, which leaves out a frame that is still being trained."""
+    """Oracle: the list in sequence.json, without a frame that is still being trained."""
     for number in (0, 5, 10):
         _touch(tmp_path / f"frame_{number:06d}" / "point_cloud.ply")
     frames = [{"frame": n, "folder": f"frame_{n:06d}"} for n in (0, 5)]
@@ -57,7 +57,7 @@ def test_results_of_gscore_sequence(tmp_path: Path) -> None:
 
 
 def test_folders_with_a_file_each(tmp_path: Path) -> None:
-    """Oracle: the layout of 3DGS trainers, the last iteration of each; and one file a folder."""
+    """Oracle: the layout of 3DGS trainers, the last iteration of each; and one file per folder."""
     for number in (1, 2):
         for iteration in (7000, 30000):
             place = tmp_path / "a" / str(number) / "point_cloud" / f"iteration_{iteration}"
@@ -71,7 +71,7 @@ def test_folders_with_a_file_each(tmp_path: Path) -> None:
 
 
 def test_a_file_chooses_among_several_kinds(tmp_path: Path) -> None:
-    """Oracle: the names beside it; the kind with fewer files is meant."""
+    """Oracle: the names next to it; the pattern with fewer files is chosen."""
     _touch(*(tmp_path / f"low_{n}.ply" for n in range(4)))
     _touch(*(tmp_path / f"high_{n}.ply" for n in range(2)))
     assert find_series(tmp_path).name == "low_#.ply"
@@ -83,7 +83,7 @@ def test_a_file_chooses_among_several_kinds(tmp_path: Path) -> None:
 
 
 def test_nothing_to_find(tmp_path: Path) -> None:
-    """Oracle: sentences that name the folder, for each way in which there are no frames."""
+    """Oracle: errors that name the folder, for each reason why there are no frames."""
     with pytest.raises(ValueError, match=r"cannot be read .No such file.*choose where it is now"):
         find_series(tmp_path / "gone")
     with pytest.raises(ValueError, match="has no frames: choose the output folder"):
@@ -118,7 +118,7 @@ def test_what_shows_when(timing: Timing, shown: list[int | None]) -> None:
 
 
 def test_speeds_of_single_precision() -> None:
-    """Oracle: 0.7 frames a frame, after ten of them exactly the seventh, as Blender keeps 0.7."""
+    """Oracle: 0.7 frames per frame, after ten exactly the seventh, with Blender's float32 0.7."""
     assert Timing(speed=0.699999988079071).slot(11, 100) == 7
     assert Timing(speed=0.699999988079071).slot(100_001, 100_000) == 70_000
 

@@ -1,4 +1,4 @@
-"""Frames that are read ahead into a bounded memory. Oracles are named in the tests."""
+"""Frames read ahead into bounded memory. Oracles are named in the tests."""
 
 import threading
 import time
@@ -30,7 +30,7 @@ SIZE = library.Frame(FILES[0], _splats(100)).bytes
 
 
 class Disk:
-    """Notes what is read, and lets a file be read only when it may."""
+    """Records reads, and blocks each until it is released."""
 
     def __init__(self) -> None:
         self.read: list[int] = []
@@ -49,13 +49,13 @@ class Disk:
 
 @pytest.fixture
 def disk() -> Disk:
-    """All files are whole."""
+    """A disk with readable files."""
     return Disk()
 
 
 @pytest.fixture
 def frames(disk: Disk) -> Iterator[library.Library]:
-    """Room for four frames."""
+    """A library for four frames."""
     made = library.Library(disk, lambda folder, name: Series(files=FILES, name="#.ply"))
     made.most = 4 * SIZE
     yield made
@@ -71,7 +71,7 @@ def _until(condition: Callable[[], bool]) -> None:
 
 
 def test_frames_are_read_in_the_order_they_are_needed(frames, disk) -> None:
-    """Oracle: the wish; four have room, and the one that shows comes first."""
+    """Oracle: the request; four fit, and the current one comes first."""
     frames.want("ob", FILES[3:])
     assert frames.frame(FILES[3]) == (None, "") or disk.read
     _until(lambda: not frames.busy)
@@ -82,7 +82,7 @@ def test_frames_are_read_in_the_order_they_are_needed(frames, disk) -> None:
 
 
 def test_what_is_over_makes_room(frames, disk) -> None:
-    """Oracle: the memory's limit at each step; nothing is read twice while it plays on."""
+    """Oracle: the memory limit at each step; nothing is read twice during playback."""
     for first in range(6):
         frames.want("ob", FILES[first:])
         _until(lambda: not frames.busy)
@@ -91,7 +91,7 @@ def test_what_is_over_makes_room(frames, disk) -> None:
 
 
 def test_what_shows_has_room_in_any_case(frames, disk) -> None:
-    """Oracle: five objects that show five frames, with room for one."""
+    """Oracle: five objects with five current frames, and memory for one."""
     frames.most = SIZE
     for n in range(5):
         frames.want(n, FILES[n:])
@@ -110,7 +110,7 @@ def test_objects_share_frames(frames, disk) -> None:
 
 
 def test_asking_does_not_wait_for_the_disk(frames, disk) -> None:
-    """Oracle: the answers while the disk does not."""
+    """Oracle: the answers while the disk is blocked."""
     disk.may.clear()
     frames.want("ob", FILES[:1])
     assert frames.frame(FILES[0]) == (None, "") and frames.busy
@@ -131,7 +131,7 @@ def test_waiting_takes_what_is_under_way(frames, disk) -> None:
 
 
 def test_a_damaged_file_is_told_and_others_go_on(frames, disk) -> None:
-    """Oracle: the sentence; it is not read again until somebody asks to look again."""
+    """Oracle: the error; it is not read again until Rescan Frames."""
     disk.broken = {1}
     for _ in range(3):
         frames.want("ob", FILES[:3])
@@ -145,7 +145,7 @@ def test_a_damaged_file_is_told_and_others_go_on(frames, disk) -> None:
 
 
 def test_nothing_runs_after_the_end(frames, disk) -> None:
-    """Oracle: the threads of the process but those of other libraries; what was being read is not
+    """Oracle: the threads of the process except those of other libraries; a file being read is not
     kept."""
     others = set(threading.enumerate())
     disk.may.clear()
@@ -157,7 +157,7 @@ def test_nothing_runs_after_the_end(frames, disk) -> None:
     disk.may.set()
     _until(lambda: not any(thread.is_alive() for thread in mine))
     assert frames.held == (0, 0) and disk.read == [0]
-    frames.want("ob", FILES[5:6])  # another file is opened
+    frames.want("ob", FILES[5:6])  # another file is loaded
     _until(lambda: not frames.busy)
     assert disk.read == [0, 5]
 

@@ -1,4 +1,4 @@
-"""Sequences on Blender's timeline. Oracle, unless said otherwise: the files of the frames."""
+"""Sequences on Blender's timeline. Oracle, unless stated otherwise: the files of the frames."""
 
 import time
 from collections.abc import Callable
@@ -28,7 +28,7 @@ SIZE = (90, 70)
 
 
 def frame_splats(number: int) -> Splats:
-    """Different ones for each frame: other places, counts and degrees."""
+    """Different splats for each frame: other positions, counts and degrees."""
     splats = lab.blob(300 + 10 * number, seed=number)
     if number % 2:
         return splats
@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def playing(scene, folder) -> bpy.types.Object:
-    """The sequence at frames 1 to 6 of the timeline, before a camera."""
+    """The sequence at frames 1 to 6 of the timeline, in front of a camera."""
     lab.prepare(scene, SIZE)
     return play(folder)
 
@@ -59,25 +59,25 @@ def play(folder: Path, **options) -> bpy.types.Object:
 
 
 def number_of(ob: bpy.types.Object) -> int:
-    """Which frame is in an object's mesh, by its count of splats."""
+    """The frame in an object's mesh, identified by its number of splats."""
     return (len(ob.data.vertices) - 300) // 10
 
 
 def shown() -> list[tuple[int, np.ndarray]]:
-    """Count and means of what our renderers draw now."""
+    """Number and means of the splats that the add-on's renderers draw."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     parts = final_cache.parts(copied(depsgraph))
     return [(len(p), p.means) for p in parts]
 
 
 def copied(depsgraph: bpy.types.Depsgraph) -> list:
-    """What a viewport would draw, once all has come."""
+    """The splats that a viewport would draw, once all are read."""
     made = Copies()
     until = time.monotonic() + 20
     while True:
         found = sources(depsgraph)
         placed, complete = made.copied(found)
-        assert not made.under_way(found)  # no view is drawn again and again for a file
+        assert not made.under_way(found)  # no view is redrawn repeatedly for a file
         if complete:
             return placed
         assert time.monotonic() < until
@@ -85,7 +85,7 @@ def copied(depsgraph: bpy.types.Depsgraph) -> list:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Beat until something is so."""
+    """Poll until a condition is true."""
     end = time.monotonic() + 20
     while not condition():
         assert time.monotonic() < end
@@ -94,7 +94,8 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_one_object_plays_the_folder(scene, playing) -> None:
-    """The mesh holds what each file does, attribute by attribute, and our renderers draw it."""
+    """The mesh has the splats of each file, attribute by attribute, and the add-on's renderers draw
+    them."""
     splat_objects = [ob for ob in scene.objects if objects.is_splats(ob)]
     assert splat_objects == [playing] and playing.name == "frames"
     for frame in (1, 4, 2, 6):
@@ -120,12 +121,12 @@ def test_pictures_of_an_animation(scene, playing, tmp_path) -> None:
 
 
 def test_other_engines_see_the_mesh_of_the_frame(scene, playing) -> None:
-    """What the depsgraph holds of the mesh, which is what EEVEE and Cycles are given."""
+    """The evaluated mesh, which EEVEE and Cycles get."""
     scene.render.engine = "BLENDER_WORKBENCH"
     scene.frame_set(5)
     depsgraph = bpy.context.evaluated_depsgraph_get()
     assert len(playing.data.evaluated_get(depsgraph).vertices) == 340
-    playing.gscore_sequence.offset = 1  # no frame changes, but what it shows
+    playing.gscore_sequence.offset = 1  # the frame stays, but its content changes
     depsgraph = bpy.context.evaluated_depsgraph_get()
     assert len(playing.data.evaluated_get(depsgraph).vertices) == 350
 
@@ -143,7 +144,7 @@ def test_a_sequence_that_hides_is_an_empty_picture(scene, playing, tmp_path) -> 
 
 
 def test_copies_play_by_times_of_their_own(scene, playing) -> None:
-    """Two objects that share a mesh show two frames, and each its own in its mesh."""
+    """Two objects that share a mesh show two frames, and each gets its own mesh."""
     other = playing.copy()
     scene.collection.objects.link(other)
     assert other.data == playing.data
@@ -163,7 +164,7 @@ def test_filters_leave_out_splats_of_each_frame(scene, playing) -> None:
 
 
 def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path, capfd) -> None:
-    """Oracle: the numbers of the files; a render tells of them too."""
+    """Oracle: the numbers of the files; a render reports them too."""
     (folder / "frame_0002.ply").unlink()
     (folder / "frame_0003.ply").unlink()
     lab.prepare(scene, SIZE)
@@ -178,7 +179,7 @@ def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path, capfd)
 
 
 def test_a_damaged_file_ends_a_render_with_its_name(scene, playing, folder, tmp_path) -> None:
-    """Oracle: the sentence; the mesh stays as it was, and plays on with the next frame."""
+    """Oracle: the error; the mesh is unchanged, and playback continues with the next frame."""
     (folder / "frame_0003.ply").write_bytes(b"ply\nbroken")
     bpy.ops.gscore.look_at_frames_again()
     scene.frame_set(3)
@@ -194,7 +195,7 @@ def test_a_damaged_file_ends_a_render_with_its_name(scene, playing, folder, tmp_
 
 
 def test_the_folder_moves_with_the_file(scene, playing, folder, tmp_path) -> None:
-    """Oracle: Blender's own rule for relative paths; both are moved together."""
+    """Oracle: Blender's own rule for relative paths; file and folder are moved together."""
     (tmp_path / "old").mkdir()
     folder.rename(tmp_path / "old" / "frames")
     playing.gscore_sequence.folder = str(tmp_path / "old" / "frames")
@@ -215,7 +216,7 @@ def test_the_folder_moves_with_the_file(scene, playing, folder, tmp_path) -> Non
 
 
 def test_edits_make_it_stand_still(scene, playing) -> None:
-    """Data are never lost: what was deleted stays deleted, is drawn so, and can be dropped."""
+    """No edit is lost: deleted splats stay deleted, also when drawn, and edits can be discarded."""
     scene.frame_set(3)
     keep = np.arange(320) < 100
     points.keep(playing.data, keep)
@@ -230,7 +231,7 @@ def test_edits_make_it_stand_still(scene, playing) -> None:
 
 
 def test_edit_mode_shows_the_mesh_and_nothing_writes_to_it(scene, playing) -> None:
-    """Oracle: Blender's edit mesh, whatever the timeline does."""
+    """Oracle: Blender's edit mesh, at any frame of the timeline."""
     scene.frame_set(2)
     bpy.ops.object.mode_set(mode="EDIT")
     scene.frame_set(5)
@@ -241,7 +242,7 @@ def test_edit_mode_shows_the_mesh_and_nothing_writes_to_it(scene, playing) -> No
 
 
 def test_undo_in_the_middle(scene, playing) -> None:
-    """Oracle: Blender's undo; the object plays on, whichever mesh came back with it."""
+    """Oracle: Blender's undo; the object plays on, whichever mesh was restored."""
     bpy.ops.ed.undo_push(message="before")
     scene.frame_set(4)
     playing.location.x = 1
@@ -253,7 +254,7 @@ def test_undo_in_the_middle(scene, playing) -> None:
 
 
 def test_a_frame_that_is_kept(scene, playing) -> None:
-    """The file of the frame, in an object that stands still."""
+    """The file of the frame, in an object without a sequence."""
     scene.frame_set(4)
     assert bpy.ops.gscore.keep_frame() == {"FINISHED"}
     kept = bpy.context.object
@@ -262,7 +263,7 @@ def test_a_frame_that_is_kept(scene, playing) -> None:
 
 
 def test_a_linked_file_plays_but_keeps_its_mesh(scene, playing, tmp_path) -> None:
-    """Oracle: the pictures' splats; a linked mesh cannot be written, which is no error."""
+    """Oracle: the splats of the pictures; a linked mesh cannot be written, without an error."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "lib.blend"))
     bpy.ops.wm.read_homefile(use_empty=True)
     with bpy.data.libraries.load(str(tmp_path / "lib.blend"), link=True) as (_, into):
@@ -291,7 +292,7 @@ def test_a_sequence_under_a_capture_needs_no_axis(scene, folder) -> None:
 
 
 def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, monkeypatch) -> None:
-    """Oracle: the mesh after some beats; the frame change itself writes nothing."""
+    """Oracle: the mesh after some polls; the frame change itself writes nothing."""
     monkeypatch.setattr(frame_sync, "_at_once", lambda scene: False)
     scene.frame_set(4)
     assert number_of(playing) == 0
@@ -306,8 +307,8 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
 
 
 def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> None:
-    """Oracle: a property of the user's on the mesh of a later frame; an edge, which would be lost,
-    keeps the mesh, and it says why until the edge is gone."""
+    """Oracle: a user's property on the mesh of a later frame; with an edge, which would be lost,
+    the mesh stays, with a message until the edge is removed."""
     monkeypatch.setattr(frame_sync, "_at_once", lambda scene: False)
     playing.data["mine"] = 4
     scene.frame_set(4)
@@ -333,8 +334,8 @@ def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> N
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("number", [0, 1])
 def test_edges_stop_it_at_once_too(scene, playing, shared: bool, number: int) -> None:
-    """Oracle: the splats and the edge before; who shows the mesh besides, and how many splats come,
-    make no difference, and no mesh is left over."""
+    """Oracle: the earlier splats and edge, whatever the mesh's other users and the number of new
+    splats; no mesh is left over."""
     if shared:
         scene.collection.objects.link(playing.copy())
     playing.data.edges.add(1)
@@ -377,8 +378,7 @@ def test_an_edit_after_scrubbing_is_one_of_the_frame_that_shows(scene, scrubbed,
 
 
 def test_a_stroke_after_scrubbing_keeps_the_frame_that_shows(scene, scrubbed) -> None:
-    """Oracle: the number of splats of the frame, and the colour of the brush, however long one
-    waits."""
+    """Oracle: the number of splats of the frame, and the colour of the brush, after any wait."""
     stroke, white = [{"name": "", "place": (0.0, 0.0, 0.0)}], (1.0, 1.0, 1.0)
     bpy.ops.gscore.paint_stroke(stroke=stroke, way="PLACES", radius=1e3, hardness=1.0, color=white)
     until(lambda: not poll_timer.poll())
@@ -388,8 +388,8 @@ def test_a_stroke_after_scrubbing_keeps_the_frame_that_shows(scene, scrubbed) ->
 
 
 def test_a_mesh_on_its_way_never_lands_on_an_edit(scene, scrubbed) -> None:
-    """Oracle: what the edit left, however long one waits."""
-    poll_timer.poll()  # begins to bring frame 3
+    """Oracle: the edited splats, after any wait."""
+    poll_timer.poll()  # starts to load frame 3
     scrubbed.gscore.opacity_min = 0.5
     assert bpy.ops.gscore.apply_filters() == {"FINISHED"}
     left = len(scrubbed.data.vertices)
@@ -400,7 +400,7 @@ def test_a_mesh_on_its_way_never_lands_on_an_edit(scene, scrubbed) -> None:
 
 
 def test_an_export_of_a_frame_that_cannot_be_read_says_so(scrubbed, folder, tmp_path) -> None:
-    """Oracle: no file, and the name of the frame's."""
+    """Oracle: no file, and an error with the name of the frame's."""
     (folder / "frame_0003.ply").write_bytes(b"ply\nnonsense")
     LIBRARY.clear()
     export = bpy.ops.gscore.export_splats
@@ -409,13 +409,13 @@ def test_an_export_of_a_frame_that_cannot_be_read_says_so(scrubbed, folder, tmp_
 
 
 def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
-    """Oracle: the splats that a script left, exported before the scene was evaluated."""
+    """Oracle: the splats edited by a script, exported before the scene was evaluated."""
     points.keep(scrubbed.data, np.arange(300) < 120)
     assert len(objects.read(scrubbed)) == 120
 
 
 def come(coming: SequenceComing) -> bpy.types.Object:
-    """The object of an import that goes bit by bit."""
+    """Complete an incremental import; return the object."""
     end = time.monotonic() + 20
     while (made := coming.step()) is None:
         assert time.monotonic() < end and coming.sentence
@@ -425,7 +425,7 @@ def come(coming: SequenceComing) -> bpy.types.Object:
 
 @pytest.mark.parametrize("under", [False, True])
 def test_an_import_bit_by_bit(scene, folder, under) -> None:
-    """Oracle: the import at once: splats, place, name, and what the mesh is known to hold."""
+    """Oracle: the import in one call: splats, transform, name, and the mesh's frame label."""
     root = bpy.data.objects.new("Capture", None)
     scene.collection.objects.link(root)
     options = {"called": "", "start": 3, "parent": root if under else None, "up": "Y"}
@@ -444,7 +444,7 @@ def test_an_import_bit_by_bit(scene, folder, under) -> None:
 
 
 def test_an_import_bit_by_bit_that_fails(scene, folder) -> None:
-    """Oracle: the sentences of the import at once, and an empty file."""
+    """Oracle: the errors of the import in one call, and an empty file."""
     options = {"called": "", "start": 1, "parent": None, "up": "-Y"}
     with pytest.raises(ValueError, match="has no frames"):
         come(SequenceComing(bpy.context, folder.parent, **options))

@@ -1,4 +1,4 @@
-"""Oracle: real Pythons and virtual environments, and programs that play a broken one."""
+"""Oracle: real Pythons and virtual environments, and fakes of broken ones."""
 
 import json
 import os
@@ -27,7 +27,7 @@ needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names
 
 
 def program(path: Path, body: str) -> Path:
-    """A shell script that takes the place of a Python."""
+    """A shell script in place of a Python."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"#!/bin/sh\n{body}\n")
     path.chmod(0o755)
@@ -35,14 +35,14 @@ def program(path: Path, body: str) -> Path:
 
 
 def answer(**facts: object) -> str:
-    """Shell code that prints what `gscore doctor --json` would."""
+    """Shell code that prints the output of `gscore doctor --json`."""
     base = {"gscore": "0.1.0", "python": "3.12.1", "can_train": True, "missing": []}
     base |= {"native": {"isa": "avx2", "threads": 4}, "packages": {"torch": {"version": "2.9"}}}
     return f"echo '{json.dumps(base | facts)}'"
 
 
 def run(function: Callable[[BackgroundTask], object], timeout: float = 60.0) -> BackgroundTask:
-    """A task, waited for."""
+    """Run a task and wait for it."""
     task = BackgroundTask(function)
     assert task.wait(timeout)
     return task
@@ -60,7 +60,7 @@ def prefs() -> Iterator[preferences.Preferences]:
 
 @pytest.fixture
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A PATH with one empty folder, and no other environment to be found."""
+    """A PATH with one empty folder, and no other environment."""
     monkeypatch.setenv("PATH", str(tmp_path / "path"))
     for name in ("VIRTUAL_ENV", "CONDA_PREFIX"):
         monkeypatch.delenv(name, raising=False)
@@ -69,7 +69,7 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def verdict(task: BackgroundTask) -> Verdict:
-    """The answer of a check."""
+    """Result of a check."""
     assert isinstance(task.result, Verdict), task.problem
     return task.result
 
@@ -102,7 +102,7 @@ def test_a_python_without_torch(tmp_path: Path) -> None:
 
 
 def bpy_site() -> Path:
-    """Where numpy and plyfile of the tests' Python lie."""
+    """Folder of numpy and plyfile of the tests' Python."""
     import plyfile
 
     return Path(plyfile.__file__).parent
@@ -120,13 +120,13 @@ def bpy_site() -> Path:
     ],
 )
 def test_strange_answers(tmp_path: Path, body: str, words: str) -> None:
-    """Oracle: a sentence for each."""
+    """Oracle: an error for each."""
     python = program(tmp_path / "python", body)
     assert words in verdict(run(lambda task: check(python, task))).sentence
 
 
 def test_a_python_that_hangs(tmp_path: Path) -> None:
-    """Oracle: a sentence after the limit; its process is gone. The same when cancelled."""
+    """Oracle: an error after the limit; its process has ended. The same when cancelled."""
     python = program(tmp_path / "python", f"echo $$ > {tmp_path}/pid; exec sleep 60")
     found = verdict(run(lambda task: check(python, task, timeout=0.5)))
     assert "did not answer" in found.sentence
@@ -140,7 +140,7 @@ def test_a_python_that_hangs(tmp_path: Path) -> None:
 
 
 def test_no_python_at_all(tmp_path: Path) -> None:
-    """Oracle: sentences for a path that is missing and for a file that is no program."""
+    """Oracle: errors for a missing path and for a file that is not a program."""
     (tmp_path / "text").write_text("x")
     for path in (tmp_path / "missing", tmp_path / "text"):
         found = verdict(run(lambda task, path=path: check(path, task)))
@@ -148,7 +148,7 @@ def test_no_python_at_all(tmp_path: Path) -> None:
 
 
 def test_the_first_that_can_train_is_found(alone: Path, tmp_path: Path) -> None:
-    """Oracle: the order own environment, beside the command gscore, on the PATH."""
+    """Oracle: the order: own environment, next to the command gscore, on the PATH."""
     path_python = program(alone / "python3", answer())
     found = verdict(run(lambda task: find(task, private=tmp_path / "own")))
     assert found.python == str(path_python)
@@ -172,7 +172,8 @@ def test_one_that_lacks_torch_is_named_if_none_can(alone: Path, tmp_path: Path) 
 
 
 def test_a_chosen_python_is_the_only_one(alone: Path, tmp_path: Path) -> None:
-    """Oracle: a good one on the PATH does not hide that the chosen one is bad; folders do too."""
+    """Oracle: the chosen one is reported as bad despite a good one on the PATH; also for
+    folders."""
     program(alone / "python3", answer())
     chosen = program(tmp_path / "bad" / "bin" / "python", "exit 1")
     for text in (str(chosen), str(tmp_path / "bad")):
@@ -183,7 +184,7 @@ def test_a_chosen_python_is_the_only_one(alone: Path, tmp_path: Path) -> None:
 def test_finding_fills_the_preferences(
     prefs: preferences.Preferences, alone: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Oracle: the Python that the next training takes; a choice of the user's wins."""
+    """Oracle: the Python of the next training; the user's choice takes precedence."""
     monkeypatch.setattr(setup, "private_folder", lambda: tmp_path / "own")
     prefs.python_path = prefs.found_python = ""
     with pytest.raises(ValueError, match="press Find or Make Environment"):
@@ -193,14 +194,14 @@ def test_finding_fills_the_preferences(
     assert setup.trainer_python(prefs) == python
     assert setup.CURRENT.verdict is not None and setup.CURRENT.verdict.good
     prefs.python_path = str(program(tmp_path / "mine", answer()))
-    assert setup.CURRENT.verdict is None  # it was of another
+    assert setup.CURRENT.verdict is None  # it belonged to another Python
     assert setup.trainer_python(prefs) == tmp_path / "mine"
 
 
 def test_a_check_of_another_python_makes_way(
     prefs: preferences.Preferences, tmp_path: Path
 ) -> None:
-    """Oracle: which Python the verdict is of, though the check of the first takes a minute."""
+    """Oracle: the Python of the verdict, although the check of the first takes a minute."""
     prefs.python_path = str(program(tmp_path / "slow", "exec sleep 60"))
     slow = setup.CURRENT.start_check(prefs)
     good = prefs.python_path = str(program(tmp_path / "good", answer()))
@@ -225,14 +226,14 @@ def test_nothing_is_downloaded_without_permission(prefs: preferences.Preferences
 
 
 def test_a_wheel_is_needed(prefs: preferences.Preferences, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the sentence of a copy that was not installed from the zip file."""
+    """Oracle: the error of a copy that was not installed from the zip file."""
     monkeypatch.setattr(setup, "bundled_wheel", lambda: None)
     with pytest.raises(RuntimeError, match="has no gscore"):
         bpy.ops.gscore.make_environment()
 
 
 def test_the_wheel_of_this_system_is_chosen(tmp_path: Path) -> None:
-    """Oracle: the file names of wheels for other systems beside it."""
+    """Oracle: the file names, among wheels for other systems."""
     names = ("win_amd64", "macosx_11_0_arm64", "manylinux_2_28_x86_64", "manylinux_2_28_aarch64")
     for name in names:
         (tmp_path / f"gscore-1.2-py3-none-{name}.whl").write_bytes(b"")
@@ -243,7 +244,8 @@ def test_the_wheel_of_this_system_is_chosen(tmp_path: Path) -> None:
 
 
 def fake_base(folder: Path, pip: str, doctor: str = answer()) -> Path:
-    """A Python whose `-m venv` makes an environment whose `-m pip` runs the shell code `pip`."""
+    """A fake Python whose `-m venv` makes an environment whose `-m pip` runs the shell code
+    `pip`."""
     inner = folder / "inner"
     case = f'case "$2" in\npip) {pip} ;;\ngscore) {doctor} ;;\nesac'
     program(inner, case)
@@ -251,14 +253,14 @@ def fake_base(folder: Path, pip: str, doctor: str = answer()) -> Path:
 
 
 def make(target: Path, base: Path, **kwargs: object) -> BackgroundTask:
-    """Make an environment with a fake base; waited for."""
+    """Make an environment with a fake base, and wait for it."""
     values = {"online": True, "base": base} | kwargs
     wheel = target.parent / "gscore.whl"
     return run(lambda task: installer.make(target, wheel, task, **values))
 
 
 def leftovers(target: Path) -> list[str]:
-    """Names beside the target that begin like it."""
+    """Names next to the target with the same prefix."""
     return sorted(p.name for p in target.parent.iterdir() if p.name.startswith(target.name))
 
 
@@ -290,7 +292,7 @@ def test_an_environment_replaces_the_earlier_one(tmp_path: Path) -> None:
 def test_a_failed_installation_leaves_the_earlier_environment(
     tmp_path: Path, pip: str, words: str
 ) -> None:
-    """Oracle: its file is there, nothing else is; a sentence says why."""
+    """Oracle: only its file exists; an error with the reason."""
     target = tmp_path / "trainer"
     (target / "old").mkdir(parents=True)
     task = make(target, fake_base(tmp_path, pip))
@@ -299,7 +301,7 @@ def test_a_failed_installation_leaves_the_earlier_environment(
 
 
 def test_an_environment_that_does_not_work_is_not_kept(tmp_path: Path) -> None:
-    """Oracle: doctor says no; nothing is left."""
+    """Oracle: a negative result of doctor; nothing is left."""
     base = fake_base(tmp_path, "exit 0", answer(can_train=False, missing=["torch"]))
     task = make(tmp_path / "trainer", base)
     assert "does not work" in task.problem and "torch" in task.problem
@@ -307,13 +309,13 @@ def test_an_environment_that_does_not_work_is_not_kept(tmp_path: Path) -> None:
 
 
 def test_a_base_without_venv(tmp_path: Path) -> None:
-    """Oracle: what Debian's Python says."""
+    """Oracle: the error message of Debian's Python."""
     base = program(tmp_path / "python3", "echo 'Error: ensurepip is not available' >&2; exit 1")
     assert "python3-venv" in make(tmp_path / "trainer", base).problem
 
 
 def test_too_little_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the sentence names how much is needed; nothing is begun."""
+    """Oracle: the error names the required space; nothing is started."""
     monkeypatch.setattr(installer, "NEEDED_BYTES", 10**18)
     task = make(tmp_path / "trainer", tmp_path / "never")
     assert "1000000000 GB" in task.problem
@@ -337,7 +339,7 @@ def test_making_can_be_cancelled(tmp_path: Path) -> None:
 
 @pytest.fixture
 def killed(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
-    """Another process whose pip hangs while it makes an environment, and the environment."""
+    """Another process that hangs in pip while it makes an environment, and the environment."""
     number, target = tmp_path / "number", tmp_path / "trainer"
     base = fake_base(tmp_path / "other", f"echo $$ > {number}; exec sleep 60")
     code = (
@@ -355,14 +357,14 @@ def killed(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     yield other, target
     other.kill()
     other.wait(10)
-    os.kill(int(number.read_text()), signal.SIGKILL)  # its pip, which nobody ends any more
+    os.kill(int(number.read_text()), signal.SIGKILL)  # its pip, which no process ends any more
 
 
 def test_what_a_killed_one_left_is_removed(
     killed: tuple[subprocess.Popen[str], Path], tmp_path: Path
 ) -> None:
-    """Oracle: the listing while it lives, when it is gone, and after the next one; folders of
-    other names stay."""
+    """Oracle: the listing while it runs, after its end, and after the next one; other folders
+    stay."""
     other, target = killed
     alike = tmp_path / "trainer.mine.new"
     alike.mkdir()
@@ -379,8 +381,8 @@ def test_what_a_killed_one_left_is_removed(
 
 
 def test_an_environment_that_was_moved_aside_is_put_back(tmp_path: Path) -> None:
-    """Oracle: the later of two is in its place though the installation failed; and it goes where
-    there is one in its place."""
+    """Oracle: the later of two is restored although the installation failed; it is removed if the
+    target exists."""
     target = tmp_path / "trainer"
     for number, name in enumerate(("0badcafe", "12345678")):
         (tmp_path / f"trainer.{name}.old" / name).mkdir(parents=True)
@@ -394,7 +396,7 @@ def test_an_environment_that_was_moved_aside_is_put_back(tmp_path: Path) -> None
 
 
 def test_the_calls_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the command lines, word for word, and the variables that a fake pip was given."""
+    """Oracle: the command lines, word for word, and the environment variables of a fake pip."""
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("PIP_EXTRA_INDEX_URL", "https://evil.example/simple")
     told = tmp_path / "told"
@@ -416,7 +418,7 @@ def test_the_calls_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_the_usual_torch_has_hashes() -> None:
-    """Oracle: the command line on each system; elsewhere than on Linux both choices are that."""
+    """Oracle: the command line on each system; except on Linux, both choices give the same one."""
     for system, cpu in (("linux", False), ("darwin", True), ("win32", True)):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("sys.platform", system)
@@ -426,7 +428,7 @@ def test_the_usual_torch_has_hashes() -> None:
 
 
 def test_a_wrong_hash_is_a_sentence(tmp_path: Path) -> None:
-    """Oracle: what pip says of one."""
+    """Oracle: pip's error message."""
     words = "ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE."
     task = make(tmp_path / "trainer", fake_base(tmp_path, f"echo '{words}' >&2; exit 1"))
     assert "differs from the one of this extension" in task.problem
@@ -467,7 +469,7 @@ def test_the_pins_are_exact_and_complete() -> None:
 def test_the_dialog_says_what_is_installed(
     prefs: preferences.Preferences, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: versions, sizes and places as the pins have them; a system without any is refused."""
+    """Oracle: versions, sizes and sources of the pins; a system without pins is refused."""
     wheel = Path("gscore-0.1.0-py3-none-any.whl")
     for source, cpu in (("CPU", True), ("USUAL", False)):
         prefs.torch_source = source

@@ -1,4 +1,4 @@
-"""The object that limits a training; oracle: Blender's own matrices and the file it is given."""
+"""The object that limits a training; oracle: Blender's own matrices and the trainer's file."""
 
 import json
 from collections.abc import Iterator
@@ -22,7 +22,8 @@ from tests.addon.trainings import until
 
 @pytest.fixture
 def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene with the studio's capture, chosen but not imported; the fake trainer ends at once."""
+    """A scene with the studio's capture, chosen but not imported; the fake trainer ends
+    immediately."""
     scene.gscore.capture_path = str(STUDIO)
     scene.gscore.output_path = str(tmp_path / "out")
     facts.refresh(scene)
@@ -38,7 +39,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
 
 
 def around(scene: bpy.types.Scene, scale: tuple[float, float, float]) -> bpy.types.Object:
-    """A turned empty that limits the training."""
+    """A rotated empty that limits the training."""
     ob = bpy.data.objects.new("subject", None)
     scene.collection.objects.link(ob)
     turn = Euler((0.2, 0.5, 0.1)).to_matrix().to_4x4()
@@ -49,14 +50,14 @@ def around(scene: bpy.types.Scene, scale: tuple[float, float, float]) -> bpy.typ
 
 
 def told(tmp_path: Path) -> list[str]:
-    """The command line of the training, which has ended."""
+    """Command line of an ended training."""
     (job,) = registry.jobs()
     until(lambda: job.state.ended)
     return json.loads((tmp_path / "python" / "script.args").read_text())
 
 
 def test_a_training_is_told_the_box(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: Blender's matrices take points of the object where the file's box has them."""
+    """Oracle: points of the object by Blender's matrices, compared with the box in the file."""
     root = import_capture(bpy.context.scene, STUDIO).root
     root.matrix_world = Matrix.Rotation(0.4, 4, "X") @ Matrix.Scale(2.0, 4) @ root.matrix_world
     ob = around(studio, (0.5, 1.0, 2.0))
@@ -71,7 +72,7 @@ def test_a_training_is_told_the_box(studio: bpy.types.Scene, tmp_path: Path) -> 
 
 
 def test_what_limits_nothing_is_refused(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the sentences; no training begins, and nothing is written."""
+    """Oracle: the errors; no training begins, and nothing is written."""
     ob = around(studio, (1, 1, 0))
     with pytest.raises(RuntimeError, match="press Import Cameras first"):
         bpy.ops.gscore.train()
@@ -86,7 +87,7 @@ def test_what_limits_nothing_is_refused(studio: bpy.types.Scene, tmp_path: Path)
 
 
 def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the sentence, in the panel and from the operator, in words of the panel; no training
+    """Oracle: the error in the panel and of the operator, with the panel's labels; no training
     begins, and nothing is written."""
     import_capture(bpy.context.scene, STUDIO)
     around(studio, (1, 1, 1))
@@ -103,7 +104,7 @@ def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Pat
 
 
 def test_masks_that_are_opacity_are_not_narrowed(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the sentence in the panel and of the button, in the panel's own words."""
+    """Oracle: the error in the panel and of the button, with the panel's labels."""
     around(studio, (1, 1, 1))
     studio.gscore.mask_mode = "composite"
     assert "choose Masks Mean: Leave Out" in drawn(TrainPanel)
@@ -114,7 +115,7 @@ def test_masks_that_are_opacity_are_not_narrowed(studio: bpy.types.Scene, tmp_pa
 
 
 def test_it_belongs_to_its_capture(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: another capture has none, and it is back with the first."""
+    """Oracle: another capture has none, and choosing the first restores it."""
     ob = around(studio, (1, 1, 1))
     (tmp_path / "other" / "images").mkdir(parents=True)
     studio.gscore.capture_path = str(tmp_path / "other")

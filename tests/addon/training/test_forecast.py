@@ -1,4 +1,4 @@
-"""Oracle: gscore's own estimate, and sentences and sizes by hand."""
+"""Oracle: gscore's own estimate, and texts and sizes by hand."""
 
 import time
 from dataclasses import replace
@@ -18,7 +18,7 @@ FOUND = CaptureFacts(
 
 
 def found(**values: object) -> Estimate:
-    """An estimate of something that fits."""
+    """An estimate of a training that fits."""
     fitting = {"seconds": 125.0, "peak_bytes": 1_240_000_000, "free_bytes": 8_000_000_000}
     fitting |= {"photo_bytes": 0, "photos_kept": True, "fits": True}
     return Estimate(**(fitting | {"fitting_splats": 0, "fitting_width": 0} | values))
@@ -30,12 +30,12 @@ def test_the_question_follows_the_settings(scene: bpy.types.Scene) -> None:
     settings.preset = "normal"
     asked = forecast.question(settings, FOUND, threads=3)
     _, train = PRESETS["normal"](Path())
-    # Six photos are good for no more steps than are always taken.
+    # Six photos allow no more than the minimum number of steps.
     assert (asked.train.iterations, asked.train.max_splats) == (1500, train.max_splats)
     assert (asked.train.threads, asked.points, asked.masks, asked.depths) == (3, 77, True, False)
     assert asked.sizes == (((300, 400), 1), ((1000, 500), 5))
     none = forecast.question(settings, replace(FOUND, points=0), threads=3)
-    assert none.points == 10_000  # those that photos agree on
+    assert none.points == 10_000  # the number supported by the photos
     settings.preset = "high"
     many = replace(FOUND, points=200_000)  # which leave no room for several models
     splats = [forecast.question(settings, f, threads=3).train.max_splats for f in (FOUND, many)]
@@ -76,7 +76,7 @@ def test_words() -> None:
 
 
 def test_the_panel_never_waits(scene: bpy.types.Scene) -> None:
-    """Oracle: nothing is known at once; later, what gscore says when it is asked directly."""
+    """Oracle: no immediate result; later, gscore's own estimate."""
     scene.gscore.capture_path, scene.gscore.preset = str(STUDIO), "draft"
     assert facts.refresh(scene)[0].can_train
     assert facts.forecast_of(scene) == (None, "")
@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_made_to_fit(scene: bpy.types.Scene) -> None:
 
 
 def wait(scene: bpy.types.Scene) -> Estimate:
-    """Tick as Blender does until the estimate of the settings is there."""
+    """Poll like Blender until the estimate for the settings is ready."""
     end = time.monotonic() + 20
     while (answer := facts.forecast_of(scene))[0] is None:
         assert time.monotonic() < end and not answer[1], answer

@@ -1,4 +1,4 @@
-"""Meshes that guide a training; oracles: Blender's own projection, rays and clock, and files."""
+"""Guide meshes of a training; oracles: Blender's own projection, rays and clock, and files."""
 
 import json
 import os
@@ -35,8 +35,8 @@ needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names
 
 @pytest.fixture
 def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene with the cameras of the studio, turned, moved and made larger; the fake trainer ends
-    at once."""
+    """A scene with the cameras of the studio, rotated, moved and scaled; the fake trainer ends
+    immediately."""
     scene.gscore.capture_path = str(STUDIO)
     scene.gscore.output_path = str(tmp_path / "out")
     found: Capture = import_capture(bpy.context.scene, STUDIO)
@@ -55,7 +55,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
 
 
 def into(scene: bpy.types.Scene, role: str, *obs: bpy.types.Object) -> bpy.types.Collection:
-    """Give guides as the button does."""
+    """Set a guide as the button does."""
     for ob in scene.objects:
         ob.select_set(ob in obs)
     assert bpy.ops.gscore.add_guides(role=role) == {"FINISHED"}
@@ -73,7 +73,7 @@ def an_object(
 
 
 def a_grid(name: str, cells: int, size: float = 1.0) -> bpy.types.Mesh:
-    """A square of 2 cells^2 triangles' worth of quads, z = 0."""
+    """A square of quads, 2 cells^2 triangles, at z = 0."""
     x, y = np.meshgrid(np.linspace(-size, size, cells + 1), np.linspace(-size, size, cells + 1))
     at = np.arange((cells + 1) ** 2).reshape(cells + 1, -1)
     quads = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], -1).reshape(-1, 4)
@@ -84,7 +84,7 @@ def a_grid(name: str, cells: int, size: float = 1.0) -> bpy.types.Mesh:
 
 
 def written(line: list[str], role: str = "surface") -> tuple[np.ndarray, np.ndarray]:
-    """What plyfile reads of the file that options name: vertices, triangles."""
+    """Vertices and triangles of the file named in the options, read by plyfile."""
     path = Path(line[line.index(f"--guide-{role}") + 1])
     found = plyfile.PlyData.read(str(path))
     vertices = np.stack([found["vertex"][axis] for axis in "xyz"], axis=1)
@@ -93,7 +93,7 @@ def written(line: list[str], role: str = "surface") -> tuple[np.ndarray, np.ndar
 
 def test_a_mesh_lands_where_cameras_see_it(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: Blender's projection of each corner with modifiers, and its ray casts through the
-    pixels of a photo, against the written file seen by the capture's own cameras."""
+    pixels of a photo, compared with the written file and the capture's own cameras."""
     turned = Matrix.Translation((3, -2, 1)) @ Euler((0.5, 0.1, 0.2)).to_matrix().to_4x4()
     ob = an_object("Wall", a_grid("Wall", 4), turned @ Matrix.Diagonal((2, 1, 3, 1)))
     bend = ob.modifiers.new("Thick", "SOLIDIFY")
@@ -143,8 +143,8 @@ def test_a_mesh_lands_where_cameras_see_it(studio: bpy.types.Scene, tmp_path: Pa
 def test_instances_modifiers_and_text_count_and_hidden_ones_do_not(
     studio: bpy.types.Scene, tmp_path: Path
 ) -> None:
-    """Oracle: triangles counted by hand; what is left out is named before a training."""
-    source = bpy.data.collections.new("Tree")  # linked to no scene: shown through instances alone
+    """Oracle: triangles counted by hand; objects left out are named before a training."""
+    source = bpy.data.collections.new("Tree")  # linked to no scene: shown by instances only
     source.objects.link(bpy.data.objects.new("Leaf", a_grid("Leaf", 1)))
     obs = [an_object(name, None) for name in ("One", "Two")]
     for ob in obs:
@@ -173,7 +173,7 @@ def test_instances_modifiers_and_text_count_and_hidden_ones_do_not(
 
 
 def test_texts_in_an_instanced_collection_keep_their_shapes(studio: bpy.types.Scene) -> None:
-    """Oracle: each text turned into a mesh by Blender by itself, once."""
+    """Oracle: each text converted to a mesh by Blender separately."""
     source, wanted = bpy.data.collections.new("Sign"), 0
     for body in ("l", "o", "mm"):
         text = bpy.data.objects.new(body, bpy.data.curves.new(body, "FONT"))
@@ -192,8 +192,8 @@ def test_texts_in_an_instanced_collection_keep_their_shapes(studio: bpy.types.Sc
 
 
 def test_a_training_is_told_of_its_guides(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the words that the trainer is given, and the files they name; another shape gets a
-    file of its own, so that the first run can go on."""
+    """Oracle: the trainer's arguments and the files named in them; another shape gets a new file,
+    so that the first run can be resumed."""
     wall, box = an_object("Wall", a_grid("Wall", 2)), an_object("Box", a_grid("Box", 1, 3.0))
     into(studio, "surface", wall)
     into(studio, "free", box)
@@ -214,8 +214,8 @@ def test_a_training_is_told_of_its_guides(studio: bpy.types.Scene, tmp_path: Pat
 
 @needs_trainer
 def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene) -> None:
-    """Oracle: how many cameras' rays through a grid of pixels hit the wall, by Blender; and that
-    the trainer says what its points think of a wall in the middle of the air."""
+    """Oracle: the number of cameras' rays through a grid of pixels that hit the wall, by Blender;
+    and the trainer's message about a wall in mid-air that its points do not support."""
     cameras = sorted((o for o in studio.objects if o.type == "CAMERA"), key=lambda o: o.name)
     place = cameras[0].matrix_world @ Matrix.Translation((0, 0, -1.6))
     wall = an_object("Wall", a_grid("Wall", 2), place @ Matrix.Diagonal((0.3, 0.3, 1, 1)))
@@ -240,12 +240,12 @@ def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene)
     state = start_training.job_of(studio).state
     told = re.search(r"which (\d+) training photos see", state.started.decision("guide"))
     assert 5 < seen < len(cameras) - 5
-    assert seen <= int(told[1]) <= seen + 3  # a corner of it may lie between the rays
+    assert seen <= int(told[1]) <= seen + 3  # a corner of it may be between the rays
     assert any("may be in the wrong place" in text for text in state.warnings)
 
 
 def test_a_discarded_run_leaves_no_meshes(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the folder is gone."""
+    """Oracle: the folder is removed."""
     into(studio, "surface", an_object("Wall", a_grid("Wall", 2)))
     play = [{"say": STARTED}, {"await": "never"}]
     preferences.get().python_path = str(fake_python(tmp_path / "slow", play))
@@ -257,7 +257,7 @@ def test_a_discarded_run_leaves_no_meshes(studio: bpy.types.Scene, tmp_path: Pat
 
 
 def test_what_cannot_guide_is_told(studio: bpy.types.Scene) -> None:
-    """Oracle: a sentence each, and no training."""
+    """Oracle: an error for each, and no training."""
     wall = an_object("Wall", a_grid("Wall", 2))
     collection = into(studio, "surface", wall)
     wall.hide_set(True)
@@ -279,7 +279,7 @@ def test_what_cannot_guide_is_told(studio: bpy.types.Scene) -> None:
 
 
 def test_guides_want_the_cameras_in_the_scene(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: the sentence of the button and that of the panel."""
+    """Oracle: the messages of the button and of the panel."""
     scene.gscore.capture_path = str(STUDIO)
     into(scene, "free", an_object("Wall", a_grid("Wall", 2)))
     with pytest.raises(ValueError, match="press Import Cameras first"):
@@ -288,7 +288,7 @@ def test_guides_want_the_cameras_in_the_scene(scene: bpy.types.Scene, tmp_path: 
 
 
 def test_guides_belong_to_their_capture(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: another capture has none, and they are back with the first."""
+    """Oracle: another capture has none, and choosing the first restores them."""
     collection = into(studio, "surface", an_object("Wall", a_grid("Wall", 1)))
     (tmp_path / "other" / "images").mkdir(parents=True)
     studio.gscore.capture_path = str(tmp_path / "other")
@@ -298,7 +298,7 @@ def test_guides_belong_to_their_capture(studio: bpy.types.Scene, tmp_path: Path)
 
 
 def test_a_large_mesh_is_gathered_in_a_blink(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: Blender's main thread is held for as long as a tick of 50 ms, the best of five."""
+    """Oracle: Blender's main thread is blocked for at most one 50 ms poll, the best of five."""
     ob = an_object("Large", a_grid("Large", 224))
     collection = into(studio, "surface", ob)
     assert len(guides.gathered(studio, collection).triangles) > 100_000

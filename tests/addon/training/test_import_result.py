@@ -22,7 +22,7 @@ from tests.addon.trainings import positions, splats, until
 
 
 def look_again(scene: bpy.types.Scene) -> None:
-    """Have the panel know the run as it is now."""
+    """Refresh the panel's facts about the run."""
     lookups.runs.expire()
     facts.run(scene)
     until(lambda: lookups.collect() or not lookups.busy())
@@ -30,7 +30,7 @@ def look_again(scene: bpy.types.Scene) -> None:
 
 @pytest.fixture
 def run(scene: bpy.types.Scene, tmp_path: Path) -> Path:
-    """The folder of a finished run of the studio, which the scene has chosen."""
+    """The folder of a finished run of the studio, chosen in the scene."""
     out = tmp_path / "out"
     (out / "checkpoints").mkdir(parents=True)
     (out / "checkpoints" / "step_00001000.safetensors").write_bytes(b"")
@@ -43,7 +43,7 @@ def run(scene: bpy.types.Scene, tmp_path: Path) -> Path:
 
 
 def test_a_finished_run_comes_into_another_file(scene: bpy.types.Scene, run: Path) -> None:
-    """Oracle: the PLY, the capture's empty, and that the training's own object is it from now."""
+    """Oracle: the PLY, the capture's empty, and that it becomes the training's own object."""
     root = import_capture(bpy.context.scene, STUDIO).root
     assert "Show Trained Splats" in drawn(TrainPanel)
     assert bpy.ops.gscore.import_result() == {"FINISHED"}
@@ -56,14 +56,14 @@ def test_a_finished_run_comes_into_another_file(scene: bpy.types.Scene, run: Pat
 
 
 def test_it_needs_no_cameras(scene: bpy.types.Scene, run: Path) -> None:
-    """Oracle: the PLY; there is no empty to stand under."""
+    """Oracle: the PLY; there is no empty as parent."""
     assert bpy.ops.gscore.import_result() == {"FINISHED"}
     assert scene.gscore.result.parent is None
     np.testing.assert_array_equal(positions(scene.gscore.result), splats(70).means)
 
 
 def test_what_is_not_there_is_a_sentence(scene: bpy.types.Scene, run: Path) -> None:
-    """Oracle: nothing comes, and it says why."""
+    """Oracle: nothing is imported, with an error."""
     (run / "point_cloud.ply").unlink()
     assert "holds no splats yet" in error_of(bpy.ops.gscore.import_result)
     shutil.rmtree(run)
@@ -74,7 +74,7 @@ def test_what_is_not_there_is_a_sentence(scene: bpy.types.Scene, run: Path) -> N
 def test_a_run_that_went_on_elsewhere_is_told(
     scene: bpy.types.Scene, run: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the PLY. The object that is there keeps its place and display and gets the splats;
+    """Oracle: the PLY. The existing object keeps its transform and display and gets the splats;
     copies of the folder are the same run."""
     bpy.ops.gscore.import_result()
     ob = scene.gscore.result
@@ -99,7 +99,7 @@ def test_a_run_that_went_on_elsewhere_is_told(
 
 
 def test_edited_splats_stay_hidden_beside_it(scene: bpy.types.Scene, run: Path) -> None:
-    """Oracle: the edited object, which nothing shows, and a new one that is the result."""
+    """Oracle: the hidden edited object, and a new one that is the result."""
     bpy.ops.gscore.import_result()
     edited = scene.gscore.result
     edited.data.vertices[0].co.x += 1.0
@@ -114,8 +114,8 @@ def test_edited_splats_stay_hidden_beside_it(scene: bpy.types.Scene, run: Path) 
 
 
 def test_a_result_in_edit_mode_is_a_sentence(scene: bpy.types.Scene, run: Path) -> None:
-    """Oracle: the object as it was, and nothing beside it; outside of Edit Mode it works, and takes
-    over how the new splats were trained."""
+    """Oracle: the unchanged object, and no other; outside of Edit Mode it works, and adopts the
+    settings with which the new splats were trained."""
     bpy.ops.gscore.import_result()
     ob = scene.gscore.result
     write_splats(run / "point_cloud.ply", splats(71), comments=(MIP_COMMENT,))

@@ -1,4 +1,4 @@
-"""Oracle: gscore's own presets, and its own command line, which reads what the add-on writes."""
+"""Oracle: gscore's own presets, and its own command line, which parses the add-on's arguments."""
 
 import json
 import os
@@ -38,7 +38,7 @@ print(json.dumps(out))
 
 
 def parsed(*lines: list[str]) -> list[list[dict[str, Any]]]:
-    """What gscore understands: DataConfig, TrainConfig and the arguments, as strings."""
+    """Arguments parsed by gscore: DataConfig, TrainConfig and the arguments, as strings."""
     if not REAL:
         pytest.skip("GSCORE_TRAINER_PYTHON names no Python")
     text = "\n".join(json.dumps(line) for line in lines)
@@ -76,7 +76,7 @@ NUMBERS = ("iterations", "max_splats", "sh_degree", "finest", "free_space", "see
 
 @pytest.mark.parametrize("name", [*NUMBERS, "target_psnr"])
 def test_limits_are_those_of_gscore(scene: bpy.types.Scene, name: str) -> None:
-    """Oracle: TrainConfig, which takes both ends of what the panel takes."""
+    """Oracle: TrainConfig, which accepts both limits of the panel's fields."""
     found = scene.gscore.bl_rna.properties[name]
     _, train = PRESETS["normal"](Path())
     for end in (found.hard_min, found.hard_max):
@@ -88,7 +88,8 @@ def test_limits_are_those_of_gscore(scene: bpy.types.Scene, name: str) -> None:
 
 
 def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
-    """Oracle: the declarations; as Blender writes tips, without a full stop, of one sentence."""
+    """Oracle: the declarations; in the style of Blender's tooltips, one sentence without a full
+    stop."""
     found = scene.gscore.bl_rna.properties
     told = "Training steps, each on one photo"
     assert found["iterations"].description == told
@@ -104,7 +105,7 @@ def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_fills_in_its_numbers(scene: bpy.types.Scene, name: str) -> None:
-    """Oracle: gscore's preset, after other numbers were typed."""
+    """Oracle: gscore's preset, after other numbers were set."""
     scene.gscore.iterations, scene.gscore.max_splats, scene.gscore.resolution = 7, 8, "4"
     scene.gscore.preset = name
     _, train = PRESETS[name](Path())
@@ -115,8 +116,8 @@ def test_a_preset_fills_in_its_numbers(scene: bpy.types.Scene, name: str) -> Non
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_no_preset_contradicts_the_estimate(scene: bpy.types.Scene, name: str) -> None:
-    """Oracle: words of time, which the estimate below the presets alone has; what it is for stays
-    as gscore says it."""
+    """Oracle: no words of time, which belong to the estimate below the presets; the purpose is in
+    gscore's words."""
     scene.gscore.preset = name
     item = scene.gscore.bl_rna.properties["preset"].enum_items[name]
     said = f"{preset_sentence(scene.gscore)} {item.description}"
@@ -126,7 +127,7 @@ def test_no_preset_contradicts_the_estimate(scene: bpy.types.Scene, name: str) -
 
 
 def test_a_preset_alone_is_that_preset(scene: bpy.types.Scene) -> None:
-    """Oracle: gscore's parser gives back the preset, but for what belongs to the machine."""
+    """Oracle: gscore's parser returns the preset, except for machine settings."""
     lines, wanted = [], []
     for name, preset in PRESETS.items():
         scene.gscore.preset = name
@@ -154,7 +155,7 @@ def test_depth_maps_are_used_where_there_are_some(scene: bpy.types.Scene) -> Non
 
 
 def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: gscore's parser, for values unlike any default."""
+    """Oracle: gscore's parser, for values different from all defaults."""
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
     values = {"iterations": 123, "max_splats": 4567, "sh_degree": 1, "seed": 9, "antialias": True}
     values |= {"strategy": "mcmc", "background": "white", "early_stop": True}
@@ -170,7 +171,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     second = line(scene)
     settings.time_budget = 90.5
     (data, train, args), (data2, _, _), (_, train3, _) = parsed(first, second, line(scene))
-    # A budget takes the place of the steps.
+    # A budget replaces the steps.
     normal = PRESETS["normal"](Path())[1].iterations
     assert (train3["time_budget"], train3["iterations"]) == ("90.5", str(normal))
     for name, value in values.items():
@@ -185,7 +186,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
 
 
 def test_a_resumed_run_keeps_its_options(tmp_path: Path) -> None:
-    """Oracle: config.json of the run as gscore reads it, and the new place of the capture."""
+    """Oracle: config.json of the run as read by gscore, and the new path of the capture."""
     from gscore.config_file import config_json
 
     (tmp_path / "config.json").write_text(config_json(*PRESETS["draft"](tmp_path / "gone")))
@@ -202,7 +203,7 @@ def test_a_resumed_run_keeps_its_options(tmp_path: Path) -> None:
 
 
 def test_choosing_a_capture_looks_into_it(scene: bpy.types.Scene) -> None:
-    """Oracle: the studio's 60 photos; a change of the photo folder is looked into as well."""
+    """Oracle: the studio's 60 photos; a change of the photo folder is inspected as well."""
     lookups.captures.forget((str(STUDIO), "images"))
     scene.gscore.capture_path = str(STUDIO)
     assert lookups.busy()
@@ -216,7 +217,7 @@ def test_choosing_a_capture_looks_into_it(scene: bpy.types.Scene) -> None:
 
 
 def test_a_lookup_keeps_tells_and_forgets(tmp_path: Path) -> None:
-    """Oracle: how often the function was called, and what it raised."""
+    """Oracle: the number of calls of the function, and its error."""
     calls: list[str] = []
 
     def function(key: str) -> int:
@@ -236,7 +237,7 @@ def test_a_lookup_keeps_tells_and_forgets(tmp_path: Path) -> None:
 def test_paths_beside_the_file(
     scene: bpy.types.Scene, tmp_path: Path, run_blender: Callable[..., str]
 ) -> None:
-    """Oracle: folders written by hand, before and after saving, and after the file has moved."""
+    """Oracle: folders by hand, before and after saving, and after moving the file."""
     settings = scene.gscore
     (tmp_path / "shots" / "images").mkdir(parents=True)
     settings.capture_path = str(tmp_path / "shots")
@@ -276,7 +277,7 @@ def test_preferences_belong_to_the_add_on() -> None:
 
 
 def test_what_a_run_goes_on_to(scene: bpy.types.Scene) -> None:
-    """Oracle: by hand: what was asked for at first, and what is asked for now."""
+    """Oracle: by hand: the first settings, and the current ones."""
     data, train = PRESETS["draft"](STUDIO)
     known = {"path": STUDIO, "checkpoint": STUDIO, "splats": None, "psnr": None, "problem": ""}
 
@@ -302,7 +303,7 @@ def test_what_a_run_goes_on_to(scene: bpy.types.Scene) -> None:
         go_on(9000, 9000, budget=60.0)
     scene.gscore.iterations = PRESETS[scene.gscore.preset](STUDIO)[1].iterations
     assert go_on(100, 200) == {"iterations": scene.gscore.iterations}
-    assert go_on(100, 200, steps_a_photo=80) == {}  # nobody asked for more than the photos allow
+    assert go_on(100, 200, steps_a_photo=80) == {}  # no more was requested than the photos allow
     with pytest.raises(ValueError, match="more Steps"):
         go_on(200, 200, steps_a_photo=80)
     scene.gscore.iterations += 1

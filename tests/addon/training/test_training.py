@@ -56,7 +56,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
 
 @pytest.fixture
 def play(tmp_path: Path) -> Play:
-    """The preferences' Python becomes a fake that plays a script."""
+    """Replace the preferences' Python by a fake that plays a script."""
 
     def choose(*script: dict, name: str = "python") -> Path:
         python = fake_python(tmp_path / name, list(script))
@@ -69,7 +69,7 @@ def play(tmp_path: Path) -> Play:
 def test_snapshots_then_the_result_reach_one_object(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the splats in the files; the quick look is thinned out, the result is not."""
+    """Oracle: the splats in the files; the preview is thinned out, the result is not."""
     snapshot, result = splats(3000, 1), splats(2000, 2)
     write_splats(tmp_path / "s.ply", snapshot)
     write_splats(tmp_path / "out" / "point_cloud.ply", result)
@@ -91,7 +91,7 @@ def test_snapshots_then_the_result_reach_one_object(
 def test_splats_show_though_each_beat_finds_lines(
     studio: bpy.types.Scene, play: Play, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the splats of the snapshot. So it is where Blender redraws a view all the time."""
+    """Oracle: the splats of the snapshot. This happens when Blender redraws a view continuously."""
     snapshot = splats(3000, 1)
     write_splats(tmp_path / "s.ply", snapshot)
     event = {"event": "snapshot", "step": 5, "path": str(tmp_path / "s.ply"), "splats": 3000}
@@ -107,8 +107,8 @@ def test_splats_show_though_each_beat_finds_lines(
 def test_points_make_room_for_splats(
     studio: bpy.types.Scene, play: Play, tmp_path: Path, discarded: bool
 ) -> None:
-    """Oracle: they are hidden with the first splats; who shows them again keeps them; and a
-    training that is discarded gives them back."""
+    """Oracle: they are hidden with the first splats; if shown again, they stay visible; discarding
+    the training shows them again."""
     points = import_capture(bpy.context.scene, STUDIO, photos=False).points
     write_splats(tmp_path / "a.ply", splats(10))
     write_splats(tmp_path / "out" / "point_cloud.ply", splats(10))
@@ -132,7 +132,7 @@ def test_points_make_room_for_splats(
 def test_the_display_is_built_bit_by_bit(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the datablocks of the file: at most one more a beat, all before they are used."""
+    """Oracle: the datablocks of the file: at most one more per poll, all before they are used."""
     play({"say": STARTED}, {"await": "go"}, finish())
     job = start_training.train(studio, overwrite=True)
     count = lambda: len(bpy.data.node_groups) + len(bpy.data.materials)  # noqa: E731
@@ -151,8 +151,8 @@ def test_the_display_is_built_bit_by_bit(
 def test_the_result_stands_upright(
     studio: bpy.types.Scene, play: Play, tmp_path: Path, stated: bool
 ) -> None:
-    """Oracle: the up axis of a ring of level cameras in a world that was turned anyhow; of cameras
-    that lie on their sides, the one that the run states."""
+    """Oracle: the up axis of a ring of level cameras in an arbitrarily rotated world; for cameras
+    on their sides, the axis stated by the run."""
     world = Quaternion((0.3, -0.5, 0.7, 0.4)).normalized().to_matrix()
     entries = []
     for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
@@ -177,8 +177,8 @@ def test_the_result_stands_upright(
 def test_cameras_say_how_far_they_were_moved(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the poses.json of the run; cameras that it does not name say nothing, also those that
-    an earlier run had moved."""
+    """Oracle: the poses.json of the run; cameras that it does not name have no value, also those
+    that an earlier run had moved."""
     made = import_capture(bpy.context.scene, STUDIO, photos=False, points=False)
     first, second = made.cameras[:2]
     second["gs_turned_degrees"] = 7.0
@@ -257,7 +257,7 @@ def test_an_edited_object_is_left_alone(
 def test_an_edited_result_is_kept_when_the_run_goes_on(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: what is left of the edited object, a new one beside it, and a warning."""
+    """Oracle: the edited object, a new one next to it, and a warning."""
     write_splats(tmp_path / "out" / "point_cloud.ply", splats(300, 3))
     play({"say": STARTED}, finish())
     assert start_training.wait_for(start_training.train(studio, overwrite=True), timeout=20)
@@ -277,7 +277,7 @@ def test_an_edited_result_is_kept_when_the_run_goes_on(
 def test_undo_of_the_next_step_keeps_the_result(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: after the undo the user's own object is gone; the splats are those in the file."""
+    """Oracle: the undo removes the user's own object; the splats are those in the file."""
     snapshot, result = splats(30, 1), splats(20, 2)
     write_splats(tmp_path / "s.ply", snapshot)
     write_splats(tmp_path / "out" / "point_cloud.ply", result)
@@ -350,7 +350,7 @@ def test_a_job_outlives_the_file(studio: bpy.types.Scene, play: Play, tmp_path: 
 def test_a_training_is_followed_in_another_file(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the bar that the other file shows, and the splats that come into it once it does."""
+    """Oracle: the progress bar in the other file, and the splats imported into it after that."""
     write_splats(tmp_path / "r.ply", splats(30))
     play({"say": STARTED}, step(1), {"await": "go"}, finish(str(tmp_path / "r.ply")))
     job = start_training.train(studio)
@@ -393,7 +393,8 @@ def test_two_scenes_train_at_once(studio: bpy.types.Scene, play: Play, tmp_path:
 def test_splats_on_their_way_survive_what_blender_does(
     studio: bpy.types.Scene, play: Play, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the result is complete and no mesh is left over, though the file was loaded anew."""
+    """Oracle: the result is complete and no mesh is left over, although the file was loaded
+    again."""
     monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
     result = splats(5000)
     write_splats(tmp_path / "r.ply", result)
@@ -458,7 +459,7 @@ def _error(call: Callable[[], object]) -> str:
 
 
 def test_bad_input_is_a_sentence(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
-    """Oracle: what is wrong and what to do, and no job and no folder afterwards."""
+    """Oracle: an error with the remedy, and no job and no folder afterwards."""
     settings, train = studio.gscore, bpy.ops.gscore.train
     play({"exit": 0})
     settings.capture_path = str(tmp_path / "nowhere")
@@ -488,8 +489,8 @@ def test_bad_input_is_a_sentence(studio: bpy.types.Scene, play: Play, tmp_path: 
 def test_resume_needs_the_capture_of_the_run(
     studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
-    """Oracle: the sentence names the folder that is gone; a chosen one is passed on. The curve goes
-    on from what the checkpoint states."""
+    """Oracle: the error names the missing folder; a chosen one is passed on. The curve continues
+    from the checkpoint."""
     from addon.core import PRESETS
     from gscore.config_file import config_json
 
@@ -522,9 +523,9 @@ def test_resume_needs_the_capture_of_the_run(
 def test_leaving_blender_leaves_a_checkpoint(
     run_blender: Callable[..., str], tmp_path: Path, end: str
 ) -> None:
-    """Oracle: the checkpoint that the trainer writes after Blender is gone, in either way.
+    """Oracle: the checkpoint that the trainer writes after Blender has ended, in either way.
 
-    Blender disables its add-ons when it quits; when it crashes nobody does. (The interpreter itself
+    Blender disables its add-ons when it quits, but not when it crashes. (The interpreter itself
     must not end: bpy 4.2 as a module crashes then, for any property with an update function.)
     """
     python = fake_python(tmp_path / "p", [{"say": STARTED}, {"follow": 60}])
@@ -551,9 +552,9 @@ def test_leaving_blender_leaves_a_checkpoint(
 
 @needs_trainer
 def test_the_real_trainer_from_start_to_resume(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: files of the trainer, read by gscore itself; no beat of ours over 50 ms.
+    """Oracle: files of the trainer, read by gscore itself; no poll takes more than 50 ms.
 
-    A beat is timed on the main thread's own clock, so that other programs do not count.
+    Polls are timed by the main thread's CPU time, so that other programs do not count.
     """
     from addon.core import read_splats
 
@@ -601,7 +602,7 @@ def test_the_real_trainer_from_start_to_resume(studio: bpy.types.Scene, tmp_path
 
 @needs_trainer
 def test_the_real_trainer_is_killed(studio: bpy.types.Scene, tmp_path: Path) -> None:
-    """Oracle: a sentence; the earlier checkpoint goes on afterwards."""
+    """Oracle: an error; training can be resumed from the earlier checkpoint."""
     preferences.get().python_path = REAL
     studio.gscore.iterations = 100_000
     studio.gscore.max_splats = 10_000
