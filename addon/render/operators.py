@@ -144,7 +144,7 @@ class SetUpCompositing(OnScene, bpy.types.Operator):
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     transparent: bpy.props.BoolProperty(
-        name="Transparent Meshes' Film",
+        name="Transparent Film",
         description="Render meshes with a transparent film, to blend their edges with splats",
         default=True,
     )
