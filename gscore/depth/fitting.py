@@ -12,7 +12,7 @@ from .align import align_robust, reliable
 from .consensus import agreed, with_errors
 from .fit import NO_FIT, Fit, fit_of, median_scale
 from .maps import DepthKind, stem
-from .params import Params, params_path, read_params, refusal
+from .params import Params, key_of, params_path, read_params, refusal
 from .samples import Samples
 
 _LEAST_SHARE = 0.3
@@ -178,7 +178,7 @@ def _stated(
         if part.trouble:
             fits.append(NO_FIT.refused(part.trouble))
             continue
-        entry = params.get(stem(name))
+        entry = params.get(key_of(name))
         reason = refusal(path, stem(name), entry, median)
         if entry is None:
             fit = Fit(scale=0.0, offset=0.0, points=len(part.values))

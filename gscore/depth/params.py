@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..datasets.folder import same_name
 from ..errors import DatasetError, FormatError
 from ..io.colmap.folder import find_model
 from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
 from ..quoting import brief, quoted
 from .fit import Fit, scale_reason
-from .maps import DepthKind
+from .maps import DepthKind, stem
 
 FILE = "depth_params.json"
 DEPTH_FOLDER = "depths"
@@ -71,7 +72,7 @@ def read_params(path: Path) -> dict[str, Params]:
     """Read the file.
 
     Returns:
-        Entries by name of the view without ending.
+        Entries by the keys of `key_of`.
 
     Raises:
         DatasetError: the file does not exist, or has another layout.
@@ -87,7 +88,14 @@ def read_params(path: Path) -> dict[str, Params]:
     except ValueError as error:
         raise FormatError(f"{path} is not JSON ({error}). {_REMAKE}") from error
     _check_layout(path, content)
-    return {name: _entry(f"{path}: {brief(name)}", entry) for name, entry in content.items()}
+    return {
+        same_name(name): _entry(f"{path}: {brief(name)}", entry) for name, entry in content.items()
+    }
+
+
+def key_of(view: str) -> str:
+    """Key of a view in the result of `read_params`: its name without ending, in Unicode's NFC."""
+    return same_name(stem(view))
 
 
 def refusal(path: Path, key: str, entry: Params | None, median: float) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import DatasetError, GsError
 from .fit import median_scale
 from .maps import MapFolder, stem
-from .params import DEPTH_FOLDER, params_path, read_params, refusal
+from .params import DEPTH_FOLDER, key_of, params_path, read_params, refusal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ def stated_depth(source: Path, views: Sequence[str], *, folder: str = DEPTH_FOLD
     median = median_scale([entry.scale for entry in params.values()])
     rows = []
     for view, file in found.items():
-        entry = params.get(stem(view))
+        entry = params.get(key_of(view))
         row: dict[str, Any] = {"view": view, "map": file.name if file else None}
         row |= dict.fromkeys(("points", "scale", "offset", "inliers", "error"))
         if file is None:
@@ -65,5 +65,5 @@ def stated_depth(source: Path, views: Sequence[str], *, folder: str = DEPTH_FOLD
             row |= {"points": entry.points, "scale": entry.scale, "offset": entry.offset}
             row |= {"inliers": entry.inliers, "error": entry.error}
         rows.append(row | {"accepted": verdict[0], "reason": verdict[1]})
-    known = sum(1 for view in views if stem(view) in params)
+    known = sum(1 for view in views if key_of(view) in params)
     return StatedDepth(params=path, entries=known, problem=problem, table=rows)

@@ -1,6 +1,7 @@
 """What depth_params.json alone says of a capture's maps, against the alignment that reads it."""
 
 import json
+import unicodedata
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
+from gscore.depth.params import key_of, read_params
 from gscore.frontend import stated_depth
 
 
@@ -36,6 +38,18 @@ def test_it_agrees_with_the_alignment(planes, gscore):
             assert row[key] == theirs[key], key
     for key in ("scale", "offset", "inliers", "points"):
         assert stated.table[0][key] == pytest.approx(rows[0][key], rel=1e-3), key
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_names_are_compared_in_one_form_of_unicode(form, tmp_path):
+    """Oracle: the entry of a view whose accented letter is written in the other form."""
+    other = {"NFC": "NFD", "NFD": "NFC"}[form]
+    key = unicodedata.normalize(form, "k\u00fcche/1")
+    file = tmp_path / "depth_params.json"
+    file.write_text(json.dumps({key: {"scale": 2.0, "offset": 0.5}}))
+    view = unicodedata.normalize(other, "k\u00fcche/1.jpg")
+    assert read_params(file)[key_of(view)].scale == 2.0
+    assert key_of(view) == key_of(unicodedata.normalize(form, view))
 
 
 def test_nothing_known_yet(planes):
