@@ -128,6 +128,22 @@ def test_metashape(kind: str, where: str, rig: Rig, tmp_path: Path) -> None:
     assert "1 camera of" in capture.warnings[0] and "1 not aligned" in capture.warnings[0]
 
 
+@pytest.mark.parametrize("by_sensor", [True, False])
+def test_slave_cameras_of_metashape_are_named(by_sensor: bool, rig: Rig, tmp_path: Path) -> None:
+    """Oracle: a camera without a pose that names a master, itself or by its sensor."""
+    path = files.write_metashape(_photos(tmp_path, rig), rig)
+    slave = '<camera id="97" sensor_id="1" label="slave"></camera>'
+    sensor = '<sensor id="1" label="second" type="frame" master_id="0"></sensor>'
+    if not by_sensor:
+        slave, sensor = slave.replace("label", 'master_id="0" label'), ""
+    text = path.read_text().replace("</sensors>", f"{sensor}</sensors>")
+    path.write_text(text.replace('<camera id="98"', f'{slave}<camera id="98"'))
+    capture = _read(tmp_path)
+    assert len(capture.views) == len(rig.names)
+    assert "1 not aligned, 0 not enabled, 1 slaves of a" in capture.warnings[0]
+    assert "export the cameras in COLMAP's format" in capture.warnings[1]
+
+
 def test_geocentric_cameras_of_metashape(rig: Rig, tmp_path: Path) -> None:
     """Oracle: a chunk on the Earth's surface; up points away from the middle of the Earth."""
     shift = np.array([4_027_893.0, 307_045.0, 4_919_475.0])

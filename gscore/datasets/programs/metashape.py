@@ -61,11 +61,20 @@ def read_metashape(path: Path) -> PosedPhotos:
     aligned = [camera for camera in every if _is_aligned(camera)]
     used = [camera for camera in aligned if camera.get("enabled") not in ("false", "0")]
     if len(used) < len(every):
-        without = len(every) - len(aligned)
+        slaves = _slaves(chunk, every)
+        without = len(every) - len(aligned) - slaves
         warnings.append(
             f"{count_words(len(every) - len(used), 'camera')} of {path} left out: "
-            f"{without} not aligned, {len(aligned) - len(used)} not enabled."
+            f"{without} not aligned, {len(aligned) - len(used)} not enabled"
+            + (f", {slaves} slaves of a multi-camera rig" if slaves else "")
+            + "."
         )
+        if slaves:
+            warnings.append(
+                f"{path} states no pose of {count_words(slaves, 'slave camera')}, which stand at a "
+                "fixed place beside their masters. To use them, export the cameras in COLMAP's "
+                "format too, and give the folder with that model and the photos."
+            )
     components = Counter(camera.get("component_id", "") for camera in used)
     if not components:
         raise FormatError(f"{path}: no aligned camera is enabled. Enable some, and export again.")
@@ -94,6 +103,16 @@ def _cameras(chunk: Element) -> Iterator[Element]:
 
 def _is_aligned(camera: Element) -> bool:
     return bool((camera.findtext("transform") or "").strip())
+
+
+def _slaves(chunk: Element, cameras: list[Element]) -> int:
+    """Number of cameras without a pose that belong to a master camera or a slave sensor."""
+    sensors = {s.get("id") for s in chunk.findall("sensors/sensor") if s.get("master_id")}
+    return sum(
+        not _is_aligned(camera)
+        and (camera.get("master_id") is not None or camera.get("sensor_id") in sensors)
+        for camera in cameras
+    )
 
 
 def _place(path: Path, chunk: Element, component: str) -> Place:
