@@ -49,7 +49,10 @@ def write_parts(
         for name, content in parts.items():
             atomic_write(index.with_name(names[name]), content)
             written.append(index.with_name(names[name]))
-        checks = {name: _crc32(path) for name, path in zip(parts, written, strict=True)}
+        checks = {
+            name: zlib.crc32(content) if isinstance(content, bytes) else _crc32(path)
+            for (name, content), path in zip(parts.items(), written, strict=True)
+        }
         atomic_write(index, text_of(names, checks))
     except Exception:  # not an interrupt, which may come after the index was renamed
         _remove(written)
