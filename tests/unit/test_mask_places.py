@@ -53,7 +53,7 @@ def _as_transforms(capture: object, root: Path, photos: str) -> None:
 @pytest.mark.parametrize("photos", ["images", "data/images_2", "./images"])
 @pytest.mark.parametrize(("folder", "asked"), [("masks", ""), ("masks", "masks"), ("mask", "")])
 @pytest.mark.parametrize("naming", ["{}.png", "{}"])
-def test_masks_by_photos_photos(
+def test_masks_in_a_folder_near_the_photos(
     photos: str, folder: str, asked: str, naming: str, make_capture: Callable, tmp_path: Path
 ) -> None:
     """Oracle: found with and without the folder of the photos in their names."""
