@@ -1,11 +1,12 @@
-"""A short multi-view video of the studio figure turning, to try `gscore sequence` on.
+"""Make a short multi-view video of the twisting studio figure, as input for `gscore sequence`.
 
     gscore train examples/studio -o out/base -r 240 --mask-mode none
     python examples/make_sequence.py out/base/point_cloud.ply -o out/turning --frames 6
 
-The splats of the figure are turned around the vertical axis, the higher the farther, and rendered
-by the cameras of the capture. The folders are those of PKU-DyMVHumans (`data_COLMAP/<frame>`), and
-as there every frame has its own COLMAP world and focal length, whose errors are simulated.
+The splats of the figure are rotated around the vertical axis, by larger angles at larger heights,
+and rendered from the cameras of the capture. The folder layout is that of PKU-DyMVHumans
+(`data_COLMAP/<frame>`): every frame has its own COLMAP world frame and focal length. Errors of the
+camera poses and focal lengths are simulated.
 """
 
 import argparse
@@ -28,11 +29,12 @@ from gscore.io.images.read_image import write_png
 
 STUDIO = Path(__file__).parent / "studio"
 FIGURE_RADIUS = 0.75
-"""Metres around the vertical axis of the studio that belong to the figure."""
+"""Radius in metres around the vertical axis of the studio within which splats belong to the
+figure."""
 TURNED_FROM, TURNED_TO = 0.35, 1.3
-"""Heights in metres between which the turning sets in."""
+"""Heights in metres between which the rotation increases from 0 to its maximum."""
 DEGREES_A_FRAME = 3.0
-"""At and above the upper height; 25 mm a frame at the hand."""
+"""Rotation per frame at and above the upper height; it moves the hand by 25 mm per frame."""
 POSE_NOISE = 2e-4
 """Standard deviation of camera positions, metres."""
 FOCAL_NOISE = 2e-4
@@ -43,10 +45,10 @@ def main() -> int:
     """Write the frames."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("splats", type=Path, help="PLY of splats trained on the studio capture")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the scenario")
-    parser.add_argument("--frames", type=int, default=6, help="how many")
-    parser.add_argument("--width", type=int, default=240, help="of the photos, pixels")
-    parser.add_argument("--views", type=int, default=60, help="use the first so many cameras")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write")
+    parser.add_argument("--frames", type=int, default=6, help="number of frames")
+    parser.add_argument("--width", type=int, default=240, help="width of the photos in pixels")
+    parser.add_argument("--views", type=int, default=60, help="number of cameras to use")
     args = parser.parse_args()
     splats, model = gscore.read_splats(args.splats), read_colmap(STUDIO)
     model = replace(model, images=model.images[: args.views])
@@ -60,7 +62,7 @@ def main() -> int:
 
 
 def weights(points: np.ndarray) -> np.ndarray:
-    """[N] share of the turning that points [N, 3] take part in."""
+    """[N] share of the full rotation that applies to points [N, 3]."""
     height = (points[:, 2] - TURNED_FROM) / (TURNED_TO - TURNED_FROM)
     share = np.clip(height, 0, 1)
     inside = np.hypot(points[:, 0], points[:, 1]) < FIGURE_RADIUS
@@ -68,7 +70,7 @@ def weights(points: np.ndarray) -> np.ndarray:
 
 
 def turn_points(points: np.ndarray, angle: float) -> np.ndarray:
-    """Points [N, 3] float64 after turning by `angle` radians."""
+    """Points [N, 3] float64, rotated by `angle` radians times their weights."""
     part = angle * weights(points)
     c, s = np.cos(part), np.sin(part)
     x, y, z = points.T
@@ -76,7 +78,7 @@ def turn_points(points: np.ndarray, angle: float) -> np.ndarray:
 
 
 def turn(splats: gscore.Splats, angle: float) -> gscore.Splats:
-    """Splats after turning; view-dependent colour stays with the room, as light does."""
+    """Rotated splats; the view-dependent colour is not rotated, because the light stays fixed."""
     means = splats.means.astype(np.float64)
     half = 0.5 * angle * weights(means)
     w, x, y, z = splats.quats.astype(np.float64).T
@@ -92,7 +94,7 @@ def turn(splats: gscore.Splats, angle: float) -> gscore.Splats:
 def write_photos(
     folder: Path, splats: gscore.Splats, model: ColmapModel, width: int, frame: int
 ) -> None:
-    """The photos, rendered by the capture's cameras."""
+    """Render the photos of a frame from the cameras of the capture."""
     for number, image in enumerate(model.images):
         camera = model.cameras[image.camera_id]
         K = np.diag([width / camera.width, width / camera.width, 1]) @ camera.K
@@ -103,12 +105,12 @@ def write_photos(
 
 
 def photo_name(number: int, frame: int) -> str:
-    """As the data set names them."""
+    """File name of a photo, as in PKU-DyMVHumans."""
     return f"image_c_{number:03d}_f_{frame:06d}.png"
 
 
 def recovered(model: ColmapModel, angle: float, width: int, frame: int) -> ColmapModel:
-    """What structure from motion would find: another world and slightly wrong cameras."""
+    """Simulated structure from motion: another world frame, and cameras with small errors."""
     rng = np.random.default_rng(frame)
     rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     rotation *= np.linalg.det(rotation)
@@ -132,14 +134,14 @@ def recovered(model: ColmapModel, angle: float, width: int, frame: int) -> Colma
         )
     points = turn_points(model.points.xyz, angle)
     return ColmapModel(
-        cameras={key: seen(camera, width, focal) for key, camera in model.cameras.items()},
+        cameras={key: scaled(camera, width, focal) for key, camera in model.cameras.items()},
         images=images,
         points=replace(model.points, xyz=scale * points @ rotation.T + shift),
     )
 
 
-def seen(camera: ColmapCamera, width: int, focal: float) -> ColmapCamera:
-    """A PINHOLE camera at another size, its focal length off by a factor."""
+def scaled(camera: ColmapCamera, width: int, focal: float) -> ColmapCamera:
+    """A PINHOLE camera at another image width, with its focal length times `focal`."""
     ratio = width / camera.width
     height = round(camera.height * ratio)
     params = camera.params * ratio * np.array([focal, focal, 1, 1])

@@ -21,17 +21,17 @@ log = logging.getLogger("make_studio")
 def main():
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the capture")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder to write")
     parser.add_argument(
-        "--size", type=int, nargs=2, default=(480, 640), metavar=("W", "H"), help="pixels"
+        "--size", type=int, nargs=2, default=(480, 640), metavar=("W", "H"), help="size in pixels"
     )
-    parser.add_argument("--views", type=int, default=60, help="cameras, on three rings")
+    parser.add_argument("--views", type=int, default=60, help="number of cameras, on three rings")
     parser.add_argument(
-        "--samples", type=int, default=28, help="most rays a pixel, before denoising"
+        "--samples", type=int, default=28, help="maximum samples per pixel, before denoising"
     )
-    parser.add_argument("--threads", type=int, default=0, help="threads of Cycles; 0: all")
+    parser.add_argument("--threads", type=int, default=0, help="threads of Cycles; 0: one per core")
     parser.add_argument(
-        "--preview", action="store_true", help="coarse cloth, one quick picture, no COLMAP"
+        "--preview", action="store_true", help="coarse cloth, one picture of few samples, no COLMAP"
     )
     args = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
@@ -44,7 +44,7 @@ def main():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     log.info("Stage")
     stage.build(np.random.default_rng(1))
-    log.info("Figure: the cloth falls for a few minutes")
+    log.info("Figure; the cloth simulation takes a few minutes")
     figure.build(np.random.default_rng(2), coarse=args.preview)
     camera = cameras.add_camera()
     render.configure(

@@ -1,11 +1,11 @@
-"""From photos with COLMAP cameras to splats in a .blend file and a picture of them, with no window.
+"""Make a .blend file of splats and a render of them from photos with COLMAP cameras, headless.
 
     blender -b -P examples/photos_to_blend.py -- photos/ -o scene.blend     (the add-on installed)
     python examples/photos_to_blend.py photos/ -o scene.blend               (Python with bpy)
 
-Splats are trained into the folder `--run`, or taken from the PLY that `--splats` names. The picture
-lands beside the .blend, as scene.png here. Everything here is an operator of the add-on; the
-panel's buttons call the same ones.
+The splats are trained into the folder `--run`, or read from the PLY of `--splats`. The render is
+written next to the .blend (here scene.png). The script calls operators of the add-on, the same as
+the buttons of its panels.
 """
 
 import argparse
@@ -19,8 +19,8 @@ try:
     import bpy
 except ModuleNotFoundError:
     sys.exit(
-        f"{sys.executable} has no bpy. Run this with .venv-blender/VERSION/bin/python, which "
-        "`make demo` makes, or in Blender: blender -b -P examples/photos_to_blend.py -- ..."
+        f"{sys.executable} has no bpy. Run this script with .venv-blender/VERSION/bin/python, "
+        "which `make demo` makes, or in Blender: blender -b -P examples/photos_to_blend.py -- ..."
     )
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,8 +28,8 @@ EXTENSION = "gscore_splats"
 
 
 def enable_addon() -> str:
-    """Enable the installed extension or, without one, this checkout's add-on; the name it has."""
-    import addon_utils  # there once bpy is
+    """Enable the installed extension or, without one, this checkout's add-on; return its name."""
+    import addon_utils  # available after the import of bpy
 
     extensions = Path(bpy.utils.user_resource("EXTENSIONS"))
     name = f"bl_ext.user_default.{EXTENSION}"
@@ -37,25 +37,27 @@ def enable_addon() -> str:
         sys.path.insert(0, str(ROOT))
         name = "addon"
     if addon_utils.enable(name, default_set=True) is None:
-        sys.exit("The add-on cannot be enabled; the lines above say why.")
+        sys.exit("The add-on could not be enabled; see the messages above.")
     return name
 
 
 def parse() -> argparse.Namespace:
-    """Arguments after `--` in a Blender program, all of them in the bpy module."""
+    """Arguments after `--` in the Blender program, all arguments with the bpy module."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("capture", type=Path, help="folder with photos and a COLMAP model")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="the .blend to write")
-    parser.add_argument("--render", type=Path, help="picture to render; default: OUTPUT.png")
-    parser.add_argument("--camera", default="", help="name of a photo; default: the first")
-    parser.add_argument("--splats", type=Path, help="a PLY; default: train")
+    parser.add_argument("-o", "--output", type=Path, required=True, help=".blend file to write")
+    parser.add_argument("--render", type=Path, help="PNG to render to; default: OUTPUT.png")
+    parser.add_argument("--camera", default="", help="name of the photo to render; default: first")
+    parser.add_argument("--splats", type=Path, help="PLY of splats; default: train them")
     parser.add_argument("--run", type=Path, help="folder of the training; default: OUTPUT_run")
     parser.add_argument(
         "--overwrite", action="store_true", help="replace the .blend, the picture and the run"
     )
-    parser.add_argument("--preset", default="preview", help="of the training")
+    parser.add_argument("--preset", default="preview", help="preset of the training")
     parser.add_argument(
-        "--python", type=Path, help="with gscore[train]; default: this checkout's, or the add-on's"
+        "--python",
+        type=Path,
+        help="Python with gscore[train]; default: that of this checkout, else that of the add-on",
     )
     arguments = sys.argv[1:]
     if bpy.app.binary_path:
@@ -63,7 +65,7 @@ def parse() -> argparse.Namespace:
     options = parser.parse_args(arguments)
     options.output = options.output.absolute()
     options.render = (options.render or options.output.with_suffix(".png")).absolute()
-    beside = ROOT / ".venv"  # the add-on takes the folder of an environment too
+    beside = ROOT / ".venv"  # the add-on accepts the folder of an environment, too
     options.python = options.python or (beside if beside.is_dir() else None)
     options.run = (options.run or options.output.with_name(options.output.stem + "_run")).absolute()
     check(options, parser.error)
@@ -71,12 +73,12 @@ def parse() -> argparse.Namespace:
 
 
 def check(options: argparse.Namespace, refuse: Callable[[str], None]) -> None:
-    """Refuse what cannot be made, and what would replace files, before any work."""
+    """Report invalid paths and existing output files before any work."""
     for path, ending in ((options.output, ".blend"), (options.render, ".png")):
         if path.suffix.lower() != ending:
-            refuse(f"{path} does not end in {ending}; give a name that does.")
+            refuse(f"{path} does not end in {ending}; give a name with this ending.")
     if not options.capture.is_dir():
-        what = "is a file" if options.capture.exists() else "is not there"
+        what = "is a file" if options.capture.exists() else "does not exist"
         refuse(f"{options.capture} {what}; give a folder with photos and a COLMAP model.")
     written = [options.output, options.render]
     if options.splats is None:
@@ -90,7 +92,7 @@ def check(options: argparse.Namespace, refuse: Callable[[str], None]) -> None:
 
 
 def train(options: argparse.Namespace, addon: str) -> None:
-    """Train in another process and wait; the splats then stand in the scene."""
+    """Train in another process, wait for its end, and load the splats into the scene."""
     settings = bpy.context.scene.gscore
     settings.capture_path = str(options.capture.absolute())
     settings.output_path = str(options.run)
@@ -102,28 +104,31 @@ def train(options: argparse.Namespace, addon: str) -> None:
 
 
 def take_masks_as(run: Path) -> None:
-    """Let masks count in comparisons as they did in the training that left splats in a folder."""
+    """Set the masks of comparisons to those of the training that wrote the splats in a folder."""
     try:
         data = json.loads((run / "config.json").read_text(encoding="utf-8"))["data"]
         mode, inverted = data["mask_mode"], data["invert_masks"]
     except (OSError, ValueError, KeyError):
-        return  # splats from elsewhere
+        return  # splats of another program
     settings = bpy.context.scene.gscore
     settings.use_masks, settings.invert_masks = mode != "none", inverted
     if mode != "none":
         settings.mask_mode = mode
 
 
-def tell_of_report(run: Path) -> None:
-    """Say why the PSNR of a comparison is not the one in a run's report, if there is one."""
+def print_report_psnr(run: Path) -> None:
+    """Print how the PSNR of a comparison differs from that of the run's report, if any."""
     try:
         metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
         views, mean = metrics["views"], metrics.get("psnr_masked", metrics["psnr"])
         size = f"{views[0]['width']} x {views[0]['height']} px"
         report = f"{mean:.2f} dB: the mean of {len(views)} views at {size}"
     except (OSError, ValueError, LookupError, TypeError):
-        return  # splats from elsewhere, or of a run that was stopped
-    print(f"That is of one photo at its own size. The run's report has {report}, as it trained.")
+        return  # splats of another program, or of a stopped run
+    print(
+        "This PSNR is of one photo at its full resolution. The report of the run has "
+        f"{report}, the resolution of the training."
+    )
 
 
 def save(path: Path) -> None:
@@ -141,7 +146,7 @@ def make(options: argparse.Namespace, addon: str) -> None:
         take_masks_as(options.splats.absolute().parent)
     else:
         train(options, addon)
-    save(options.output)  # before anything else may fail: a training is not lost
+    save(options.output)  # first, so that the training is not lost if a later step fails
     index = -1 if options.camera else 0
     bpy.ops.gscore.use_camera(camera=options.camera, index=index, look_through=False)
     bpy.ops.gscore.use_engine()
@@ -150,12 +155,12 @@ def make(options: argparse.Namespace, addon: str) -> None:
     save(options.output)
     print(f"Wrote {options.output} and {options.render}")
     bpy.ops.gscore.compare_photo()
-    tell_of_report(options.splats.absolute().parent if options.splats else options.run)
+    print_report_psnr(options.splats.absolute().parent if options.splats else options.run)
     save(options.output)  # with the comparison
 
 
 def main() -> int:
-    """Make the file in an empty scene; the exit code."""
+    """Make the file in an empty scene; return the exit code."""
     import addon_utils
 
     options = parse()
@@ -163,7 +168,7 @@ def main() -> int:
     addon = enable_addon()
     try:
         make(options, addon)
-    except RuntimeError:  # an operator that failed; Blender has printed its sentence
+    except RuntimeError:  # of a failed operator, whose message Blender has printed
         return 1
     finally:
         addon_utils.disable(addon)  # bpy 4.5 hangs at exit with an add-on enabled
@@ -174,6 +179,6 @@ if __name__ == "__main__":
     code = main()
     if bpy.app.version < (4, 5) and not bpy.app.binary_path:
         sys.stdout.flush()
-        os._exit(code)  # else bpy 4.2 frees its panels when there is no Python, and crashes
+        os._exit(code)  # else bpy 4.2 frees its panels after the end of Python, and crashes
     if code:
         sys.exit(code)

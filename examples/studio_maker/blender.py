@@ -1,4 +1,4 @@
-"""Thin helpers over bpy: meshes, strands, materials; the same calls in Blender 4.5 and 5."""
+"""Meshes, strands and materials in bpy, for Blender 4.5 and 5."""
 
 import bpy
 import numpy as np
@@ -8,7 +8,7 @@ MASK = "figure"
 
 
 def add_mesh(name, vertices, faces, material=None, *, uv=None, tint=None, smooth=True):
-    """New object in the scene.
+    """Add an object to the scene.
 
     Args:
         vertices: [V, 3]; faces: [F, 3 or 4].
@@ -43,7 +43,7 @@ def add_mesh(name, vertices, faces, material=None, *, uv=None, tint=None, smooth
 
 
 def add_strands(name, points, radius, material):
-    """Hair: points [S, P, 3] and radius [S, P], metres."""
+    """Hair of strands with points [S, P, 3] and radii [S, P] in metres."""
     s, p = radius.shape
     data = bpy.data.hair_curves.new(name)
     data.add_curves([p] * s)
@@ -59,7 +59,7 @@ def add_strands(name, points, radius, material):
 
 
 def evaluated_vertices(item):
-    """[V, 3] float64 positions of an object after its modifiers, in the world."""
+    """[V, 3] float64 world positions of an object's vertices after its modifiers."""
     shape = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     data = shape.data
     flat = np.empty(len(data.vertices) * 3, np.float32)
@@ -79,7 +79,7 @@ def add_image(name, pixels):
 
 
 def material(name, *, color=(0.8, 0.8, 0.8), image=None, tint=False, in_mask=True, **inputs):
-    """Principled material; its colour is flat, an image over `uv`, or the attribute `tint`.
+    """Principled material; its colour is constant, an image over `uv`, or the attribute `tint`.
 
     Further keyword arguments set inputs of the shader: sheen_weight=0.5 sets "Sheen Weight".
     """

@@ -68,7 +68,7 @@ def arm(p, joints):
 
 
 def body(p):
-    """Everything that clothes rest on: trunk, arms, legs; no head, hands or feet."""
+    """Collider of the clothes: trunk, arms and legs, without head, hands and feet."""
     d = trunk(p)
     for joints in (LEFT_ARM, RIGHT_ARM):
         d = union(0.04, d, arm(p, joints))
@@ -120,7 +120,7 @@ def hand(p, joints):
 
 
 def to_head(p):
-    """World points in the frame of the head, which is turned a little to the figure's left."""
+    """World points in the frame of the head, which is turned slightly to the figure's left."""
     c, s = np.cos(HEAD_TURN), np.sin(HEAD_TURN)
     return (p - HEAD.astype(p.dtype)) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], p.dtype)
 
@@ -132,7 +132,7 @@ def from_head(p):
 
 
 def skull(q):
-    """Head without features, in its own frame; the hair grows and slides on it."""
+    """Head without face, in its own frame; the surface under the hair."""
     return union(
         0.03,
         ellipsoid(q, (0, 0.016, 0.032), (0.074, 0.094, 0.083)),

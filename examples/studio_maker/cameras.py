@@ -5,13 +5,13 @@ import numpy as np
 from mathutils import Matrix
 
 RINGS = ((0.55, 2.75, 0.86), (1.25, 2.65, 0.90), (2.05, 2.60, 0.84))
-"""Height of the camera, its distance from the axis, height of what it looks at; metres."""
+"""Per ring: height of the camera, its distance from the axis, height of its target; metres."""
 FIELD = 1.98
-"""Metres of height that a picture covers at the figure's axis, seen from `RINGS[1]`."""
+"""Height in metres that a picture of `RINGS[1]` covers at the axis of the figure."""
 
 
 def intrinsics(width, height):
-    """[3, 3] float64 of every camera, pixels; principal point in the middle."""
+    """[3, 3] float64 intrinsic matrix of all cameras in pixels, with a central principal point."""
     focal = RINGS[1][1] / FIELD * height
     return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
 
@@ -31,7 +31,7 @@ def around(views, rng):
 
 
 def look_at(eye, target, roll=0.0):
-    """[4, 4] world to camera of a camera at `eye` that sees `target` in its middle."""
+    """[4, 4] world to camera of a camera at `eye` with `target` at the centre of its picture."""
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, (0, 0, 1.0))
     x /= np.linalg.norm(x)
@@ -42,7 +42,7 @@ def look_at(eye, target, roll=0.0):
 
 
 def add_camera():
-    """The scene's one camera, to be placed by `place`."""
+    """Add the only camera of the scene, for `place`."""
     data = bpy.data.cameras.new("camera")
     item = bpy.data.objects.new("camera", data)
     item.rotation_mode = "QUATERNION"
@@ -52,12 +52,12 @@ def add_camera():
 
 
 def place(camera, K, viewmat, width):
-    """Set a Blender camera from K and a world-to-camera matrix, principal point in the middle."""
+    """Set a Blender camera from K with a central principal point and a world-to-camera matrix."""
     camera.data.sensor_fit = "HORIZONTAL"
     camera.data.lens = K[0, 0] * camera.data.sensor_width / width
     rotation = viewmat[:3, :3]
     camera.location = -rotation.T @ viewmat[:3, 3]
-    # Blender looks along -z with y up. A quaternion keeps the precision that Euler angles lose.
+    # Blender cameras look along -z with y up. A quaternion is more precise than Euler angles.
     camera.rotation_quaternion = Matrix(
         (np.diag([1.0, -1, -1]) @ rotation).T.tolist()
     ).to_quaternion()

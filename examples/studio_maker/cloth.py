@@ -1,4 +1,4 @@
-"""Blender's cloth solver as one function: a mesh clear of its colliders in, its drape out."""
+"""Blender's cloth solver as one function: it drapes a mesh over colliders."""
 
 import bpy
 import numpy as np
@@ -7,21 +7,21 @@ from .blender import add_mesh, evaluated_vertices
 
 
 def drape(vertices, faces, pinned, colliders, *, frames, mass, bending, growth=0.0, tension=15.0):
-    """Let cloth fall.
+    """Simulate falling cloth.
 
     Args:
-        vertices: [V, 3] start, which is also the rest shape.
+        vertices: [V, 3] start positions, also the rest shape; outside all colliders.
         faces: [F, 4].
-        pinned: [V] weights in [0, 1]; 1 stays in place.
-        colliders: objects the cloth may not enter.
-        frames: steps of 1/24 s.
+        pinned: [V] weights in [0, 1]; 1 is fixed.
+        colliders: objects that the cloth collides with.
+        frames: number of steps of 1/24 s.
         mass: kilograms of one vertex.
         bending: stiffness; silk 0.05, wool 0.5, leather 15.
-        growth: how much longer the threads become; what does not fit any more falls into folds.
+        growth: relative increase in length of the threads, which produces folds.
         tension: stiffness along the threads.
 
     Returns:
-        [V, 3] float64.
+        [V, 3] float64 positions of the draped mesh.
     """
     scene = bpy.context.scene
     item = add_mesh("cloth", vertices, faces)

@@ -11,7 +11,7 @@ HAIR = np.array([0.075, 0.030, 0.014])
 
 
 def build(rng, coarse=False):
-    """Put the figure into the scene; `coarse`: cloth with fewer threads, for a quick look."""
+    """Add the figure to the scene; `coarse`: cloth with fewer vertices, for a preview."""
     skin = material("skin", tint=True, roughness=0.5)
     add_head(skin, rng)
     boots = material(
@@ -128,7 +128,7 @@ def add_clothes(skin_body, rng, coarse):
 
 
 def refine(item):
-    """Smooth a draped mesh once more when it is rendered."""
+    """Subdivide a draped mesh once when it is rendered."""
     modifier = item.modifiers.new("Subdivision", "SUBSURF")
     modifier.levels = modifier.render_levels = 1
 

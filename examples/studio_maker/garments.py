@@ -37,7 +37,7 @@ def blouse_openings(p):
 
 
 def trim(vertices, faces, openings):
-    """Cut a mesh open where `openings` is positive; the rim is moved onto the cut."""
+    """Remove the mesh where `openings` is positive; rim vertices are moved to the boundary."""
     d = openings(vertices)
     faces = faces[np.all(np.any(d[:, faces] < 0, axis=2), axis=0)]
     used, index = np.unique(faces, return_inverse=True)
@@ -80,7 +80,7 @@ def blouse_uv(vertices, faces):
         turn = middle + (angle(corner[mine]) - middle + np.pi) % (2 * np.pi) - np.pi
         down = (corner[mine] - start) @ axis
         away = np.linalg.norm(corner[mine] - start - down[..., None] * axis, axis=-1)
-        # Near the neck cloth lies flat: there the way down the trunk is the way out from its axis.
+        # Near the neck the cloth is horizontal, so v also increases with the distance to the axis.
         uv[mine] = np.stack([turn * radius + 0.61 * i, down + (0.7 * away if i == 0 else 0)], -1)
     return uv
 
@@ -99,7 +99,7 @@ def blouse(body, obstacles, step=0.0085):
 
 
 def ring(z, offset, n):
-    """[n, 3] points around the trunk at height z, `offset` metres off the skin, from the back."""
+    """[n, 3] points around the trunk at height z, `offset` metres outside the skin, back first."""
     rows = np.array(TRUNK[::-1])
     a, b, y = (smooth_interp(np.array([z]), rows[:, 0], rows[:, i])[0] for i in (1, 2, 3))
     t = np.linspace(0, 2 * np.pi, n, endpoint=False) + np.pi / 2

@@ -1,4 +1,4 @@
-"""Wavy bob: strands that grow from the scalp, slide over the skull and hang."""
+"""Wavy bob: strands that start on the scalp, follow the skull and hang down."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ HAIRLINE = np.array(
         (0.10, -0.060),
     ]
 )
-"""Lowest scalp with hair, in the head's frame: y, z."""
+"""Lower limit of the hair on the scalp in the head's frame: y, z."""
 
 
 def above_hairline(q):
@@ -58,7 +58,7 @@ def grow(rng, strands=9000, locks=260, steps=64, points=24, stride=0.0048):
         )
         depth = np.minimum(layer * min(1, (k + 1) / 6), layer) - skull(p)
         p = p + np.clip(depth, 0, 0.01)[:, None] * gradient(skull, p)
-        # Keep the face free: in front of the ears hair stays beside the cheeks.
+        # Keep the face free: in front of the ears, hair stays beside the cheeks.
         least = (
             0.064
             * np.clip((0.075 - p[:, 2]) / 0.05, 0, 1)
@@ -69,7 +69,7 @@ def grow(rng, strands=9000, locks=260, steps=64, points=24, stride=0.0048):
         )
         path.append(p.copy())
     path = np.stack(path, 1)
-    # Each strand ends at its own length: resample what it walked, then draw it to its lock.
+    # Each strand ends at its own length: resample its path, then pull it to the mean of its lock.
     end = np.argmax(path[:, :, 2] <= length[:, None], axis=1)
     end = np.where(end == 0, steps, end)
     at = np.linspace(0, 1, points)[None] * end[:, None]

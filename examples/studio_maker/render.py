@@ -1,4 +1,4 @@
-"""Cycles: one render gives colour, soft mask and the exact depth of a view."""
+"""Render colour, soft mask and exact depth of a view with Cycles."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ from .blender import MASK
 
 
 def configure(width, height, samples, threads):
-    """Set the scene up for `picture`."""
+    """Configure the scene for `picture`."""
     scene = bpy.context.scene
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
@@ -32,8 +32,8 @@ def configure(width, height, samples, threads):
     layer.use_pass_z = True
     mask = layer.aovs.add()
     mask.name, mask.type = MASK, "VALUE"
-    # A multilayer file needs no compositor, whose interface changed between Blender 4 and 5; all
-    # that differs is that 5 wants the kind of medium first.
+    # A multilayer file needs no compositor, whose API changed between Blender 4 and 5; Blender 5
+    # only requires the media type first.
     if hasattr(render.image_settings, "media_type"):
         render.image_settings.media_type = "MULTI_LAYER_IMAGE"
     render.image_settings.file_format = "OPEN_EXR_MULTILAYER"
@@ -45,7 +45,7 @@ def picture(path):
 
     Returns:
         rgb [H, W, 3] sRGB in [0, 1]; mask [H, W] coverage by the figure; depth [H, W] along the
-        optical axis at the pixels' centres, metres, infinite where nothing is.
+        optical axis at pixel centres in metres, infinite where a ray hits nothing.
     """
     path = Path(path).with_suffix(".exr")
     bpy.context.scene.render.filepath = str(path)
@@ -61,18 +61,16 @@ def picture(path):
 
 
 def find(channels, *endings):
-    """The one channel whose name ends so."""
+    """The first channel with one of these name endings."""
     for ending in endings:
         for name, values in channels.items():
             if name.endswith(ending):
                 return values
-    raise KeyError(
-        f"The render holds no channel {' or '.join(endings)}, only {', '.join(channels)}."
-    )
+    raise KeyError(f"The render has no channel {' or '.join(endings)}, only {', '.join(channels)}.")
 
 
 def read_exr(path):
-    """Channels by name, each [H, W] float32, rows from the top; every part of the file."""
+    """Channels of all parts of a file by name, each [H, W] float32, rows from the top."""
     here = Path(bpy.utils.resource_path("LOCAL")) / "python" / "lib"
     sys.path.extend(str(p) for p in here.glob("python*/site-packages") if str(p) not in sys.path)
     import OpenImageIO

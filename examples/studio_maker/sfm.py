@@ -1,4 +1,4 @@
-"""Structure from motion on the rendered pictures, put into the true metric frame."""
+"""Structure from motion of the rendered pictures, aligned to the true camera positions."""
 
 import tempfile
 from dataclasses import fields, replace
@@ -10,9 +10,9 @@ import pycolmap
 from gscore.io.colmap.folder import read_model, write_model
 
 MIN_TRACK = 4
-"""Points seen in fewer pictures are left out."""
+"""Points observed in fewer pictures are removed."""
 MAX_ERROR_PX = 1.5
-"""Points with a larger mean reprojection error are left out."""
+"""Points with a larger mean reprojection error are removed."""
 
 
 def reconstruct(images, target, names, centers):
@@ -22,10 +22,10 @@ def reconstruct(images, target, names, centers):
         images: folder of the pictures.
         target: folder for cameras.bin, images.bin, points3D.bin.
         names: file names of the pictures.
-        centers: [C, 3] true positions of their cameras, metres.
+        centers: [C, 3] true positions of their cameras in metres.
 
     Returns:
-        Numbers about the model as a dict.
+        Statistics of the model.
     """
     pycolmap.set_random_seed(0)
     with tempfile.TemporaryDirectory() as work:
@@ -46,7 +46,8 @@ def reconstruct(images, target, names, centers):
         model = max(models.values(), key=lambda m: m.num_reg_images())
         if model.num_reg_images() < len(names):
             raise RuntimeError(
-                f"COLMAP placed {model.num_reg_images()} of {len(names)} pictures; expected all."
+                f"COLMAP registered {model.num_reg_images()} of {len(names)} pictures; all are "
+                "required."
             )
         error = align(model, dict(zip(names, centers, strict=True)))
         model.update_point_3d_errors()
@@ -67,7 +68,7 @@ def reconstruct(images, target, names, centers):
 
 
 def align(model, centers):
-    """Move a model into the true frame; returns the errors [C] of its cameras in metres."""
+    """Align a model to the true positions; returns the errors [C] of its cameras in metres."""
     images = list(model.images.values())
     found = np.array([i.projection_center() for i in images])
     true = np.array([centers[i.name] for i in images])
@@ -87,7 +88,10 @@ def similarity(source, target):
 
 
 def slim(model):
-    """The model without weak points, and without features that belong to none: most of the file."""
+    """The model without inaccurate points and without features that have no point.
+
+    The features are most of the file.
+    """
     points = model.points
     good = (points.track_lengths >= MIN_TRACK) & (points.error <= MAX_ERROR_PX)
     kept = points.ids[good]

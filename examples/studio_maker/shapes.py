@@ -6,7 +6,7 @@ import numpy as np
 
 
 def ellipsoid(p, center, radii):
-    """Distance, roughly, to an ellipsoid with axes along x, y, z; p [..., 3], metres."""
+    """Approximate distance to an ellipsoid with axes along x, y, z; p [..., 3] in metres."""
     q = p - np.asarray(center, p.dtype)
     r = np.asarray(radii, p.dtype)
     k0 = np.linalg.norm(q / r, axis=-1)
@@ -15,7 +15,7 @@ def ellipsoid(p, center, radii):
 
 
 def cone(p, a, b, ra, rb):
-    """Distance to the hull of two balls, at `a` with radius `ra` and at `b` with `rb`."""
+    """Distance to the convex hull of two balls, at `a` with radius `ra` and at `b` with `rb`."""
     a, b = np.asarray(a, p.dtype), np.asarray(b, p.dtype)
     t = np.clip((p - a) @ (b - a) / np.sum((b - a) ** 2), 0, 1)
     return np.linalg.norm(p - a - t[..., None] * (b - a), axis=-1) - (ra + (rb - ra) * t)
@@ -28,7 +28,7 @@ def limb(p, joints, k=0.0):
 
 
 def stack(p, rows, power=2.3):
-    """Distance, roughly, to a loft; rows of (z, half width, half depth, centre y), z falling."""
+    """Approximate distance to a loft; rows of (z, half width, half depth, centre y), z falling."""
     rows = np.asarray(rows[::-1], p.dtype)
     z = p[..., 2]
     a, b, y = (smooth_interp(z, rows[:, 0], rows[:, i]) for i in (1, 2, 3))
@@ -53,7 +53,7 @@ def smooth_interp(x, xs, ys):
 
 
 def union(k, *parts):
-    """Union of distances; the seam is rounded over about `k` metres."""
+    """Smooth union of distances, rounded over about `k` metres."""
     d = parts[0]
     for e in parts[1:]:
         d = np.minimum(d, e) - (np.maximum(k - np.abs(d - e), 0) ** 2 / (4 * k) if k else 0)
@@ -61,7 +61,7 @@ def union(k, *parts):
 
 
 def cut(k, d, tool):
-    """`d` without `tool`, the new edge rounded over about `k` metres."""
+    """Smooth subtraction of `tool` from `d`, rounded over about `k` metres."""
     return -union(k, -d, tool)
 
 

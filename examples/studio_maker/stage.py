@@ -12,7 +12,7 @@ RADIUS = 4.4
 
 
 def build(rng):
-    """Put the stage into the scene."""
+    """Add the stage to the scene."""
     s = RADIUS + 0.1
     plane = np.array([(-s, -s, 0), (s, -s, 0), (s, s, 0), (-s, s, 0)])
     uv = (plane[None, :, :2] + s) / (2 * s)
@@ -38,7 +38,7 @@ def build(rng):
 
 
 def add_rug(rng, half=1.05, height=0.012):
-    """A slightly uneven rug whose upper side lies at about z = 0."""
+    """Add a slightly uneven rug."""
     n = 96
     x, y = np.meshgrid(np.linspace(-half, half, n), np.linspace(-half, half, n), indexing="ij")
     edge = np.minimum(half - np.abs(x), half - np.abs(y))
@@ -56,7 +56,7 @@ def add_rug(rng, half=1.05, height=0.012):
 
 
 def add_backdrop(rng, height=5.4, n=128):
-    """A round wall of painted canvas."""
+    """Add a round wall of painted canvas."""
     turn = np.linspace(0, 2 * np.pi, n + 1)[:-1]
     ring = np.stack([RADIUS * np.cos(turn), RADIUS * np.sin(turn), 0 * turn], -1)
     vertices = np.concatenate([ring, ring + np.array([0, 0, height])])
@@ -76,7 +76,7 @@ def add_backdrop(rng, height=5.4, n=128):
 
 
 def add_light(name, place, size, watts, color):
-    """Square soft box that looks at the figure and that no camera sees."""
+    """Add a square area light towards the figure, invisible to the camera."""
     data = bpy.data.lights.new(name, "AREA")
     data.energy, data.size, data.color = watts, size, color
     item = bpy.data.objects.new(name, data)

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def fractal(shape, rng, slope=1.2, stretch=1.0):
-    """Tileable noise, spectrum 1/f^slope, mean 0, deviation 1; `stretch` draws out rows."""
+    """Tileable noise: spectrum 1/f^slope, mean 0, standard deviation 1, `stretch` along rows."""
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1])[None]
     f = np.hypot(fy, fx * stretch)
     f[0, 0] = np.inf
@@ -14,19 +14,19 @@ def fractal(shape, rng, slope=1.2, stretch=1.0):
 
 
 def over(image, color, alpha):
-    """Lay a colour over an image, in place; alpha [H, W]."""
+    """Blend a colour over an image in place; alpha [H, W]."""
     image += np.clip(alpha, 0, 1)[..., None] * (np.asarray(color) - image)
 
 
 def mix(colors, t):
-    """Colours [n, 3] looked up at t in [0, 1], linear in between."""
+    """Colours [n, 3] at t in [0, 1], linearly interpolated."""
     colors = np.asarray(colors, float)
     x = np.linspace(0, 1, len(colors))
     return np.stack([np.interp(t, x, c) for c in colors.T], -1)
 
 
 def stripes(n, scale, rng, palette):
-    """[n, 3] colours of threads: bands of random width, `scale` pixels a centimetre."""
+    """[n, 3] colours of threads: bands of random width, `scale` pixels per centimetre."""
     row = np.empty((n, 3))
     at = 0
     while at < n:
@@ -38,7 +38,7 @@ def stripes(n, scale, rng, palette):
 
 
 def plaid(n, meters, rng, hem):
-    """Woven tartan with no repeat, and an embroidered border; origin in the middle.
+    """Woven tartan without repetition, with an embroidered border; origin in the centre.
 
     Args:
         n: pixels of a side.
@@ -87,7 +87,7 @@ def plaid(n, meters, rng, hem):
 
 
 def smooth_band(r, low, high, soft=0.0008):
-    """1 between low and high, with soft flanks."""
+    """1 between low and high, with soft edges."""
     return np.clip((r - low) / soft, 0, 1) * np.clip((high - r) / soft, 0, 1)
 
 

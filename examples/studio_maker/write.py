@@ -8,13 +8,13 @@ import numpy as np
 from PIL import Image
 
 DEPTH_SCALE = 4.0
-"""Inverse depth in 1/m = 16-bit value / 65536 * DEPTH_SCALE; the steps are z^2 / 16384 metres."""
+"""Inverse depth in 1/m = 16-bit value / 65536 * DEPTH_SCALE; depth step z^2 / 16384 metres."""
 TEST_EVERY = 6
 """Every 6th view by name is a test view."""
 
 
 def atomic(path, content):
-    """Write bytes so that the file is there as a whole or not at all."""
+    """Write bytes atomically: the file is complete or absent."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_bytes(content)
@@ -32,10 +32,10 @@ def view(folder, name, rgb, mask, depth, quality=87):
     """Write one view.
 
     Args:
-        folder: of the capture.
-        name: of the view, without ending.
+        folder: folder of the capture.
+        name: name of the view, without ending.
         rgb: [H, W, 3] sRGB in [0, 1]; mask: [H, W] in [0, 1]; depth: [H, W] metres, inf for none.
-        quality: of the JPEG file.
+        quality: JPEG quality.
     """
     code = np.round(65536 / DEPTH_SCALE / np.maximum(depth, DEPTH_SCALE / 65535))
     picture = np.round(rgb * 255).astype(np.uint8)
@@ -48,7 +48,7 @@ def view(folder, name, rgb, mask, depth, quality=87):
 
 
 def truth(folder, names, K, viewmats, width, height, sfm):
-    """Write cameras_true.json, test.txt and the depth scales where 3DGS trainers look for them."""
+    """Write cameras_true.json, test.txt, and the depth scales where 3DGS trainers expect them."""
     views = [
         {"name": f"{n}.jpg", "viewmat": np.round(m, 9).tolist()}
         for n, m in zip(names, viewmats, strict=True)

@@ -55,7 +55,8 @@ def main() -> None:
         first, second = Path(place, "first"), Path(place, "second")
         first.mkdir()
         photos = sorted((ROOT / "examples" / "studio" / "images").iterdir())
-        write_video(first / "walk.mp4", (np.asarray(Image.open(p)) for p in photos), fps=RATE)
+        pixels = (np.asarray(Image.open(photo, formats=["JPEG"])) for photo in photos)
+        write_video(first / "walk.mp4", pixels, fps=RATE)
         (first / "python").write_text(sys.executable)
         take(blender, first, SCREENS[0])
         kept = shutil.ignore_patterns("profile", "packages", "*.png", "seen.json")
@@ -77,7 +78,8 @@ def main() -> None:
 
 def animate(shots: list[Path]) -> None:
     """Write the animation from screens of a training, without Blender's header and sidebar."""
-    frames = [Image.open(shot).convert("RGB").crop(VIEW).resize(SMALL) for shot in shots]
+    screens = (Image.open(shot, formats=["PNG"]).convert("RGB") for shot in shots)
+    frames = [screen.crop(VIEW).resize(SMALL) for screen in screens]
     target = PAGES / f"{ANIMATION}.webp"
     pauses = [1000 // RATE] * (len(frames) - 1) + [round(1000 * LAST)]
     frames[0].save(
