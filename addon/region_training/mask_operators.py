@@ -13,7 +13,7 @@ from ..interface.images import editor_of, fit
 from ..interface.sidebar import TAB, choose_tab, close_shelf, in_turn, open_sidebar
 from . import masks
 
-_NO_BRUSH = "There is no brush yet; choose one in the image editor, then press Leave Out."
+_NO_BRUSH = "There is no brush yet; choose one in the image editor, then press Exclude."
 
 
 class PaintMask(BaseOperator, bpy.types.Operator):

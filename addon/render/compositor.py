@@ -83,8 +83,8 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     if scene.get(_MADE) and not transparent:
         scene.render.film_transparent = bool(scene[_FILM])
     scene[_MADE] = transparent
-    seen = scene.world and any(layer.use_sky for layer in scene.view_layers)
-    world = _world_scene(scene) if transparent and not scene[_FILM] and seen else None
+    visible = scene.world and any(layer.use_sky for layer in scene.view_layers)
+    world = _world_scene(scene) if transparent and not scene[_FILM] and visible else None
     if world is None:
         _drop(scene, WORLD_SCENE)
     scene.render.use_compositing = True

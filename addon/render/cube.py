@@ -162,8 +162,8 @@ def _looks(
     x, y = np.meshgrid(
         left + np.arange(width) + inside[0], top + np.arange(rows.start, rows.stop) + inside[1]
     )
-    directions, seen = panorama.directions(x, y)
-    for patch, where, share in _shares(directions, seen):
+    directions, visible = panorama.directions(x, y)
+    for patch, where, share in _shares(directions, visible):
         own = directions[where] @ _AXES[patch].T
         yield (
             patch,
@@ -175,14 +175,16 @@ def _looks(
         )
 
 
-def _shares(directions: np.ndarray, seen: np.ndarray) -> Iterator[tuple[int, _Pixels, np.ndarray]]:
-    """Number, pixels and weights of each patch that visible (`seen` [h, w]) directions [h, w, 3]
+def _shares(
+    directions: np.ndarray, visible: np.ndarray
+) -> Iterator[tuple[int, _Pixels, np.ndarray]]:
+    """Number, pixels and weights of each patch that visible ([h, w]) directions [h, w, 3]
     hit. Weights fall to 0 towards a patch's edges; those of a pixel add up to 1."""
-    total, found = np.zeros(seen.shape), []
+    total, found = np.zeros(visible.shape), []
     widest = np.tan((1 + 2 * _OVERLAP / _ALONG) * np.pi / 4)
     for number, side in enumerate(_SIDES):
         own = directions @ side.T
-        where = np.nonzero(seen & (np.abs(own[..., :2]).max(-1) < widest * own[..., 2]))
+        where = np.nonzero(visible & (np.abs(own[..., :2]).max(-1) < widest * own[..., 2]))
         x, y, z = own[where].T
         columns, rows = _ramps(np.arctan2(x, z)), _ramps(np.arctan2(y, z))
         for row, column in np.ndindex(_ALONG, _ALONG):

@@ -215,29 +215,29 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         eye = eye_of(self, view)
         stage = Stage(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = stage.view()
-        asked = requested_passes(scene, layer)
-        film = self._film(depsgraph, depths=asked.depth)
+        requested = requested_passes(scene, layer)
+        film = self._film(depsgraph, depths=requested.depth)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if stage.blurs:
             count = scene.gscore_render.blur_samples
-            passes, covered, held = self._mean(film, stage, asked, count)
-            if asked.depth:  # at the frame, through the lens's middle: mean depths are useless
+            passes, covered, blocked = self._mean(film, stage, requested, count)
+            if requested.depth:  # at the frame, through the lens's middle: mean depths are useless
                 passes["Depth"] = film.shoot(still, self.test_break)["Depth"]
         else:
             passes = film.shoot(still, self.test_break)
-            covered = film.coverage(still, self.test_break) if asked.mattes else {}
-            held = holdout_passes.blocked(film, still, self.test_break) if asked.held else {}
-        if asked.held:
-            held |= holdout_passes.depths(film, still, self.test_break)
-            passes |= holdout_passes.completed(held, passes)
+            covered = film.coverage(still, self.test_break) if requested.mattes else {}
+            blocked = holdout_passes.blocked(film, still, self.test_break) if requested.held else {}
+        if requested.held:
+            blocked |= holdout_passes.depths(film, still, self.test_break)
+            passes |= holdout_passes.completed(blocked, passes)
         else:
             passes.pop(MESHES, None)
         passes.pop(SHARE, None)  # internal, not a pass of Blender
-        passes |= asked.mattes_of(covered, passes["Combined"].shape[:2])
+        passes |= requested.mattes_of(covered, passes["Combined"].shape[:2])
         self.update_progress(0.9)
         self._deliver(passes, layer.name, view, scene.render, film.options.window)
-        asked.stamp(self.get_result(), layer.name, covered)
+        requested.stamp(self.get_result(), layer.name, covered)
 
     def _film(self, depsgraph: bpy.types.Depsgraph, *, depths: bool) -> Film:
         scene = depsgraph.scene
@@ -252,13 +252,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return Film(options=options, transparent=transparent, to_scene=rec709_to_scene())
 
     def _mean(
-        self, film: Film, stage: Stage, asked: RequestedPasses, count: int
+        self, film: Film, stage: Stage, requested: RequestedPasses, count: int
     ) -> tuple[dict[str, np.ndarray], dict[Identity, np.ndarray], dict[str, np.ndarray]]:
         """Means over lens and exposure: the passes without depths, the coverage of each object, and
         the light that holdouts block, the last two if requested."""
         plain, last = film.without_depths(), None
         picture, covered, blocked = Mean(), Mean(), Mean()
-        shot, parts, held = {}, {}, {}
+        shot, parts, light = {}, {}, {}
         _, top, _, height = film.options.window or (0, 0, 0, self.resolution_y)
         # Pictures have the bottom row first.
         rows = (np.arange(top, top + height)[::-1] + 0.5) / self.resolution_y
@@ -268,16 +268,18 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
                     last, shot = view, plain.shoot(view, self.test_break)
-                    parts = plain.coverage(view, self.test_break) if asked.mattes else {}
-                    held = (
-                        holdout_passes.blocked(plain, view, self.test_break) if asked.held else {}
+                    parts = plain.coverage(view, self.test_break) if requested.mattes else {}
+                    light = (
+                        holdout_passes.blocked(plain, view, self.test_break)
+                        if requested.held
+                        else {}
                     )
                 if self.test_break():
                     raise Cancelled
                 row = None if shares is None else shares[i]
                 picture.add(shot, row)
                 covered.add(parts, row)
-                blocked.add(held, row)
+                blocked.add(light, row)
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
         return picture.result(), covered.result(), blocked.result()
 

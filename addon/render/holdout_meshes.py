@@ -146,14 +146,14 @@ class HoldoutMeshes:
 
 def _owners(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[bpy.types.Object, bool]]:
     """Evaluated objects that a depsgraph shows itself or by instances, and whether itself."""
-    seen = set()
+    known = set()
     for ob in depsgraph.objects:
-        seen.add(ob.original.session_uid)
+        known.add(ob.original.session_uid)
         yield ob, True
     # They do not include instancers with Show Instancer off.
     for layer in _layers(depsgraph):
         for ob in layer.objects:
-            if ob is None or ob.original.session_uid in seen or not may_hide(ob):
+            if ob is None or ob.original.session_uid in known or not may_hide(ob):
                 continue
             if not _shows_instancer(ob, depsgraph) and _is_on(ob.original, layer, depsgraph):
                 yield ob.evaluated_get(depsgraph), False

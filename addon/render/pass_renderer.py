@@ -100,9 +100,11 @@ class Film:
         if isinstance(view.camera, Panorama):
 
             def side(camera: RenderCamera, part: Window) -> dict[str, np.ndarray]:
-                return {"Combined": self._weights(replace(view, camera=camera), seen, part, stop)}
+                return {
+                    "Combined": self._weights(replace(view, camera=camera), distant, part, stop)
+                }
 
-            seen = beyond(model, view.camera)
+            distant = beyond(model, view.camera)
             return unfold(view.camera, window, side)["Combined"]
         options = replace(self.options, background=_BLACK, depths=False, window=window)
         rgb = _exposed(model, view.camera, options, view.hidden, stop, None)[0].rgb
@@ -113,9 +115,9 @@ class Film:
     ) -> dict[str, np.ndarray]:
         def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
             film = replace(self, options=replace(self.options, window=window))
-            return film.shoot(replace(view, model=seen, camera=camera), stop)
+            return film.shoot(replace(view, model=distant, camera=camera), stop)
 
-        seen = beyond(view.model, camera)
+        distant = beyond(view.model, camera)
         passes = unfold(camera, self.options.window, side)
         if not (self.transparent or view.model.shares or view.held):
             passes["Combined"][..., 3] = 1  # black outside of a fisheye's circle
