@@ -1,4 +1,6 @@
-// gs_add_pull, gs_exp2, gs_pack_rows and gs_unpack_rows on any bits: nothing is written beyond the arrays, and what is written is what was promised.
+// gs_add_pull, gs_exp2, gs_pack_rows and gs_unpack_rows on any bits: nothing is written beyond the arrays, and results
+// are
+// as the header states.
 #include "scene.h"
 
 using fuzz::Bytes;
@@ -7,7 +9,7 @@ using fuzz::Output;
 
 namespace {
 
-// An array of noise, a few numbers of it replaced by hostile ones.
+// An array of noise with a few hostile numbers.
 std::vector<float> numbers(size_t count, Bytes &in, Noise &noise) {
     std::vector<float> found(count);
     for (float &v : found)
@@ -19,10 +21,10 @@ std::vector<float> numbers(size_t count, Bytes &in, Noise &noise) {
     return found;
 }
 
-// Equal, NaN to NaN of any bits.
+// Equality in which NaN equals any NaN.
 bool same(float a, float b) { return a == b || (std::isnan(a) && std::isnan(b)); }
 
-// The library takes subnormal numbers for zero.
+// The library flushes subnormal numbers to zero.
 float flush(float v) { return std::fabs(v) < std::numeric_limits<float>::min() ? 0.0f : v; }
 
 float length(float x, float y) { return std::sqrt(flush(flush(x * x) + flush(y * y))); }
@@ -72,7 +74,7 @@ void powers(size_t n, Bytes &in, Noise &noise) {
     REQUIRE(gs_exp2(nullptr, y.data(), 1) == GS_BAD_ARGUMENT && gs_exp2(x.data(), y.data(), -1) == GS_BAD_ARGUMENT);
 }
 
-// Rows of two tables, any bits in them, to packed rows and back; then with numbers of rows of which some are none.
+// Packs and unpacks rows of two tables with any bits; then with some row indices out of range.
 void packing(size_t n, Bytes &in, Noise &noise) {
     const int32_t widths[2] = {1 + in.byte() % 5, 1 + in.byte() % 48};
     const size_t across = size_t(1 + widths[0] + widths[1]);
@@ -82,7 +84,7 @@ void packing(size_t n, Bytes &in, Noise &noise) {
         tables[k] = numbers(n * size_t(widths[k]), in, noise);
         std::fill_n(there[k].data(), n * size_t(widths[k]), 3.0f);
     }
-    std::vector<int64_t> rows; // each with even odds, none twice
+    std::vector<int64_t> rows; // each with probability 1/2, without duplicates
     for (size_t i = 0; i < n; ++i)
         if (noise(0, 1) > 0.5f)
             rows.push_back(int64_t(i));

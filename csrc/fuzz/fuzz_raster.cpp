@@ -136,7 +136,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         REQUIRE(first.status == GS_OK);
         check_gradients(first, drawn, scene);
 
-        // Another number of threads, in the same workspace: the same bits.
+        // The same bits with another number of threads in the same workspace.
         Scene other = scene;
         other.options.threads = scene.options.threads == 1 ? 3 : 1;
         REQUIRE(drawn.same_bits(Drawn(raster, other, pixels)));

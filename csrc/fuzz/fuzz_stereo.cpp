@@ -41,7 +41,7 @@ void bend(gs_stereo_warp &warp, Bytes &in) {
 
 bool refused(gs_status status) { return status == GS_BAD_ARGUMENT && std::strlen(gs_last_error()) > 0; }
 
-// Sizes that fit the arrays or are too small for anything.
+// Sizes that fit the arrays or are too small.
 void shrink(int32_t &side, uint8_t by) { side -= by % 8 == 7 ? 4000 : by % 8; }
 
 struct Swept {
@@ -106,7 +106,7 @@ void sweep(Bytes &in, Noise &noise) {
             bend(source.warp, in);
         else if (what < 200)
             *numbers[what % 3] = in.hostile();
-        else if (what < 230) // of sources no more than there are
+        else if (what < 230) // at most the number of sources
             *counts[what % 5] = what % 5 == 4 ? std::min(int32_t(by) - 3, args.source_count) : int32_t(by % 24) - 3;
         else
             shrink(what % 4 == 0   ? args.width
@@ -135,7 +135,7 @@ struct Judged {
     Output inverse_depth;
     gs_status status;
 
-    // The counts have a byte more than they need, which must stay.
+    // The counts have an extra byte, which must not change.
     Judged(const gs_stereo_check_args &args, size_t pixels)
         : agree(pixels + 1, 251), contradict(pixels + 1, 251), inverse_depth(pixels) {
         status = gs_stereo_check(&args, agree.data(), contradict.data(), inverse_depth.data());
@@ -147,7 +147,7 @@ void check_judged(const Judged &found, const gs_stereo_check_args &args) {
     const size_t pixels = size_t(args.width) * size_t(args.height);
     for (size_t i = 0; i < pixels; ++i) {
         const float own = args.inverse_depth[i], mean = found.inverse_depth[i];
-        // The library takes subnormal numbers for zero.
+        // The library flushes subnormal numbers to zero.
         const bool known = own >= std::numeric_limits<float>::min() && std::isfinite(own);
         REQUIRE(found.inverse_depth.written(i));
         REQUIRE(int32_t(found.agree[i]) + found.contradict[i] <= (known ? args.witness_count : 0));
@@ -155,7 +155,7 @@ void check_judged(const Judged &found, const gs_stereo_check_args &args) {
             REQUIRE(mean == 0);
         else if (found.agree[i] == 0)
             REQUIRE(mean == own);
-        else if (args.relative < 1 && own < 1e37f / 256) // else the sum leaves float32, or witnesses may say anything
+        else if (args.relative < 1 && own < 1e37f / 256) // else the sum may overflow float32, or any witness agrees
             REQUIRE(mean >= own * (1 - args.relative) * 0.999f && mean <= own * (1 + args.relative) * 1.001f);
     }
 }

@@ -36,7 +36,7 @@ inline void use_isa(uint8_t pick) {
     REQUIRE(gs_set_isa(isas[pick % isas.size()].c_str()) == GS_OK);
 }
 
-// Splats in front of the camera, whose kind is in the bits of `shape`.
+// Splats in front of the camera, of a kind selected by the bits of `shape`.
 inline void add_splats(Scene &s, size_t n, uint8_t shape, Noise &noise) {
     const bool needles = shape >> 5 & 1, wide = shape >> 6 & 1;
     for (size_t i = 0; i < n; ++i) {
@@ -81,7 +81,7 @@ inline void set_options(Scene &s, uint8_t flags) {
     o.threads = 1 + (flags >> 6 & 1) * 2;
 }
 
-// Replaces a number of the scene, or a whole splat by another one.
+// Replaces a number of the scene, or a splat by a copy of another one.
 inline void damage(Scene &s, Bytes &in) {
     std::vector<float> *arrays[] = {&s.means, &s.quats, &s.scales, &s.opacities, &s.sh0, &s.shN};
     gs_camera &c = s.camera;

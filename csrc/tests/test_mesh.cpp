@@ -37,7 +37,7 @@ void a_slanted_square_has_its_depth_at_every_centre() {
     CHECK(same_bits(found, drawn(seen(places), {2, 3, 1, 0, 2, 1}))); // the other side, in another order
 }
 
-// Oracle: the floor y = 1 under a camera that looks along it, of focal length 1 px: 1 / z = v.
+// Oracle: the floor y = 1 below a horizontal camera of focal length 1 px: 1 / z = v.
 void a_floor_from_behind_the_camera_to_the_horizon() {
     std::vector<double> corners;
     for (const double z : {-50.0, 1e6})

@@ -492,7 +492,7 @@ struct Learner {
     }
 };
 
-// 300 steps of two tensors, the second of which skips rows that are not shown; values, then bad rows.
+// Runs 300 steps of two tensors, of which the second skips invisible rows; returns values, then bad rows.
 std::vector<float> learn(int threads) {
     Learner all(2503, 3), late(2503, 9);
     std::mt19937 rng(5);

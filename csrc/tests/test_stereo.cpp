@@ -69,7 +69,7 @@ void a_shifted_photo_has_the_depth_of_its_shift() {
         args.threads = threads;
         CHECK(same_bits(found, swept(args)));
     }
-    // The mean over two sources, of which one shows something else, is lower.
+    // The mean over two sources, one of them occluded, is lower.
     args.best = 2;
     const std::vector<float> both = swept(args);
     const size_t middle = size_t(kHeight / 2 * kWidth + kWidth / 2);

@@ -72,7 +72,7 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
     if len(np.unique(fixes[~repeated], axis=0)) >= LEAST_PLACES:
         numbers = [n for n, same in zip(numbers, repeated, strict=True) if not same]
         fixes = fixes[~repeated]
-    elif 2 * lost > len(fixes):  # the median error is that of the repeated ones
+    elif 2 * lost > len(fixes):  # the median residual is that of the repeated positions
         return Gps(repeated=lost)
     else:
         lost = 0
@@ -99,7 +99,7 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
 
 
 def _is_repeated(fixes: np.ndarray) -> np.ndarray:
-    """[n] whether each of the positions [n, 3] is that of too many photos."""
+    """[n] bool: positions [n, 3] shared by too many photos."""
     _, which, counts = np.unique(fixes, axis=0, return_inverse=True, return_counts=True)
     return counts[which.reshape(-1)] > max(_REPEATED * len(fixes), 1)
 

@@ -13,9 +13,9 @@ from ..text_format import count_words
 from .search_request import USUAL_LENS, SearchRequest
 
 STATED, PARTIAL, HINTED, SEEN, POSSIBLE = "stated", "partial", "hinted", "seen", "possible"
-"""Kinds of evidence: XMP or the camera states all directions; XMP states a part of them or a
-cylinder; XMP that does not fit the size, as of a view that was cut out; the pixels show it; twice
-as wide as high, and the pixels do not contradict."""
+"""Kinds of evidence: XMP or the camera states a full sphere; XMP states a part of it or a cylinder;
+XMP that does not fit the size, as in a view cut out of a panorama; the pixels show it; twice as
+wide as high, and the pixels do not contradict."""
 _PROJECTION = re.compile(rb"GPano:ProjectionType\W{0,4}?(?:=\s*[\"']|>)\s*(\w+)")
 _CROPPED = re.compile(rb"GPano:CroppedAreaImage(Width|Height)Pixels(?:=\s*[\"']|>)\s*(\d+)")
 """As attributes or elements of XMP (Google, Photo Sphere XMP metadata)."""
@@ -43,12 +43,12 @@ _HOW = (
 
 
 def panorama_of(image: Any, camera: Sequence[str] = (), *, whole: bool = True) -> str:
-    """How Pillow's image is known to be a panorama; empty: it is none.
+    """Evidence that Pillow's image is a panorama, one of the kinds above; empty: none.
 
     Args:
         image: Opened; its pixels are decoded if `whole`.
-        camera: Make and model of EXIF.
-        whole: Whether pixels count too.
+        camera: Make and model from EXIF.
+        whole: Use pixels too.
     """
     double = _is_double(image)
     packets = _xmp(image)
@@ -80,9 +80,8 @@ def _is_double(image: Any) -> bool:
 
 
 def _look(image: Any) -> str:
-    """`SEEN` where a picture continues from its right edge to its left one and has one colour along
-    its upper and lower edge, each of which is one point; `POSSIBLE` where these two edges are too
-    plain to know."""
+    """`SEEN` if the left and right edges of a picture match, and its upper and lower edges, each
+    one point of the sphere, have one colour; `POSSIBLE` if left and right are too plain to tell."""
     pixels = np.asarray(image.convert("RGB").resize(_GRID), np.float32).mean(axis=2)
     step = np.abs(np.diff(pixels, axis=1)).mean()
     seam = np.abs(pixels[:, 0] - pixels[:, -1]).mean()
@@ -107,10 +106,10 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     """Message on photos that are panoramas; empty if none is.
 
     Args:
-        photos: Evidence by name. `SEEN` counts where it is that of most photos: few may look so by
-            chance.
-        request: A lens model or focal length in it states that photos are ordinary, against all
-            evidence that is not `STATED` or `PARTIAL`.
+        photos: Evidence by name. `SEEN` counts only if it is that of most photos, because few may
+            look like it by chance.
+        request: Its lens model or focal length, if given, overrides all evidence but `STATED` and
+            `PARTIAL`.
     """
     if parts := [name for name, how in photos.items() if how == PARTIAL]:
         return (

@@ -48,7 +48,7 @@ class Photo:
     shot: Shot | None = None
     """Key to detect copies of one exposure; None if only the header was read."""
     panorama: str = ""
-    """How it is known to be a panorama, as `panorama_of` returns it; empty: it is none."""
+    """Evidence that it is a panorama, from `panorama_of`; empty: none."""
 
 
 def photo_folder(path: Path) -> Path:
