@@ -241,7 +241,7 @@ def test_a_network_of_the_environment_that_does_not_work_is_told(
     assert "LPIPS" not in gscore("eval", folder, "--quiet")[2]
     monkeypatch.setenv("GSCORE_LPIPS", str(tmp_path / "lpips_none.onnx"))
     code, _, err = gscore("eval", folder, "--quiet")
-    assert code == 0 and "Warning: LPIPS is not measured, though GSCORE_LPIPS names" in err
+    assert code == 0 and "Warning: LPIPS is not measured, although GSCORE_LPIPS is set" in err
     assert "lpips_none.onnx" in err
 
 

@@ -137,7 +137,7 @@ def test_cameras_in_full_coordinates_meet_splats_about_a_local_origin(
     how = (cameras.Ks[4], full.viewmats[4], int(cameras.widths[4]), int(cameras.heights[4]))
     found = package.render(ply, *how, origin=(0, 0, 0)).rgb
     np.testing.assert_allclose(np.clip(found, 0, 1) * 255, wanted, atol=1.5)
-    with pytest.raises(package.ShapeError, match="origin is for files"):
+    with pytest.raises(package.ShapeError, match="origin needs a splat file"):
         package.render(splats, *how, origin=(0, 0, 0))
 
 

@@ -55,7 +55,7 @@ def test_cameras_are_not_searched_by_reduced_pictures(tmp_path: Path) -> None:
     """Oracle: refused, as COLMAP reads the first picture of a file."""
     pages = [page(SMALL, reduced=True), page(FULL, reduced=False)]
     (tmp_path / "a.tif").write_bytes(directories(pages, "<"))
-    with pytest.raises(DatasetError, match="which COLMAP would take"):
+    with pytest.raises(DatasetError, match="which COLMAP would read"):
         read_photos(tmp_path, ["a.tif"], on_photo=lambda done: None, cancelled=lambda: False)
 
 
