@@ -238,7 +238,7 @@ def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene)
     studio.gscore.eval = False
     assert bpy.ops.gscore.train(wait=True) == {"FINISHED"}
     state = start_training.job_of(studio).state
-    told = re.search(r"which (\d+) training photos see", state.started.decision("guide"))
+    told = re.search(r"pixels of (\d+) training photos", state.started.decision("guide"))
     assert 5 < seen < len(cameras) - 5
     assert seen <= int(told[1]) <= seen + 3  # a corner of it may be between the rays
     assert any("may be in the wrong place" in text for text in state.warnings)
