@@ -22,33 +22,33 @@ from .poses import check_focal, rigid_matrix
 from .transforms_json import views_of_file
 
 _LARGEST = 1 << 16
-"""Pixels of a side."""
-_ALIKE = 1e-6
-"""Share of a picture's size to which a lens is that of nerfstudio's path."""
+"""Most pixels of a side."""
+_LENS_TOLERANCE = 1e-6
+"""Largest difference between a lens and that of nerfstudio's path, share of the picture's size."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovingCamera:
-    """A camera path."""
+    """Camera path with its frame rate."""
 
     cameras: Cameras
-    """One a picture, in the order of time."""
+    """One camera per picture, in order of time."""
     fps: float | None
-    """Pictures a second, where the file states them."""
+    """Pictures per second; None: not stated."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
 def read_camera_path(path: str | Path) -> MovingCamera:
     """Read a cameras.json, the camera_path.json of nerfstudio's viewer, or a transforms.json.
 
-    The world is kept as the file states it. The frames of a transforms.json come in the order of
-    their `time`, where all have one, else in that of the file. nerfstudio's field of view is that
-    of a picture's height, in degrees (`nerfstudio/cameras/camera_paths.py`).
+    The world is kept as in the file. The frames of a transforms.json are sorted by `time` if all
+    have one, else in file order. nerfstudio's field of view is vertical, in degrees
+    (`nerfstudio/cameras/camera_paths.py`).
 
     Raises:
-        DatasetError: the file is missing, or holds no cameras.
-        FormatError: it is something else, or a camera of it cannot be drawn; it is named.
+        DatasetError: the file is missing, or has no cameras.
+        FormatError: it is another file, or one of its cameras cannot be rendered.
     """
     path = Path(path)
     try:
@@ -56,43 +56,43 @@ def read_camera_path(path: str | Path) -> MovingCamera:
     except ValueError as error:
         raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
     if isinstance(data, list):
-        found = MovingCamera(cameras=read_cameras_json(path), fps=None)
+        moving = MovingCamera(cameras=read_cameras_json(path), fps=None)
     elif isinstance(data, dict) and isinstance(data.get("camera_path"), list):
-        found = _nerfstudio(path, data)
+        moving = _nerfstudio(path, data)
     elif isinstance(data, dict) and isinstance(data.get("frames"), list):
-        found = _transforms(path, data)
+        moving = _transforms(path, data)
     else:
         raise FormatError(
             f"{path} is no camera path: expected a cameras.json (a list), or an object with a list "
             f"`camera_path` (nerfstudio) or `frames` (transforms.json). Export it again."
         )
-    if not len(found.cameras):
+    if not len(moving.cameras):
         raise DatasetError(f"{path} holds no cameras. Export it again.")
-    return found
+    return moving
 
 
 def write_nerfstudio_path(path: str | Path, cameras: Cameras, *, fps: float) -> None:
     """Write the camera_path.json of nerfstudio's viewer, with a keyframe for each camera.
 
-    Times go evenly from 0 to 1, which nerfstudio's moving scenes take.
+    Times are evenly spaced from 0 to 1, for nerfstudio's dynamic scenes.
 
     Args:
         path: The file.
-        cameras: In the order of time; of one size, with square pixels and the axis in the middle.
-        fps: Pictures a second.
+        cameras: In order of time; of one size, with square pixels and a centred principal point.
+        fps: Pictures per second.
 
     Raises:
-        ConfigError: a camera has another lens than such a file can state; it is named.
+        ConfigError: a camera has a lens that the format cannot state.
         GsError: the file cannot be written.
     """
     width, height = int(cameras.widths[0]), int(cameras.heights[0])
     lenses = cameras.Ks[:, [0, 1, 0, 1], [0, 1, 2, 2]] / width
-    wanted = np.stack([lenses[:, 1], lenses[:, 1], *np.full((2, len(cameras)), 0.5)], axis=1)
-    wanted[:, 3] *= height / width
+    ideal = np.stack([lenses[:, 1], lenses[:, 1], *np.full((2, len(cameras)), 0.5)], axis=1)
+    ideal[:, 3] *= height / width
     sizes = (cameras.widths != width) | (cameras.heights != height)
-    for i in np.flatnonzero(sizes | (np.abs(lenses - wanted).max(axis=1) > _ALIKE)):
+    for i in np.flatnonzero(sizes | (np.abs(lenses - ideal).max(axis=1) > _LENS_TOLERANCE)):
         raise ConfigError(
-            f"{path}: nerfstudio's camera_path.json has no place for a shifted lens, pixels that "
+            f"{path}: nerfstudio's camera_path.json cannot store a shifted lens, pixels that "
             f"are not square, or a change of size, as {cameras.names[i]} has. Write a "
             f"transforms.json."
         )
@@ -123,7 +123,7 @@ def write_nerfstudio_path(path: str | Path, cameras: Cameras, *, fps: float) -> 
 
 
 def _text(value: Any) -> str:
-    """JSON, of a list with an item a line."""
+    """JSON; of a list, one item per line."""
     if not isinstance(value, list):
         return json.dumps(value)
     return "[\n" + ",\n".join(json.dumps(item) for item in value) + "\n]"
@@ -133,7 +133,7 @@ def _nerfstudio(path: Path, data: dict[str, Any]) -> MovingCamera:
     kind = data.get("camera_type", "perspective")
     if kind != "perspective":
         raise FormatError(
-            f"{path}: camera_type is {quoted(kind)}, but paths are drawn by perspective cameras. "
+            f"{path}: camera_type is {quoted(kind)}, but paths need perspective cameras. "
             f"Export the path with that type."
         )
     width, height = (_side(path, data, key) for key in ("render_width", "render_height"))
@@ -161,7 +161,7 @@ def _nerfstudio(path: Path, data: dict[str, Any]) -> MovingCamera:
 
 
 def _pace(path: Path, data: dict[str, Any]) -> float | None:
-    """Pictures a second, where that is stated."""
+    """Pictures per second; None: not stated."""
     fps = data.get("fps")
     stated = None if fps is None else _number(str(path), "fps", fps)
     if stated is not None and not 0 < stated <= 1000:
@@ -175,13 +175,13 @@ def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
     if views and all(time is not None for time in times):
         at = [_number(f"{path}: frame {i}", "time", time) for i, time in enumerate(times)]
         views = [view for _, view in sorted(zip(at, views, strict=True), key=lambda pair: pair[0])]
-    bent = sum(_is_bent(path, view) for view in views)
+    distorted = sum(_is_distorted(path, view) for view in views)
     count = len(views)
     Ks = np.tile(np.eye(3), (count, 1, 1))
     for K, view in zip(Ks, views, strict=True):
         K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params[:4]
     frames = count_words(count, "frame")
-    warning = f"{path}: the lenses of {bent} of {frames} bend lines; they are drawn straight."
+    warning = f"{path}: {distorted} of {frames} have lens distortion, which is ignored."
     return MovingCamera(
         cameras=Cameras(
             viewmats=np.array([view.viewmat for view in views], np.float64).reshape(-1, 4, 4),
@@ -191,23 +191,24 @@ def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
             names=tuple(view.name for view in views),
         ),
         fps=_pace(path, data),
-        warnings=(warning,) if bent else (),
+        warnings=(warning,) if distorted else (),
     )
 
 
-def _is_bent(path: Path, view: View) -> bool:
-    """Whether a lens bends lines, which is left out; FormatError where it is no pinhole at all."""
+def _is_distorted(path: Path, view: View) -> bool:
+    """True for a camera with lens distortion, which is ignored; FormatError for other than pinhole
+    models."""
     camera = view.camera
     if camera.model in NO_PINHOLE or "FISHEYE" in camera.model:
         raise FormatError(
-            f"{path}: {view.name} has a camera of the model {camera.model}, but paths are drawn by "
+            f"{path}: {view.name} has a camera of the model {camera.model}, but paths need "
             f"perspective cameras. Export the path with that type."
         )
     return bool(np.any(camera.params[4:]))
 
 
 def _rows(value: Any) -> Any:
-    """Sixteen numbers as four rows; anything else as it is."""
+    """Sixteen numbers as four rows; other values unchanged."""
     if isinstance(value, list) and len(value) == 16:
         return [value[i : i + 4] for i in range(0, 16, 4)]
     return value

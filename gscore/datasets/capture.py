@@ -1,4 +1,4 @@
-"""Capture: views, points and split, the common result of the readers of all layouts."""
+"""Capture: views, points and split, the common result of all readers."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -13,59 +13,59 @@ from ..scene import PointCloud
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One posed photo as the capture states it, before undistortion and scaling."""
+    """One posed photo as in the capture's files, before undistortion and scaling."""
 
     name: str
-    """Unique in the capture, sub-folders with '/'."""
+    """Unique in the capture, sub-folders separated by '/'."""
     image: Path
-    """File of the photo; where the reader did not require it, perhaps not there."""
+    """File of the photo; may be missing if the reader did not require it."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     camera: ColmapCamera
-    """Intrinsics at the camera's own size."""
+    """Intrinsics at the camera's calibrated size."""
     mask: Path | None = None
-    """File of the mask that the capture states for this view."""
+    """File of the mask stated by the capture for this view."""
     seen: np.ndarray | None = None
-    """[M] int64, indices of the points observed in this view; None: unknown, or nobody asks,
-    because the points have colours."""
+    """[M] int64, indices of the points observed in this view; None: unknown, or not needed because
+    the points have colours."""
 
     def fits(self, width: int, height: int) -> bool:
-        """Whether a photo of this size is the camera's up to one scale, within rounding."""
+        """True if a photo of this size (px) matches the camera's up to scale and rounding."""
         scale = width / self.camera.width
         return abs(self.camera.height * scale - height) <= 1.0 + 0.5 * scale
 
 
 @dataclass(frozen=True, kw_only=True)
 class Capture:
-    """A capture as stated by its files."""
+    """Content of a capture's files."""
 
     root: Path
-    """Folder with everything."""
+    """Folder of the capture."""
     views: list[View]
     """In any order."""
     points: PointCloud
-    """World points; may be empty."""
+    """Points in world coordinates; may be empty."""
     up: np.ndarray | None = None
-    """[3] float64, unit: up in the world, where the capture states it."""
+    """[3] float64, unit: up direction in the world; None: not stated."""
     origin: np.ndarray | None = None
-    """[3] float64, where the origin of views and points lies in the coordinates of the capture;
-    None: it is that of these."""
+    """[3] float64, local origin of views and points in the coordinates of the capture; None:
+    zero."""
     error_px: float | None = None
     """Mean reprojection error of the points, pixels; None: not stated."""
     test_names: frozenset[str] = frozenset()
-    """Views the capture itself calls test views."""
+    """Test views stated by the capture."""
     masks_are: str = ""
-    """What masks mean unless the user says: `ignore`, or `composite` for mattes of the subject;
-    empty: that is seen from what they show."""
+    """Default meaning of masks: `ignore`, or `composite` for mattes of the subject; empty: detected
+    from their content."""
     warnings: tuple[str, ...] = field(default=())
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
 def listing(names: list[str], most: int = 5) -> str:
-    """The first few names for a message."""
+    """First few names, for a message."""
     return ", ".join(map(brief, names[:most])) + (", ..." if len(names) > most else "")
 
 
 def repeated(names: list[str]) -> list[str]:
-    """Names that are there more than once, sorted."""
+    """Names that occur more than once, sorted."""
     return sorted(name for name, count in Counter(names).items() if count > 1)

@@ -9,31 +9,31 @@ from ..io.files import open_regular
 
 
 class ChangeDetector:
-    """What files were when they were seen first: size and time, and once asked for, a hash."""
+    """First size, time and, on request, hash of files, compared with later ones."""
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        """Look at each file; one that is missing is left to whoever reads it."""
+        """Record size and time of each file; missing files fail when they are read."""
         self._stamps = {path: _stamp(path) for path in paths}
         self._hashes: dict[Path, bytes] = {}
 
     def hash(self, path: Path) -> bytes:
-        """SHA-256 of a file as it was when it was seen first.
+        """SHA-256 of a file in its first state.
 
         Raises:
-            DatasetError: it is missing, cannot be read, or changed before it was asked for.
+            DatasetError: it is missing, cannot be read, or changed before the call.
         """
         if path not in self._hashes:
-            found = _hash(path)
+            digest = _hash(path)
             if _stamp(path) != self._stamps[path]:
                 raise changed_error(path)
-            self._hashes[path] = found
+            self._hashes[path] = digest
         return self._hashes[path]
 
     def check(self, path: Path) -> None:
-        """Raise DatasetError if a file that was just read is another one than it was.
+        """Raise DatasetError if a file that was just read differs from its first state.
 
-        Size and time are compared; where they differ, the content decides if its hash is known, as
-        a file may be copied back or touched.
+        Compares size and time; if they differ, the hash decides if it is known, because a file may
+        have been copied back or touched.
         """
         stamp = _stamp(path)
         if stamp == self._stamps[path]:
@@ -44,19 +44,19 @@ class ChangeDetector:
 
 
 def changed_error(path: Path) -> DatasetError:
-    """The sentence for a file that is another one than it was."""
+    """Error for a file that changed since it was first read."""
     return DatasetError(
         f"{path} changed after the capture was read: it is another file now. Put the first one "
-        f"back, or start again with the photos as they are."
+        f"back, or start again with the current photos."
     )
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
     try:
-        found = path.stat()
+        stat = path.stat()
     except OSError:
         return None
-    return found.st_size, found.st_mtime_ns
+    return stat.st_size, stat.st_mtime_ns
 
 
 def _hash(path: Path) -> bytes:

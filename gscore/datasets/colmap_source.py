@@ -21,8 +21,8 @@ from .search_record import search_warnings
 def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     """Read the model in `config.source` and find its photos in `config.images`.
 
-    Photos that are not there are left out with a warning as long as at least half are. Without
-    `photos_required` every view stays, with the file where its photo should be.
+    Views whose photo is missing are left out with a warning if at least half of the photos exist.
+    Without `photos_required` all views stay, with the path where their photo should be.
 
     Raises:
         DatasetError: there is no model, no image folder, or most photos are missing.
@@ -35,16 +35,16 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
             f"overlap between the photos."
         )
     names = [image.name for image in model.images]
-    if twice := repeated(names):
+    if duplicates := repeated(names):
         raise DatasetError(
             f"The COLMAP model in {model.path} has several images of the same name: "
-            f"{listing(twice)}. Export the model anew from COLMAP."
+            f"{listing(duplicates)}. Export the model from COLMAP again."
         )
     root = _photo_root(config, names)
     if photos_required and not root.is_dir():
         raise DatasetError(
-            f"There is no image folder {root}. Give the folder that holds both the photos and the "
-            f"model, and the name of the photo folder in it with --images."
+            f"There is no image folder {root}. Give the folder of both the photos and the model, "
+            f"and the name of the photo folder in it with --images."
         )
     folder = Folder(root)
     files = folder.find_images(names)
@@ -101,31 +101,31 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
 
 
 def _photo_root(config: DataConfig, names: list[str]) -> Path:
-    """The folder of the photos: that of the option, and where its default is not there `input` or
-    the capture itself, if they hold photos of the model."""
+    """Folder of the photos: that of the option; if its default is missing, `input` or the capture
+    itself, if they have photos of the model."""
     root = config.source / config.images
     if root.is_dir() or config.images != "images":
         return root
     if (config.source / "input").is_dir():
         return config.source / "input"
-    beside = (config.source / part for name in names for part in (name, PurePosixPath(name).name))
-    return config.source if any(map(is_file, beside)) else root
+    photos = (config.source / part for name in names for part in (name, PurePosixPath(name).name))
+    return config.source if any(map(is_file, photos)) else root
 
 
 def _mean_error(points: ColmapPoints) -> float | None:
-    """Pixels; None where no point states its error."""
+    """Mean reprojection error in pixels; None if no point states one."""
     stated = points.error[points.error >= 0]
     return float(stated.mean()) if len(stated) else None
 
 
 def _all_black(points: ColmapPoints) -> bool:
-    """Whether the points have to be coloured from the photos that show them: nothing else asks
-    what was observed."""
+    """True if the points have no colours, so that observations are needed to take colours from the
+    photos."""
     return not points.rgb[within_reach(points.xyz)].any()
 
 
 def _observed(model: ColmapModel) -> Sequence[np.ndarray | None]:
-    """Indices of the points seen in each image, [M] int64; None: not wanted, or unknown."""
+    """Indices of the points observed in each image, [M] int64; None: not needed, or unknown."""
     if not (_all_black(model.points) and model.points.track_lengths.any()):
         return [None] * len(model.images)
     index = PointIndex(model.points)

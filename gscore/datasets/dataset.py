@@ -21,12 +21,12 @@ T = TypeVar("T")
 
 
 _FEW = 4
-"""Views kept after `keep_few`: photo and mask are asked for one after the other."""
+"""Views kept after `keep_few`: photo and mask of a view are requested separately."""
 
 
 class Dataset:
-    """Views by index, as in `scene.cameras`; each photo is decoded once and kept as bytes, or,
-    after `keep_few`, decoded whenever it is needed."""
+    """Photos and masks by view index, as in `scene.cameras`; each photo is decoded once and kept as
+    bytes, or, after `keep_few`, decoded when needed."""
 
     def __init__(
         self,
@@ -41,11 +41,11 @@ class Dataset:
         self.scene = scene
         """Undistorted pinhole cameras at training resolution, sorted by name, and points."""
         self.train = train
-        """Indices of the training views, rising."""
+        """Indices of the training views, ascending."""
         self.test = test
-        """Indices of the held-out views, rising; may be empty."""
+        """Indices of the held-out views, ascending; may be empty."""
         self.mask_mode = mask_mode
-        """`composite`: the mask is opacity; `ignore`: pixels where it is 0 do not count; `none`."""
+        """`composite`: the mask is opacity; `ignore`: pixels where it is 0 are ignored; `none`."""
         self.source = source
         """Folder of the capture."""
         self._files = files
@@ -54,7 +54,7 @@ class Dataset:
             p for f in files for p in (f.image, f.mask) if p is not None
         )
         self._prints: dict[int, int] = {}
-        """Checksums of views that were decoded and may be decoded again."""
+        """Checksums of decoded views, which may be decoded again."""
         self._content_hash: str | None = None
         self._keep_all = True
         self._lock = Lock()
@@ -69,17 +69,17 @@ class Dataset:
 
     @property
     def files(self) -> tuple[ViewFile, ...]:
-        """How each view is decoded, by index."""
+        """Files and decoding settings of each view, by index."""
         return tuple(self._files)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences for the user about what was mended or left out while reading."""
+        """Messages for the user about data that was repaired or left out while reading."""
         return self.scene.warnings
 
     @property
     def nbytes(self) -> int:
-        """Bytes that all photos and masks take once decoded; known before, an upper bound."""
+        """Upper bound of the bytes of all decoded photos and masks, known before decoding."""
         return sum(file.nbytes for file in self._files)
 
     @property
@@ -88,14 +88,14 @@ class Dataset:
         return sum(width * height for width, height in (file.photo_size for file in self._files))
 
     def decoding_bytes(self, threads: int = 0) -> int:
-        """Bytes that so many threads (0: one a core) take at most while they decode photos, besides
-        `nbytes`."""
+        """Most bytes that `threads` threads (0: one per core) take while decoding photos, in
+        addition to `nbytes`."""
         most = max((file.decoding_bytes for file in self._files), default=0)
         at_once = min(threads or os.cpu_count() or 1, DECODED_AT_ONCE // max(most, 1))
         return most * max(at_once, 1)
 
     def content_hash(self) -> str:
-        """Short hash of all photos and masks, read once; tells whether a capture changed.
+        """Short hash of all photos and masks, computed once; identifies a changed capture.
 
         Raises:
             DatasetError: a file is missing, cannot be read, or changed since the capture was read.
@@ -114,7 +114,7 @@ class Dataset:
         """[H, W, 3] uint8, contiguous; decoded on first use. Do not write to it.
 
         Raises:
-            DatasetError: the file or its mask is another one than when the capture was read.
+            DatasetError: the file or its mask changed since the capture was read.
             FormatError: the file is corrupt.
             BackendError: there is too little memory for it.
         """
@@ -125,7 +125,7 @@ class Dataset:
         return self._view(index)[1]
 
     def keep_few(self) -> None:
-        """From now on keep only the views decoded last, for captures larger than memory."""
+        """Keep only the last decoded views from now on, for captures larger than memory."""
         with self._lock:
             self._keep_all = False
             self._prints |= {i: _print(view) for i, view in self._views.items()}
@@ -142,14 +142,14 @@ class Dataset:
         """Decode views in parallel.
 
         Args:
-            indices: Which; None: all.
-            threads: How many to use; 0: one a core.
+            indices: Views to decode; None: all.
+            threads: Number of threads; 0: one per core.
             on_progress: Called with (done, total) after each view, on the calling thread.
-            cancelled: Asked between views; true ends the call.
+            cancelled: Called between views; True stops the call.
 
         Raises:
             FormatError: a file is corrupt.
-            Cancelled: `cancelled` said so.
+            Cancelled: `cancelled` returned True.
         """
         todo = list(range(len(self)) if indices is None else indices)
         for done, _ in enumerate(map_threads(self._view, todo, threads=threads), start=1):
@@ -170,7 +170,7 @@ class Dataset:
         return view
 
     def _decoded(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
-        """The view from its files, which must be what they were."""
+        """Decode a view from its files, which must be unchanged."""
         file = self._files[i]
         try:
             view = decode_view(file)
@@ -184,9 +184,9 @@ class Dataset:
             if path is not None:
                 self._unchanged.check(path)
         if not self._keep_all:
-            # Size and time may be kept on purpose, as `cp -p` and `rsync -t` do.
-            found = _print(view)
-            if self._prints.setdefault(i, found) != found:
+            # A changed file can have the same size and time, after `cp -p` or `rsync -t`.
+            checksum = _print(view)
+            if self._prints.setdefault(i, checksum) != checksum:
                 raise changed_error(file.image)
         return view
 
@@ -199,12 +199,13 @@ def _print(view: tuple[np.ndarray, np.ndarray | None]) -> int:
 
 
 def map_threads(work: Callable[[int], T], items: list[int], *, threads: int = 0) -> Iterator[T]:
-    """Results of `work` for all items, in order, computed in parallel with few of them waiting.
+    """Results of `work` for all items, in order, computed in parallel with few results waiting.
 
     Args:
-        work: Must release the interpreter lock to gain anything; decoding and numpy do.
+        work: Function of an item; parallel only where it releases the GIL, as decoding and numpy
+            do.
         items: Arguments.
-        threads: How many to use; 0: one a core.
+        threads: Number of threads; 0: one per core.
     """
     threads = min(checked_threads(threads) or os.cpu_count() or 1, len(items))
     if threads <= 1:

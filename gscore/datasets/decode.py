@@ -22,34 +22,35 @@ from ..io.images.read_image import (
 from .undistort import Undistortion
 
 DECODED_AT_ONCE = 1_000_000_000
-"""Bytes that photos may take while they are decoded, in all threads, unless one takes more."""
+"""Most bytes of photos being decoded in all threads, unless one photo alone takes more."""
 _PIXEL, _PIXEL_WITH_ALPHA, _PIXEL_TO_UNDISTORT = 8, 5, 4
-"""Bytes for a pixel of the photo: four of Pillow and three of ours, and what else comes with it."""
+"""Bytes per pixel of the photo: four in Pillow, three in the array, and temporaries."""
 
 _NO_TRACE = 1.9
-"""Interpolation at twice the final size leaves no trace after scaling down; sizes are rounded."""
+"""Ratio to the final size from which the kind of interpolation no longer shows after downscaling;
+nominally 2, but sizes are rounded."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewFile:
-    """Everything needed to decode one view."""
+    """Files and settings to decode one view."""
 
     image: Path
     """The photo."""
     mask: Path | None
-    """Its mask file, of the photo's size or larger in proportion."""
+    """Its mask file, of the photo's size or a larger size of the same aspect ratio."""
     mask_inverted: bool
-    """Whether the white of the mask file marks what to leave out."""
+    """True if white in the mask file marks pixels to ignore."""
     use_alpha: bool
-    """Whether the photo's alpha is the mask."""
+    """True if the photo's alpha is the mask."""
     upright: bool
-    """Whether to turn the photo as EXIF asks."""
+    """Apply the photo's EXIF orientation."""
     photo_size: tuple[int, int]
-    """Width and height of the photo, after turning, pixels."""
+    """Width and height of the photo after that, pixels."""
     size: tuple[int, int]
-    """Width and height to deliver, pixels."""
+    """Width and height of the result, pixels."""
     plan: Undistortion | None
-    """How to undistort; None: the photo is one of a pinhole camera."""
+    """Undistortion; None: the photo is from a pinhole camera."""
 
     @property
     def nbytes(self) -> int:
@@ -59,7 +60,7 @@ class ViewFile:
 
     @property
     def decoding_bytes(self) -> int:
-        """Bytes that `decode_view` takes at most, its result not counted."""
+        """Most bytes that `decode_view` takes, without its result."""
         with_alpha = self.use_alpha or self.mask is not None
         each = _PIXEL + (_PIXEL_WITH_ALPHA if with_alpha else 0)
         if self.plan is not None:
@@ -69,8 +70,8 @@ class ViewFile:
 
 
 class _Room:
-    """Memory that several threads share: who wants some waits until it is there. What is larger
-    than all of it gets it alone."""
+    """Memory budget shared by several threads: `take` waits until enough is free. A request larger
+    than the budget gets all of it, alone."""
 
     def __init__(self, size: int) -> None:
         self._size, self._taken = size, 0
@@ -78,7 +79,7 @@ class _Room:
 
     @contextmanager
     def take(self, size: int) -> Iterator[None]:
-        """Have so many bytes for a while."""
+        """Reserve `size` bytes within the block."""
         with self._changed:
             self._changed.wait_for(lambda: not self._taken or self._taken + size <= self._size)
             self._taken += size
@@ -94,15 +95,15 @@ _ROOM = _Room(DECODED_AT_ONCE)
 
 
 def decode_view(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
-    """Decode, undistort and scale one view; several threads at a time as far as their photos take
-    `DECODED_AT_ONCE` bytes together.
+    """Decode, undistort and scale one view; thread-safe. Photos decoded at the same time take at
+    most `DECODED_AT_ONCE` bytes together.
 
     Returns:
         [H, W, 3] uint8 photo and [H, W] uint8 mask (255 = keep) or None, both contiguous.
 
     Raises:
         DatasetError: a file is missing.
-        FormatError: a file is corrupt, or its size is no longer what it was.
+        FormatError: a file is corrupt, or its size has changed.
     """
     with _ROOM.take(file.decoding_bytes):
         return _decode(file)
@@ -123,7 +124,7 @@ def _decode(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
         if is_scaled((mask.shape[1], mask.shape[0]), file.photo_size):
             mask = resize_mask(mask, *file.photo_size)
         _check_size(file, file.mask, mask)
-        # A mask of only yes and no stays one: half-transparent rims would be invented otherwise.
+        # A binary mask stays binary: interpolation would invent half-transparent rims.
         mask = _fit(file, mask, nearest=not np.any((mask > 0) & (mask < 255)))
     return _fit(file, np.ascontiguousarray(photo[..., :3])), mask
 
@@ -133,13 +134,13 @@ def fit_map(file: ViewFile, values: np.ndarray) -> np.ndarray:
 
     Args:
         file: The view.
-        values: [h, w] float32 of any size, showing what the photo shows; NaN: unknown.
+        values: [h, w] float32 of any size that covers the whole photo; NaN: unknown.
 
     Returns:
         [H, W] float32 at the size of the decoded photo; NaN: unknown.
 
     Raises:
-        ShapeError: the map has other proportions than the photo.
+        ShapeError: the map has another aspect ratio than the photo.
     """
     check_proportions(file, values)
     if file.plan is not None:
@@ -154,10 +155,10 @@ def fit_map(file: ViewFile, values: np.ndarray) -> np.ndarray:
 
 
 def check_proportions(file: ViewFile, values: np.ndarray) -> None:
-    """Raise ShapeError if a map [h, w] cannot show the whole photo, whatever its resolution."""
+    """Raise ShapeError if a map [h, w] has another aspect ratio than the photo."""
     height, width = values.shape
     photo_width, photo_height = file.photo_size
-    # Networks and exporters round sizes; a pixel of the map and 1 % are not a crop.
+    # Networks and exporters round sizes: a difference of a pixel and 1 % is no crop.
     expected = photo_height * width / photo_width
     if abs(expected - height) > 1 + 0.01 * height:
         raise ShapeError(
@@ -179,7 +180,8 @@ def _check_size(file: ViewFile, path: Path, image: np.ndarray) -> None:
 def _fit(
     file: ViewFile, image: np.ndarray, *, nearest: bool = False, sharp: bool = True
 ) -> np.ndarray:
-    """Undistort and scale [h, w, ...] uint8 to the size to deliver; `sharp` where that shows."""
+    """Undistort and scale [h, w, ...] uint8 to the final size; `sharp` applies only where it
+    shows."""
     if file.plan is not None:
         width, height = file.photo_size
         pixels = (width / file.plan.camera.width, height / file.plan.camera.height)
@@ -200,26 +202,26 @@ def _fit(
 
 
 def _undistorted_size(file: ViewFile, plan: Undistortion) -> tuple[float, float]:
-    """Width and height of the undistorted photo, in pixels as large as the photo's."""
+    """Width and height of the undistorted photo, in pixels of the photo's scale."""
     width, height = file.photo_size
     return plan.width * (width / plan.camera.width), plan.height * (height / plan.camera.height)
 
 
 def _factor(full: tuple[float, float], size: tuple[int, int]) -> int:
-    """The factor a photo is averaged by before it is undistorted to `full`, scaled down to `size`.
+    """Factor by which a photo is reduced before it is undistorted to `full` and scaled to `size`.
 
-    Large photos are first averaged by whole factors to twice the final size or more, many times
-    cheaper than interpolating between all of their pixels.
+    Large photos are first averaged by an integer factor to at least twice the final size, because
+    that is many times cheaper than interpolating all of their pixels.
     """
     ratio = min(full[0] / size[0], full[1] / size[1])
     return max(1, int(ratio / 2 + 0.05))  # 0.05: sizes are rounded
 
 
 def _fit_rgba(file: ViewFile, image: np.ndarray) -> np.ndarray:
-    """`_fit` for colours with alpha: averaged premultiplied, so hidden colours do not bleed in."""
+    """`_fit` for RGBA: averages premultiplied colours, so that hidden colours do not bleed in."""
     if file.plan is None:
-        return resize(image, *file.size)  # weighs by alpha itself
-    # Apart, because Pillow would weigh the colours of a four-channel image by alpha once more. Not
-    # sharp: where alpha would go beyond 255 and premultiplied colours would not, rims turn bright.
+        return resize(image, *file.size)  # weights by alpha itself
+    # Colours and alpha separately, because Pillow would weight four channels by alpha once more.
+    # Not sharp: where alpha overshoots 255 and premultiplied colours do not, rims turn bright.
     colors = _fit(file, premultiplied(image), sharp=False)
     return divided(colors, _fit(file, np.ascontiguousarray(image[..., 3]), sharp=False))

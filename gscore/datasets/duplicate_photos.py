@@ -7,29 +7,28 @@ from pathlib import Path
 from ..io.files import open_regular
 
 _PIECE = 1 << 16
-"""Bytes that are compared at the beginning, in the middle and at the end of files of one size."""
+"""Bytes compared at the beginning, middle and end of files of equal size."""
 
 
 def find_duplicates(paths: list[Path], cancelled: Callable[[], bool]) -> list[tuple[int, int]]:
-    """Pairs of indices, the first photo and its copy; files that cannot be read are none.
+    """Pairs of indices, first photo and copy; unreadable files are skipped.
 
-    Files of equal size are compared by three pieces, which of compressed photos tell as much as the
-    whole.
+    Files of equal size are compared by three pieces, which is enough for compressed photos.
     """
     by_size: dict[int, list[int]] = {}
     for i, path in enumerate(paths):
         by_size.setdefault(_size(path), []).append(i)
-    found = []
-    for size, alike in by_size.items():
-        seen: dict[bytes, int] = {}
-        for i in alike if len(alike) > 1 and size > 0 else ():
+    pairs = []
+    for size, candidates in by_size.items():
+        known: dict[bytes, int] = {}
+        for i in candidates if len(candidates) > 1 and size > 0 else ():
             if cancelled():
                 return []
             with contextlib.suppress(OSError):
-                first = seen.setdefault(_pieces(paths[i], size), i)
+                first = known.setdefault(_pieces(paths[i], size), i)
                 if first != i:
-                    found.append((first, i))
-    return sorted(found)
+                    pairs.append((first, i))
+    return sorted(pairs)
 
 
 def _size(path: Path) -> int:

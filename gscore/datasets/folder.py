@@ -12,12 +12,12 @@ from ..io.files import is_file
 from ..io.images.read_image import IMAGE_ENDINGS
 
 _MARKED = re.compile(r"[._@#!]mask$", re.IGNORECASE)
-"""Ends the stem of a mask: RealityScan appends one of these signs and the name of the layer to the
-file name of the photo, Metashape's template is `{filename}_mask.png`."""
+"""End of a mask's stem: RealityScan appends one of these signs and the name of the layer to the
+photo's file name, Metashape's template is `{filename}_mask.png`."""
 
 
 class Folder:
-    """The image files below a folder, listed once."""
+    """Image files below a folder, listed once."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -36,10 +36,10 @@ class Folder:
         return len(self._files)
 
     def find_image(self, name: str) -> Path | None:
-        """The file called `name`, else one differing in case, else the only one of this stem."""
+        """The file named `name`, else one that differs in case, else the only one of this stem."""
         name = _clean(name)
         path = self.root / name
-        # Asked of the disk first: files with unusual endings are not in the list.
+        # The disk first, because files with unusual endings are not listed.
         if is_file(path):
             return path
         if _key(name) in self._files:
@@ -48,8 +48,8 @@ class Folder:
         return self.root / same[0] if len(same) == 1 else None
 
     def find_mask(self, name: str) -> Path | None:
-        """The mask of image `name`: `name.png` as COLMAP has it, else the same stem, else one that
-        is marked as a mask, as `name_mask.png`."""
+        """The mask of image `name`: `name.png` as in COLMAP, else the same stem, else one marked as
+        a mask, such as `name_mask.png`."""
         name = _clean(name)
         if _key(f"{name}.png") in self._files:
             return self.root / self._files[_key(f"{name}.png")]
@@ -64,27 +64,27 @@ class Folder:
         return _masks_by_photo(self._files.values())
 
     def find_images(self, names: Sequence[str]) -> list[Path | None]:
-        """The files of images; where none is there, their common folders may lack here, and then
-        the only file of an image's name in any folder is taken."""
+        """The files of images. If none is found, the common parent folders of the names are
+        dropped, and then the only file of an image's name in any folder is used."""
         files = _without_common(self.find_image, names)
         if any(files):
             return files
-        own = [_key(PurePosixPath(_clean(name)).name) for name in names]
-        wanted = Counter(own)
-        there: dict[str, list[str]] = {}
+        keys = [_key(PurePosixPath(_clean(name)).name) for name in names]
+        count = Counter(keys)
+        by_name: dict[str, list[str]] = {}
         for path in self._files.values():
-            there.setdefault(_key(PurePosixPath(path).name), []).append(path)
-        hits = [there.get(name, []) if wanted[name] == 1 else [] for name in own]
+            by_name.setdefault(_key(PurePosixPath(path).name), []).append(path)
+        hits = [by_name.get(key, []) if count[key] == 1 else [] for key in keys]
         return [self.root / hit[0] if len(hit) == 1 else None for hit in hits]
 
     def find_masks(self, names: Sequence[str]) -> list[Path | None]:
-        """The masks of images, as `find_images`."""
+        """The masks of images; folders as in `find_images`."""
         return _without_common(self.find_mask, names)
 
 
 def masks_by_photos(photos: Sequence[Path | None]) -> list[Path | None]:
-    """The masks in the folders of photos whose names are those of the photos and a mark, as
-    `IMG_0.JPG.mask.png` and `IMG_0_mask.png`; None: there is none, or no photo."""
+    """Masks next to photos, named like the photo with a mark, such as `IMG_0.JPG.mask.png` and
+    `IMG_0_mask.png`; None: no mask, or no photo."""
     known = set(photos)
     folders = {photo.parent for photo in photos if photo is not None and photo.parent.is_dir()}
     marked = {
@@ -107,19 +107,19 @@ def masks_by_photos(photos: Sequence[Path | None]) -> list[Path | None]:
 
 
 def without_masks(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
-    """The names of photos without those of masks of one of them, or of one of `others`."""
+    """Names without those of masks of one of the names or of one of `others`."""
     photos = {key for name in (*names, *others) for key in (_key(name), _stem(name))}
     return [name for name in names if _photo_of_mask(name) not in photos]
 
 
 def is_marked_mask(path: PurePath) -> bool:
-    """Whether a file's name ends as those of masks."""
+    """True if a file name has the mark of a mask."""
     return bool(_photo_of_mask(path.name))
 
 
 def same_name(name: str) -> str:
-    """A name as it is compared: of the two ways to write an accented letter the composed one
-    (NFC of Unicode's annex 15; macOS and some tools write NFD)."""
+    """Normalised name for comparison: NFC of Unicode's annex 15, because macOS and some tools write
+    NFD."""
     return unicodedata.normalize("NFC", name)
 
 
@@ -134,12 +134,12 @@ def _without_common(find: Callable[[str], Path | None], names: Sequence[str]) ->
 
 
 def _masks_by_photo(paths: Iterable[str]) -> dict[str, str]:
-    """Marked masks by the key of their photo, with or without its ending."""
+    """Marked masks by the key of their photo, which may lack its ending."""
     return {owner: path for path in sorted(paths) if (owner := _photo_of_mask(path))}
 
 
 def _photo_of_mask(path: str) -> str:
-    """The key of the photo of a marked mask, with or without its ending; empty: no mask."""
+    """Key of the photo of a marked mask, which may lack its ending; empty: no mask."""
     stem = _stem(path)
     return _MARKED.sub("", stem) if _MARKED.search(stem) else ""
 

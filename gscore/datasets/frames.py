@@ -1,4 +1,4 @@
-"""Frames of a sequence of captures, and the selection of frames."""
+"""Frames of a sequence of captures, and their selection."""
 
 import re
 import string
@@ -17,41 +17,41 @@ from .programs import find_program
 from .transforms_json import find_transforms
 
 _PATTERNS = ("source", "images", "masks", "depths")
-"""Options that may hold `{frame}`."""
+"""Options that may contain `{frame}`."""
 _LISTED = 5
-"""Numbers of frames that a message names."""
+"""Most frame numbers in a message."""
 _FRAMES = re.compile(r"\s*(\d{0,18})\s*(?:(:)\s*(\d{0,18})\s*(?::\s*(\d{1,18}))?)?\s*")
-"""A number or a range; of more digits than any file name has, Python would make none."""
+"""A number or a range; digits are limited because Python refuses to parse very long numbers."""
 _NUMBERED = re.compile(r"\D*(\d+)")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceFrame:
-    """One frame of a sequence: a capture of its own."""
+    """One frame of a sequence, itself a capture."""
 
     number: int
     data: DataConfig
 
     @property
     def name(self) -> str:
-        """Folder of its results."""
+        """Name of the folder of its results."""
         return f"frame_{self.number:06d}"
 
 
 def find_frames(data: DataConfig) -> list[SequenceFrame]:
-    """All frames that `data` describes, rising by number.
+    """All frames that `data` describes, sorted by number.
 
     `data.source` is one of these:
 
     - a folder of PKU-DyMVHumans: a scenario or one of its layouts;
     - a folder of numbered captures, such as `000000/` or `frame_12/`, each with a COLMAP model or a
       transforms.json;
-    - a path with `{frame}` or `{frame:06d}` where the number stands. `images`, `masks` and
-      `depths` may hold it too, or instead: then one COLMAP model serves all frames.
+    - a path with `{frame}` or `{frame:06d}` in place of the number. `images`, `masks` and `depths`
+      may contain it too, or instead: then all frames share one COLMAP model.
 
     Raises:
         DatasetError: there are no frames.
-        ConfigError: a pattern holds something else in braces.
+        ConfigError: a pattern has other text in braces.
     """
     if any("{" in str(getattr(data, name)) for name in _PATTERNS):
         return _from_pattern(data)
@@ -60,7 +60,7 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
         return [
             SequenceFrame(
                 number=number,
-                # All paths but one name their frame, so that each result says what it came from.
+                # Except in `per_view`, the path already identifies the frame.
                 data=replace(data, source=path, frame=number if path.name == "per_view" else None),
             )
             for number, path in video.frames().items()
@@ -68,7 +68,7 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
     if not data.source.is_dir():
         raise DatasetError(
             f"There is no folder {data.source}. Give a folder with a numbered folder for each "
-            f"frame, or a path with {{frame:06d}} where the number stands."
+            f"frame, or a path with {{frame:06d}} in place of the number."
         )
     found: dict[int, Path] = {}
     for folder in sorted(data.source.iterdir()):
@@ -78,7 +78,7 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
     if not found:
         raise DatasetError(
             f"{data.source} holds no frames; expected a numbered folder for each, with photos and "
-            f"a COLMAP model in it. Where one model serves all frames, give its folder, and "
+            f"a COLMAP model in it. If all frames share one model, give its folder, and "
             f"frames/{{frame:06d}} as --images."
         )
     return [
@@ -88,11 +88,11 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
 
 
 def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFrame]:
-    """Some frames: `0,5,12`, `0:30` (both ends belong to it), `0:30:5`, `10:`, `:20`, or joined.
+    """Select frames: `0,5,12`, `0:30` (inclusive), `0:30:5`, `10:`, `:20`, or joined by commas.
 
     Raises:
-        ConfigError: it is written differently.
-        DatasetError: a number, or all of a range, is not there.
+        ConfigError: `wanted` has another syntax.
+        DatasetError: a number, or a whole range, does not exist.
     """
     numbers = {frame.number for frame in frames}
     chosen: set[int] = set()
@@ -111,31 +111,31 @@ def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFram
             inside = range(first, last + 1, int(match[4] or 1))
             picked = {number for number in numbers if number in inside}
         if not picked:
-            there = sorted(numbers)
+            known = sorted(numbers)
             raise DatasetError(
                 f"There is no frame {part.strip()}: the sequence has "
-                f"{count_words(len(there), 'frame')}, {listing([str(n) for n in there], _LISTED)}"
-                f"{f' up to {there[-1]}' if len(there) > _LISTED else ''}."
+                f"{count_words(len(known), 'frame')}, {listing([str(n) for n in known], _LISTED)}"
+                f"{f' up to {known[-1]}' if len(known) > _LISTED else ''}."
             )
         chosen |= picked
     return [frame for frame in frames if frame.number in chosen]
 
 
 def of_frame(path: Path | None, number: int) -> Path | None:
-    """A path with a frame's number in place of `{frame}` or `{frame:06d}`; others stay.
+    """Path with a frame's number in place of `{frame}` or `{frame:06d}`; other paths unchanged.
 
     Raises:
-        ConfigError: it holds something else in braces.
+        ConfigError: it has other text in braces.
     """
     return path if path is None or "{" not in str(path) else Path(_fill(str(path), number))
 
 
 def frame_pattern(folder: Path, name: str) -> Path:
-    """A path that `of_frame` fills in, to a file in a folder whose own name may hold braces.
+    """Pattern for `of_frame`, for a file in a folder whose own name may contain braces.
 
     Args:
-        folder: Stays as it is.
-        name: Of the file; may hold `{frame:06d}`, and else holds no braces.
+        folder: Kept literally.
+        name: File name; may contain `{frame:06d}`, but no other braces.
     """
     if "{" not in f"{folder}{name}":
         return folder / name
@@ -158,15 +158,15 @@ def _from_pattern(data: DataConfig) -> list[SequenceFrame]:
         found = dict(_matches(data.source, shown))
     if not found:
         raise DatasetError(
-            f"Nothing fits {quoted(shown)}{'' if '{' in source else f' in {source}'}; expected a "
-            f"folder for each frame with its number in place of the braces."
+            f"Nothing matches {quoted(shown)}{'' if '{' in source else f' in {source}'}; expected "
+            f"a folder for each frame with its number in place of the braces."
         )
     frames = []
     for number in sorted(found):
-        given = {name: getattr(data, name) for name in _PATTERNS}
+        options = {name: getattr(data, name) for name in _PATTERNS}
         filled = {
             name: type(value)(_fill(str(value), number))
-            for name, value in given.items()
+            for name, value in options.items()
             if "{" in str(value)
         }
         frames.append(SequenceFrame(number=number, data=replace(data, **filled)))
@@ -174,7 +174,7 @@ def _from_pattern(data: DataConfig) -> list[SequenceFrame]:
 
 
 def _matches(root: Path, pattern: str) -> Iterator[tuple[int, Path]]:
-    """(number, path) for what there is of a pattern with `{frame}` in one of its parts."""
+    """Existing paths (number, path) that match a pattern with `{frame}` in one of its parts."""
     parts = Path(pattern).parts
     at = next(i for i, part in enumerate(parts) if "{" in part)
     above = root.joinpath(*parts[:at])
@@ -195,7 +195,7 @@ def _matches(root: Path, pattern: str) -> Iterator[tuple[int, Path]]:
 
 
 def _fields(pattern: str) -> list[tuple[str, str | None]]:
-    """(text, format of the number after it or None) of a pattern."""
+    """Pairs (text, format of the number after it or None) of a pattern."""
     try:
         parsed = list(string.Formatter().parse(pattern))
     except ValueError as error:
@@ -212,7 +212,7 @@ def _fields(pattern: str) -> list[tuple[str, str | None]]:
                 f"at most."
             )
     if sum(field is not None for _, field, _, _ in parsed) > 1:
-        raise ConfigError(f"{quoted(pattern)} holds the number twice in one name; once is enough.")
+        raise ConfigError(f"{quoted(pattern)} has the number twice in one name; write it once.")
     return [(text, None if field is None else spec or "") for text, field, spec, _ in parsed]
 
 
@@ -223,7 +223,7 @@ def _fill(pattern: str, number: int) -> str:
 
 
 def _fields_of(pattern: str) -> list[tuple[str, str | None]]:
-    """`_fields` of a whole path, part by part."""
+    """`_fields` of all parts of a path."""
     out: list[tuple[str, str | None]] = []
     for i, part in enumerate(pattern.split("/")):
         out += [("/", None)] if i else []

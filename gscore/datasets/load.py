@@ -23,7 +23,7 @@ from .split import is_chosen, split_views, split_warnings
 from .undistort import Undistortion, plan_undistortion
 
 RANDOM_SEED = 0
-"""Of those points."""
+"""Seed of the random points."""
 
 
 def load_dataset(
@@ -34,21 +34,21 @@ def load_dataset(
 ) -> Dataset:
     """Read a capture: a COLMAP model or a transforms.json, with photos and masks.
 
-    Photos are not decoded yet (except to colour black points): `Dataset.nbytes` says what they will
-    take, `Dataset.preload` decodes them.
+    Photos are not decoded yet (except to colour black points): `Dataset.nbytes` is the memory they
+    need, `Dataset.preload` decodes them.
 
     Args:
-        config: Which capture, and how to use it.
-        origin: [3], the local origin that cameras and points are to be about, in the coordinates of
-            the capture; zeros: none; None: one is chosen where float32 needs it.
-        cancelled: Asked between photos; true ends the call.
+        config: Capture and options.
+        origin: [3], local origin for cameras and points, in the coordinates of the capture; zeros:
+            none; None: chosen where float32 needs one.
+        cancelled: Called between photos; True stops the call.
 
     Raises:
-        Cancelled: `cancelled` said so.
-        DatasetError: something is missing, does not match, or leaves nothing to train on.
-        FormatError: a file is truncated, corrupt or of an unknown kind.
-        ConfigError: an option has a value that cannot work.
-        BackendError: an optional package that this capture takes is not installed.
+        Cancelled: `cancelled` returned True.
+        DatasetError: data is missing, does not match, or leaves nothing to train on.
+        FormatError: a file is truncated, corrupt or of an unknown format.
+        ConfigError: an option has an invalid value.
+        BackendError: an optional package that this capture needs is not installed.
     """
     check_resolution(config.resolution)
     capture = read_capture(config, origin=origin)
@@ -57,18 +57,18 @@ def load_dataset(
     for view in views:
         _go_on(cancelled)
         infos.append(read_info(view.image))
-    found = fit_photos(views, infos)
-    check_fit(views, infos, found)
-    warnings = [*capture.warnings, *photo_warnings(views, infos, found, cancelled)]
-    masks = choose_masks(config, capture, views, infos, found.sizes, cancelled=cancelled)
+    fit = fit_photos(views, infos)
+    check_fit(views, infos, fit)
+    warnings = [*capture.warnings, *photo_warnings(views, infos, fit, cancelled)]
+    masks = choose_masks(config, capture, views, infos, fit.sizes, cancelled=cancelled)
     warnings += masks.warnings
-    files, Ks = _files(views, found, masks, config)
+    files, Ks = _files(views, fit, masks, config)
     warnings += _cut_off(views, files)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(
             f"{count_words(narrow, 'photo is', 'photos are')} narrower than the "
-            f"{config.resolution:g} px asked for and used at full size."
+            f"requested {config.resolution:g} px and used at full size."
         )
     cameras = Cameras(
         viewmats=np.stack([view.viewmat for view in views]),
@@ -81,8 +81,8 @@ def load_dataset(
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
     by_rule = is_chosen(config, stated=capture.test_names)
-    train, test, told = warn_of_split_shots(views, train, test, chosen=by_rule)
-    warnings += told
+    train, test, shot_warnings = warn_of_split_shots(views, train, test, chosen=by_rule)
+    warnings += shot_warnings
     warnings += split_warnings(len(views), test, config)
     points = _points(capture.points, cameras, views, files, warnings, cancelled)
     return Dataset(
@@ -101,7 +101,7 @@ def _go_on(cancelled: Callable[[], bool]) -> None:
 
 
 def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
-    """A sentence on photos that lose their rim because the distortion folds back there."""
+    """Warning about photos that lose their rim because the distortion folds back there."""
     cut = [
         (file.plan.cut_off, view)
         for view, file in zip(views, files, strict=True)
@@ -119,14 +119,14 @@ def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
 
 def _files(
     views: list[View],
-    found: PhotoFit,
+    fit: PhotoFit,
     masks: MaskChoice,
     config: DataConfig,
 ) -> tuple[list[ViewFile], list[np.ndarray]]:
-    """How to decode each view, and its K at the size delivered, [3, 3] float64 each."""
+    """Decoding settings of each view, and its K at the final size, [3, 3] float64 each."""
     plans: dict[tuple, Undistortion | None] = {}
     files, Ks = [], []
-    for i, (view, size) in enumerate(zip(views, found.sizes, strict=True)):
+    for i, (view, size) in enumerate(zip(views, fit.sizes, strict=True)):
         camera = view.camera
         key = (camera.model, camera.width, camera.height, camera.params.tobytes())
         if key not in plans:
@@ -148,7 +148,7 @@ def _files(
                 mask=masks.files[i],
                 mask_inverted=config.invert_masks,
                 use_alpha=masks.use_alpha[i],
-                upright=found.upright[i],
+                upright=fit.upright[i],
                 photo_size=size,
                 size=target,
                 plan=plan,
@@ -165,7 +165,7 @@ def _points(
     warnings: list[str],
     cancelled: Callable[[], bool],
 ) -> PointCloud:
-    """The capture's points mended: in bounds, at least some, coloured."""
+    """The capture's points within reach and coloured; random points if none is usable."""
     usable = within_reach(points.points)
     warnings += point_warnings(points, usable)
     if not usable.any():
@@ -180,7 +180,7 @@ def _points(
     if points.colors.any():
         return points
 
-    # Not kept: whoever calls decides by `nbytes` whether all photos fit into memory.
+    # Not kept: the caller decides by `nbytes` whether all photos fit in memory.
     def load(i: int) -> tuple[np.ndarray, np.ndarray | None]:
         _go_on(cancelled)
         return decode_view(files[i])

@@ -21,11 +21,11 @@ from .folder import Folder
 from .mask_meaning import are_mattes
 
 MASK_FOLDER = "masks"
-"""Folder that is written, and looked for when none is given."""
+"""Folder for written masks, and the default to read them from."""
 _FOLDERS = (MASK_FOLDER, "mask")
 _HALF = 128
-"""Alpha from here on is taken for 255 where all photos have no less: encoders leave 254, and what
-cuts a subject out has pixels that are not there at all."""
+"""Alpha counts as opaque if no pixel of any photo is below this: encoders leave 254, and mattes
+have fully transparent pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class MaskChoice:
     use_alpha: list[bool]
     """[C] whether the photo's own alpha is the mask."""
     warnings: tuple[str, ...] = ()
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
 def choose_masks(
@@ -51,22 +51,22 @@ def choose_masks(
     *,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> MaskChoice:
-    """Find the masks: those the capture states, else those of a folder, else the photos' alpha.
+    """Find the masks: those stated by the capture, else those of a folder, else the photos' alpha.
 
-    Alpha that hides half of no pixel of any photo is no mask. To know that, photos with alpha are
-    decoded until one hides something, which mostly is the first.
+    Alpha is a mask only if some pixel is less than half opaque. To check that, photos with alpha
+    are decoded until one has such a pixel, usually the first.
 
     Args:
         config: Options `masks`, `mask_mode` and `invert_masks`.
-        capture: Its folder, and what masks mean in it.
+        capture: The capture, for its folder and the meaning of its masks.
         views: Its views, in the order of the lists below.
-        infos: Of their photos.
-        sizes: Width and height of the photos as they will be used; masks must have the same,
-            or be those of larger photos.
-        cancelled: Asked between photos; true ends the call.
+        infos: Headers of their photos.
+        sizes: Width and height of the photos as used; masks must have the same size, or a larger
+            one of the same aspect ratio.
+        cancelled: Called between photos; True stops the call.
 
     Raises:
-        Cancelled: `cancelled` said so.
+        Cancelled: `cancelled` returned True.
         DatasetError: the folder is missing or has no mask of any view, or a mask has another size.
         FormatError: the first mask or a photo with alpha is corrupt.
     """
@@ -74,15 +74,15 @@ def choose_masks(
     if config.mask_mode == "none":
         return none
     files, warnings = masks_of_views(config, capture.root, views)
-    found = [file for file in files if file is not None]
-    if found:
+    existing = [file for file in files if file is not None]
+    if existing:
         for view, file, size in zip(views, files, sizes, strict=True):
             if file is not None:
                 check_mask_size(view, file, size)
-        warnings += _assumed(found[0])
+        warnings += _assumed(existing[0])
         mode = config.mask_mode
         if mode == "auto":
-            mode = capture.masks_are or _meaning(found, inverted=config.invert_masks)
+            mode = capture.masks_are or _meaning(existing, inverted=config.invert_masks)
         return MaskChoice(
             mode=mode, files=files, use_alpha=none.use_alpha, warnings=tuple(warnings)
         )
@@ -102,20 +102,20 @@ def _meaning(masks: list[Path], *, inverted: bool) -> str:
 
 
 def _hide_something(photos: list[Path], cancelled: Callable[[], bool]) -> bool:
-    """Whether any of these photos has a pixel of which its alpha hides half or more."""
+    """True if any of these photos has a pixel that is less than half opaque."""
 
     def hides(i: int) -> bool:
         if cancelled():
             raise Cancelled("Reading the photos was stopped.")
         return bool((read_image(photos[i])[..., 3:] < _HALF).any())
 
-    # One after the other first: mostly one is enough.
+    # The first one alone, because usually one is enough.
     rest = map_threads(hides, list(range(1, len(photos))))
     return bool(photos) and (hides(0) or any(rest))
 
 
 def _assumed(mask: Path) -> list[str]:
-    """A sentence where it had to be guessed what is white in masks, from the first of them."""
+    """Warning if the white value of masks had to be guessed, from the first mask."""
     assumed = assumed_of_mask(mask)
     return [f"The masks {assumed}, for example {mask}."] if assumed else []
 
@@ -123,12 +123,12 @@ def _assumed(mask: Path) -> list[str]:
 def masks_of_views(
     config: DataConfig, root: Path, views: list[View]
 ) -> tuple[list[Path | None], list[str]]:
-    """The mask file of each view, and sentences on those that have none.
+    """Mask file of each view, and warnings about views without one.
 
     Args:
         config: Option `masks`.
         root: Folder of the capture.
-        views: Of the capture.
+        views: Views of the capture.
 
     Raises:
         DatasetError: the folder is missing, or there is no mask of any view.
@@ -139,24 +139,24 @@ def masks_of_views(
         files = [file if file is not None and file.is_file() else None for file in stated]
         if not any(files):
             raise DatasetError(
-                f"None of the {number(len(views))} masks that the capture names is there, "
+                f"None of the {number(len(views))} masks stated by the capture exists, "
                 "for example "
                 f"{next(file for file in stated if file is not None)}. Put them there, or choose "
                 f"--mask-mode none."
             )
-        where = "the places that the capture names"
+        where = "the paths stated by the capture"
     elif place is not None and place.is_dir():
         folder = Folder(place)
         files = folder.find_masks([view.name for view in views])
         where = str(place)
         if not any(files):
-            sentence = (
+            problem = (
                 f"{place} has no mask of any view ({count_words(len(folder), 'image')} there); "
                 f"expected names like {views[0].name}.png."
             )
             if config.masks:
-                raise DatasetError(f"{sentence} Rename them, or give another folder with --masks.")
-            return files, [f"{sentence} It is not used."]
+                raise DatasetError(f"{problem} Rename them, or give another folder with --masks.")
+            return files, [f"{problem} It is not used."]
     elif config.masks:
         raise DatasetError(f"There is no mask folder {place}. Give its name with --masks.")
     else:
@@ -165,18 +165,19 @@ def masks_of_views(
     if missing:
         return files, [
             f"{len(missing)} of {count_words(len(views), 'view')} have no mask in {where}: "
-            f"{listing(missing)}; they count as a whole."
+            f"{listing(missing)}; all of their pixels count."
         ]
     return files, []
 
 
 def masks_inside(root: Path) -> Path | None:
-    """The folder of masks in a folder; None: there is none."""
+    """The folder of masks in a folder; None: no such folder."""
     return next((root / name for name in _FOLDERS if (root / name).is_dir()), None)
 
 
 def check_mask_size(view: View, file: Path, size: tuple[int, int]) -> None:
-    """Raise DatasetError unless a mask has its photo's size, or is larger in proportion."""
+    """Raise DatasetError unless a mask has its photo's size, or a larger size of the same aspect
+    ratio."""
     info = read_info(file)
     own = (info.width, info.height)
     if own != size and not is_scaled(own, size):

@@ -16,26 +16,26 @@ from ..scene import (
 from .capture import Capture, View
 
 _TOLERANCE = 0.01
-"""Pixels that rounding to float32 may move what a camera sees."""
+"""Pixels by which rounding to float32 may move a projected point."""
 _GAIN = 4.0
-"""How many times smaller that has to become for a local origin to be worth it: coordinates that are
-large because the capture is cannot be made small."""
-_LOOKED_AT = 1000
-"""Views and points, spread evenly, that are looked at."""
+"""Least factor by which a local origin must reduce that error; it cannot help a capture that is
+itself large."""
+_SAMPLED = 1000
+"""Most views and points that are evaluated, evenly spaced."""
 _ROUNDING = 2.0**-24
-"""Of float32, relative."""
+"""Relative rounding error of float32."""
 
 
 def about_origin(capture: Capture, origin: np.ndarray | None = None) -> Capture:
-    """The capture in coordinates about a local origin, subtracted in float64.
+    """The capture in coordinates relative to a local origin, subtracted in float64.
 
     Args:
-        capture: As its files state it.
-        origin: [3] that origin, in the coordinates of the capture's world; zeros: none; None: it is
-            chosen by `choose_origin`.
+        capture: The capture as in its files.
+        origin: [3], the local origin in the capture's world; zeros: none; None: chosen by
+            `choose_origin`.
 
     Returns:
-        The capture, with `Capture.origin`; itself where nothing has to move.
+        The capture, with `Capture.origin`; `capture` itself if nothing moves.
     """
     if origin is None:
         chosen = choose_origin(capture)
@@ -47,29 +47,27 @@ def about_origin(capture: Capture, origin: np.ndarray | None = None) -> Capture:
         return capture
     views = [replace(view, viewmat=moved_viewmats(view.viewmat, shift)) for view in capture.views]
     points = replace(capture.points, points=capture.points.points - shift)
-    place = origin if origin.any() else None
-    told = () if place is None else (_words(place),)
-    return replace(
-        capture, views=views, points=points, origin=place, warnings=(*capture.warnings, *told)
-    )
+    local = origin if origin.any() else None
+    warnings = capture.warnings if local is None else (*capture.warnings, _warning(local))
+    return replace(capture, views=views, points=points, origin=local, warnings=warnings)
 
 
-def _words(origin: np.ndarray) -> str:
+def _warning(origin: np.ndarray) -> str:
     return (
-        f"The capture lies far from the origin of its coordinates, where float32 numbers are "
-        f"coarse: splats and cameras are about the local origin {origin_words(origin)}, which "
+        f"The capture is far from the origin of its coordinates, where float32 is too coarse: "
+        f"splats and cameras are relative to the local origin {origin_words(origin)}, which "
         f"their files state."
     )
 
 
 def choose_origin(capture: Capture) -> np.ndarray | None:
-    """[3] float64, a place amid the cameras, in the coordinates that these have; None where float32
-    is fine enough for them.
+    """[3] float64, local origin amid the cameras, in the capture's coordinates; None if float32 is
+    fine enough without.
 
-    It is the median of the camera positions, rounded to a power of ten no larger than the capture,
-    so that as a rule it stays the same where some photos are left out.
+    It is the median camera position, rounded to a power of ten no larger than the capture, so that
+    it usually stays the same if some photos are left out.
     """
-    step = max(1, len(capture.views) // _LOOKED_AT)
+    step = max(1, len(capture.views) // _SAMPLED)
     if not capture.views:
         return None
     centers = camera_centers(np.stack([view.viewmat for view in capture.views]))
@@ -78,8 +76,8 @@ def choose_origin(capture: Capture) -> np.ndarray | None:
     middle = np.median(centers, axis=0)
     radius = _median(distances(centers, middle))
     if float(np.abs(middle).max()) <= radius:
-        return None  # the usual case, in which no points are looked at
-    points = capture.points.points[:: max(1, len(capture.points) // _LOOKED_AT)]
+        return None  # the usual case, decided without the points
+    points = capture.points.points[:: max(1, len(capture.points) // _SAMPLED)]
     points = points[within_reach(points)]
     size = max(radius, _median(distances(points, middle)))
     if not size > 0:
@@ -97,7 +95,7 @@ def choose_origin(capture: Capture) -> np.ndarray | None:
 def _pixels(
     view: View, center: np.ndarray, points: np.ndarray, size: float, about: np.ndarray
 ) -> float:
-    """How far what a view sees moves in its picture where coordinates about a place are rounded."""
+    """Pixels by which a view's points move if coordinates relative to `about` [3] are rounded."""
     z = points @ view.viewmat[2, :3] + view.viewmat[2, 3]
     depth = _median(z[z > 0]) or size
     largest = float(np.abs(center - about).max()) + depth

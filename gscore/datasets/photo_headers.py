@@ -16,22 +16,22 @@ from .duplicate_photos import find_duplicates
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFit:
-    """How photos fit the cameras that were made from them."""
+    """Match of photos with their cameras."""
 
     upright: tuple[bool, ...]
-    """Whether the camera was calibrated on the photo as EXIF turns it, not as it is stored."""
+    """True if the camera was calibrated on the photo with its EXIF orientation applied."""
     sizes: tuple[tuple[int, int], ...]
-    """Width and height of each photo turned as its camera wants it, pixels."""
+    """Width and height of each photo in its camera's orientation, pixels."""
     misfits: tuple[int, ...]
-    """Indices of photos that fit their cameras neither way."""
+    """Indices of photos that match their cameras in neither orientation."""
 
 
 def fit_photos(views: Sequence[View], infos: Sequence[ImageInfo]) -> PhotoFit:
     """Compare photos with their cameras.
 
     Args:
-        views: With the cameras.
-        infos: Of their photos.
+        views: Views with the cameras.
+        infos: Headers of their photos.
     """
     upright, misfits = [], []
     for i, (view, info) in enumerate(zip(views, infos, strict=True)):
@@ -50,15 +50,16 @@ def fit_photos(views: Sequence[View], infos: Sequence[ImageInfo]) -> PhotoFit:
 def up_as_held(
     views: Sequence[View], infos: Sequence[ImageInfo] | None = None
 ) -> np.ndarray | None:
-    """What is up by cameras and EXIF orientations.
+    """Up direction from cameras and EXIF orientations.
 
     Args:
-        views: With the cameras.
-        infos: Of their photos; None: they are read here, and a photo that is missing or cannot be
-            read counts as one that EXIF does not turn.
+        views: Views with the cameras.
+        infos: Headers of their photos; None: read here, where a missing or unreadable photo counts
+            as one without EXIF orientation.
 
     Returns:
-        [3] float64, unit, world; None where EXIF turns no photo, so that the cameras alone tell.
+        [3] float64, unit, world; None if no photo has an EXIF rotation, so that only the cameras
+        can state it.
     """
     infos = [_info(view) for view in views] if infos is None else infos
     turned = fit_photos(views, infos).upright
@@ -73,12 +74,12 @@ def _info(view: View) -> ImageInfo:
         return ImageInfo(view.camera.width, view.camera.height, False)
 
 
-def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> None:
-    """Raise DatasetError where a photo fits its camera neither as stored nor turned."""
-    if not found.misfits:
+def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], fit: PhotoFit) -> None:
+    """Raise DatasetError if a photo matches its camera neither as stored nor rotated by EXIF."""
+    if not fit.misfits:
         return
-    view, info = views[found.misfits[0]], infos[found.misfits[0]]
-    rest = len(found.misfits) - 1
+    view, info = views[fit.misfits[0]], infos[fit.misfits[0]]
+    rest = len(fit.misfits) - 1
     others = f" {count_words(rest, 'other does', 'others do')} not fit either." if rest else ""
     raise DatasetError(
         f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
@@ -90,22 +91,22 @@ def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit
 def photo_warnings(
     views: Sequence[View],
     infos: Sequence[ImageInfo],
-    found: PhotoFit,
+    fit: PhotoFit,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> list[str]:
-    """Sentences on photos that are used otherwise than their owner may think.
+    """Warnings about photos that are used in an unexpected way.
 
     Args:
         views, infos: As for `fit_photos`.
-        found: What that found; misfits are not told of.
-        cancelled: Asked between photos; true ends the call early.
+        fit: Its result; misfits are not reported here.
+        cancelled: Called between photos; True ends the call early.
     """
-    told = [*_copies(views, cancelled), *_flipped(views, infos, found)]
-    return told + _other_sizes(views, found)
+    warnings = [*_copies(views, cancelled), *_flipped(views, infos, fit)]
+    return warnings + _other_sizes(views, fit)
 
 
 def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
-    """A sentence on photos that are copies of others: one of the two poses must be wrong."""
+    """Warning about copies of photos: one of the two poses must be wrong."""
     pairs = find_duplicates([view.image for view in views], cancelled)
     if not pairs:
         return []
@@ -117,29 +118,28 @@ def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
     ]
 
 
-def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], found: PhotoFit) -> list[str]:
-    """A sentence on photos of which their size does not tell whether they were calibrated turned:
-    upside down, mirrored, or square and on their side."""
+def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], fit: PhotoFit) -> list[str]:
+    """Warning about photos that are upside down, mirrored, or square and on their side: their size
+    does not show whether they were calibrated with the EXIF orientation applied."""
     unsure = [
         view.name
-        for view, info, turned in zip(views, infos, found.upright, strict=True)
+        for view, info, turned in zip(views, infos, fit.upright, strict=True)
         if not turned
         and (info.is_flipped or (info.is_sideways and view.fits(info.height, info.width)))
     ]
     if not unsure:
         return []
     return [
-        f"EXIF asks to turn {count_words(len(unsure), 'photo that is', 'photos that are')} used as "
-        f"stored, as COLMAP does: {listing(unsure)}. If the cameras were made from "
-        f"turned photos, save the photos turned."
+        f"The EXIF rotation of {count_words(len(unsure), 'photo')} is ignored, as in COLMAP: "
+        f"{listing(unsure)}. If the cameras were made from rotated photos, save the photos rotated."
     ]
 
 
-def _other_sizes(views: Sequence[View], found: PhotoFit) -> list[str]:
+def _other_sizes(views: Sequence[View], fit: PhotoFit) -> list[str]:
     other = [
         f"{view.name} ({size[0]} x {size[1]} for {view.camera.width} x {view.camera.height})"
-        for i, (view, size) in enumerate(zip(views, found.sizes, strict=True))
-        if size != (view.camera.width, view.camera.height) and i not in found.misfits
+        for i, (view, size) in enumerate(zip(views, fit.sizes, strict=True))
+        if size != (view.camera.width, view.camera.height) and i not in fit.misfits
     ]
     if not other:
         return []

@@ -1,4 +1,4 @@
-"""Initial points: random points for captures without any, and colours for black points."""
+"""Initial points: random points for captures without points, and colours for black points."""
 
 from collections.abc import Callable
 
@@ -9,52 +9,52 @@ from ..text_format import count_words, number
 from .dataset import map_threads
 
 RANDOM_POINTS = 100_000
-"""Points made up for a capture without any, as the 3DGS paper does for synthetic scenes."""
+"""Random points for a capture without points, as in the 3DGS paper for synthetic scenes."""
 GREY = 128
-"""Colour of points that no photo shows, sRGB byte."""
+"""Colour of points that are visible in no photo, sRGB byte."""
 
 
 def point_warnings(points: PointCloud, usable: np.ndarray) -> list[str]:
-    """Sentences on points that are left out, missing or black.
+    """Warnings about points that are left out, missing or black.
 
     Args:
-        points: As the capture states them.
+        points: Points of the capture.
         usable: [P] bool, `within_reach` of them.
     """
     if not usable.any():
         return [
-            f"The capture has no {'usable ' if len(usable) else ''}points. Where photos do "
-            "not tell better, a training starts from random ones, which takes longer and gives "
-            "floaters. For better results run COLMAP's triangulation, or put a PLY of points "
-            "called points3D.ply beside the cameras."
+            f"The capture has no {'usable ' if len(usable) else ''}points. Unless points can be "
+            "computed from the photos, a training starts from random ones, which takes longer and "
+            "gives floaters. For better results run COLMAP's triangulation, or put a PLY of points "
+            "named points3D.ply next to the cameras."
         ]
-    told = []
+    warnings = []
     if not usable.all():
         first = int(np.flatnonzero(~usable)[0])
-        told.append(
+        warnings.append(
             f"{count_words(int((~usable).sum()), 'point is', 'points are')} not finite or beyond "
             f"{FARTHEST:g}, the first of them number {first} at {points.points[first].tolist()}; "
             "left out."
         )
     if not points.colors[usable].any():
-        told.append(
+        warnings.append(
             f"All points are black ({number(int(usable.sum()))} of them; COLMAP was run without "
             "extracting colours); they are coloured from the photos."
         )
-    return told
+    return warnings
 
 
 def random_points(cameras: Cameras, count: int, *, seed: int) -> PointCloud:
-    """Grey points spread evenly over the space that the cameras look at.
+    """Grey points, uniform in the space in view of the cameras.
 
-    Cameras around something: a cube around the point nearest to all optical axes, its sides as long
-    as the median distance to it. Otherwise (forward or outward): the volume that the cameras see,
-    as deep as three times their spread.
+    For cameras around an object: a cube centred at the point nearest to all optical axes, with
+    sides as long as the median distance to it. Otherwise (forward or outward): the cameras' view
+    volumes, as deep as three times the spread of the cameras.
 
     Args:
         cameras: At least one.
         count: Number of points.
-        seed: Of the random generator.
+        seed: Seed of the random generator.
 
     Returns:
         [count] points, world units.
@@ -67,7 +67,7 @@ def random_points(cameras: Cameras, count: int, *, seed: int) -> PointCloud:
         points = center + 0.5 * distance * rng.uniform(-1, 1, (count, 3))
     else:
         spread = float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
-        # The cube root makes a pyramid evenly filled; no length to go by: 1.
+        # The cube root fills a pyramid uniformly. A single camera gives no length: 1.
         depth = (3 * spread if spread > 0 else 1.0) * np.cbrt(rng.uniform(0, 1, (count, 1)))
         i = rng.integers(0, len(cameras), count)
         sizes = np.stack([cameras.widths[i], cameras.heights[i], np.ones(count)], axis=1)
@@ -83,19 +83,18 @@ def colors_from_photos(
     seen: list[np.ndarray | None],
     load: Callable[[int], tuple[np.ndarray, np.ndarray | None]],
 ) -> np.ndarray:
-    """Mean colour of points in the photos that observed them.
+    """Mean colour of points in the photos that observe them.
 
     Args:
         points: [P, 3] float64, world.
-        cameras: Of the photos.
-        seen: For each camera the indices of the points observed in it; None: unknown. Points
-            without a known observation are looked up in every photo, whatever may stand before
-            them.
-        load: Gives photo [H, W, 3] uint8 and mask [H, W] uint8 or None; masked-out pixels are
+        cameras: Cameras of the photos.
+        seen: Indices of the points observed by each camera; None: unknown. Points without a known
+            observation are projected into every photo, ignoring occlusion.
+        load: Returns photo [H, W, 3] uint8 and mask [H, W] uint8 or None; masked-out pixels are
             skipped.
 
     Returns:
-        [P, 3] uint8; grey where no photo shows the point.
+        [P, 3] uint8; grey for points in no photo.
     """
     known = np.zeros(len(points), bool)
     for index in seen:
@@ -123,7 +122,8 @@ def colors_from_photos(
 
 
 def _project(cameras: Cameras, i: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel positions [P, 2] of world points in camera i; whether they are in its image, [P]."""
+    """Pixel positions [P, 2] of world points in camera i, and the mask [P] bool of those in its
+    image."""
     in_camera = points @ cameras.viewmats[i, :3, :3].T + cameras.viewmats[i, :3, 3]
     depth = in_camera[:, 2]
     safe = np.where(depth > 0, depth, 1.0)
@@ -135,7 +135,7 @@ def _project(cameras: Cameras, i: int, points: np.ndarray) -> tuple[np.ndarray, 
 def _focus(cameras: Cameras) -> tuple[np.ndarray, float] | None:
     """Point [3] nearest to all optical axes and its median distance; None if they do not meet."""
     centers, axes = cameras.centers, cameras.viewmats[:, 2, :3]
-    # Least squares: the projections of (x - centre) across each axis sum to zero.
+    # Least squares: the components of (x - centre) orthogonal to each axis sum to zero.
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix = across.sum(axis=0)
     # The smallest eigenvalue vanishes when all axes are parallel and have no nearest point.

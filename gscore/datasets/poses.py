@@ -10,19 +10,19 @@ from ..quoting import quoted
 from ..scene import FARTHEST, FOCAL_RANGE, is_focal
 
 _SKEW = 1e-3
-"""Of the focal length; what decomposing a float32 projection matrix leaves behind."""
+"""Largest skew, share of the focal length: residue of decomposing a float32 projection matrix."""
 
 
 def rigid_matrix(where: str, key: str, value: Any) -> np.ndarray:
-    """[4, 4] float64 rigid transform from 4 x 4 or 3 x 4 numbers, its rotation made exact.
+    """[4, 4] float64 rigid transform from 4 x 4 or 3 x 4 numbers, its rotation orthonormalised.
 
     Raises:
-        FormatError: no numbers of this shape, or they scale, shear or mirror.
+        FormatError: `value` has another shape, or scales, shears or mirrors.
     """
     matrix = _numbers(value)
     rotation = matrix[:3, :3] if matrix.shape in ((4, 4), (3, 4)) else np.zeros((3, 3))
-    usable = (np.abs(matrix) <= FARTHEST).all()  # NaN is not
-    # Exporters round to 6 digits or so; more than 1e-2 off is a scaled or sheared camera.
+    usable = (np.abs(matrix) <= FARTHEST).all()  # False for NaN
+    # Exporters round to about 6 digits; an error above 1e-2 is a scaled or sheared camera.
     if not usable or np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2:
         raise FormatError(
             f"{where}: {key} is {quoted(value)}, expected 4 x 4 numbers up to {FARTHEST:g}, a "
@@ -41,8 +41,8 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
     """PINHOLE camera from 3 x 3 (or 4 x 4) intrinsics in pixels.
 
     Raises:
-        FormatError: no such numbers, focal lengths that no lens has, skewed pixels, or a principal
-            point outside the picture.
+        FormatError: `value` is no such matrix, or has implausible focal lengths, skewed pixels, or
+            a principal point outside the picture.
     """
     matrix = _numbers(value)
     K = matrix[:3, :3] if matrix.shape in ((3, 3), (4, 4)) else np.zeros((3, 3))
@@ -65,7 +65,7 @@ def pinhole_camera(where: str, key: str, value: Any, width: int, height: int) ->
 
 
 def check_focal(where: str, focal: tuple[float, float], width: float, height: float) -> None:
-    """Raise FormatError for focal lengths, in pixels, that no lens has for such a picture."""
+    """Raise FormatError for implausible focal lengths, in pixels, for a picture of this size."""
     if not all(is_focal(f, width, height) for f in focal):
         low, high = (limit * max(width, height) for limit in FOCAL_RANGE)
         raise FormatError(

@@ -1,4 +1,4 @@
-"""Reader of a capture folder in any layout; numpy alone."""
+"""Reader of a capture folder in any layout; numpy only."""
 
 from dataclasses import replace
 
@@ -21,21 +21,21 @@ from .transforms_json import find_transforms, read_transforms
 def read_capture(
     config: DataConfig, *, photos_required: bool = True, origin: np.ndarray | None = None
 ) -> Capture:
-    """Views, cameras and points of a COLMAP model, a transforms.json, a frame of a video, or of the
-    camera file of another program.
+    """Views, cameras and points of a COLMAP model, a transforms.json, a frame of a multi-view
+    video, or the camera file of another program.
 
-    No photo is decoded. With `config.rig` cameras and world are those of that capture. Where its
-    coordinates are too large for float32, views and points are about a local origin.
+    No photo is decoded. With `config.rig`, cameras and world are those of that capture. If
+    coordinates are too large for float32, views and points are relative to a local origin.
 
     Args:
         config: `source`, `images`, `frame` and `rig`.
-        photos_required: Leave out views whose photo is missing and refuse a capture that misses
-            most; else all views stay, with the file where their photo should be.
-        origin: As `about_origin` takes it.
+        photos_required: Leave out views without a photo and refuse a capture that lacks most; else
+            all views stay, with the path where their photo should be.
+        origin: As for `about_origin`.
 
     Raises:
-        DatasetError: there is no capture, or its photos are missing, or the rig is another one.
-        FormatError: a file is truncated, corrupt or of an unknown kind.
+        DatasetError: there is no capture, or its photos are missing, or the rig differs.
+        FormatError: a file is truncated, corrupt or of an unknown format.
         ConfigError: `frame` was given for a capture that has none.
     """
     capture = _with_masks(_read(config, photos_required))
@@ -47,7 +47,7 @@ def read_capture(
 
 
 def _with_masks(capture: Capture) -> Capture:
-    """The capture with the masks next to its photos, where it states none and has no folder of
+    """The capture with the masks next to its photos, if it states none and has no folder of
     masks."""
     if any(view.mask for view in capture.views) or masks_inside(capture.root) is not None:
         return capture

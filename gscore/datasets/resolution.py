@@ -7,20 +7,19 @@ import numpy as np
 from ..errors import ConfigError
 
 LARGEST_FACTOR = 8
-"""Options up to this divide the size, larger ones are a width in pixels."""
+"""Largest option that divides the size; larger ones are a width in pixels."""
 SMALLEST_WIDTH = 16
-"""Pixels; a smaller width is taken for a slip."""
+"""Least width, pixels; a smaller one is assumed to be a mistake."""
 
 
 def target_size(width: int, height: int, resolution: float, *, max_width: int) -> tuple[int, int]:
-    """Size in pixels to scale a photo to; never larger than the photo.
+    """Size in pixels to scale a photo to, never larger than the photo.
 
     Args:
-        width: Of the undistorted photo, pixels.
-        height: Of the undistorted photo, pixels.
-        resolution: -1: as it is, but at most `max_width` wide; up to 8: divide by it; larger:
-            the width.
-        max_width: Pixels, for -1.
+        width: Width of the undistorted photo, pixels.
+        height: Height of the undistorted photo, pixels.
+        resolution: -1: unscaled, but at most `max_width` wide; up to 8: divisor; larger: the width.
+        max_width: Largest width for -1, pixels.
 
     Raises:
         ConfigError: `resolution` is none of these, or `max_width` is not positive.
@@ -38,7 +37,7 @@ def target_size(width: int, height: int, resolution: float, *, max_width: int) -
 
 
 def check_resolution(resolution: float) -> None:
-    """Raise ConfigError unless `resolution` is one that `target_size` takes."""
+    """Raise ConfigError unless `resolution` is valid for `target_size`."""
     factor = 1 <= resolution <= LARGEST_FACTOR
     pixels = SMALLEST_WIDTH <= resolution < math.inf
     if not (resolution == -1 or factor or pixels):
@@ -51,9 +50,9 @@ def check_resolution(resolution: float) -> None:
 def scale_intrinsics(
     K: np.ndarray, old_size: tuple[float, float], new_size: tuple[float, float]
 ) -> np.ndarray:
-    """K of the same camera with another number of pixels, each axis by its own actual ratio.
+    """K of the same camera at another size in pixels, each axis scaled by its own ratio.
 
-    Pixel centres lie at +0.5, so positions scale without an offset: cx' = cx w' / w.
+    Pixel centres are at +0.5, so positions scale without an offset: cx' = cx w' / w.
 
     Args:
         K: [3, 3] float64, pixels of the old size.

@@ -1,4 +1,4 @@
-"""Camera rig: captures by the same fixed cameras, merged into one set of cameras and one world."""
+"""Camera rig: captures by the same fixed cameras, moved to one set of cameras and one world."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,19 +12,19 @@ from .capture import Capture, View, listing
 from .pku.photos import camera_number
 
 _FARTHEST = 0.02
-"""Median distance of cameras, in radii of the rig, up to which two rigs are the same."""
+"""Largest median distance between the cameras of equal rigs, in radii of the rig."""
 _TURNED = np.deg2rad(2.0)
-"""Median angle between the cameras of the same rig, at most."""
-_TOLD = 2e-3
-"""Distance of the farthest one, the same, from which it is worth a word: fits of one rig to photos
-differ by less."""
+"""Largest median angle between the cameras of equal rigs, radians."""
+_REPORTED = 2e-3
+"""Largest distance, in radii of the rig, that is not reported: fits of one rig to photos differ by
+less."""
 _OUTLIER = 3.0
-"""Cameras farther off than this many medians do not take part in the fit."""
+"""Cameras farther off than this many medians are excluded from the fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
-    """new = scale rotation old + shift, and how far it leaves each camera from its place."""
+    """Similarity new = scale rotation old + shift, and its residual at each camera."""
 
     scale: float
     rotation: np.ndarray
@@ -32,16 +32,16 @@ class _Fit:
     shift: np.ndarray
     """[3]"""
     distances: np.ndarray
-    """[C], in radii of the rig."""
+    """[C], residual distances in radii of the rig."""
     angles: np.ndarray
-    """[C], radians."""
+    """[C], residual angles, radians."""
 
     def move_points(self, points: np.ndarray) -> np.ndarray:
-        """World points [P, 3]."""
+        """Transform world points [P, 3]."""
         return self.scale * points @ self.rotation.T + self.shift
 
     def move_viewmat(self, viewmat: np.ndarray) -> np.ndarray:
-        """World to camera [4, 4]; camera space is scaled too."""
+        """Transform a world-to-camera matrix [4, 4]; camera space is scaled too."""
         out = viewmat.copy()
         out[:3, :3] = viewmat[:3, :3] @ self.rotation.T
         out[:3, 3] = self.scale * viewmat[:3, 3] - out[:3, :3] @ self.shift
@@ -49,25 +49,27 @@ class _Fit:
 
 
 def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Capture:
-    """A capture with the cameras of another one by the same fixed cameras, and in its world.
+    """A capture with the cameras and world of another one by the same fixed cameras.
 
-    Structure from motion that is run on every frame of a video gives each its own origin,
-    orientation, scale and focal length. Cameras are matched by the number in their names
-    (`image_c_007_f_000005.png`, `007.png`), else by name; points follow by the similarity between
-    the two sets of cameras. Views that the rig does not have keep their own pose, moved as well.
+    Structure from motion on each frame of a video gives each its own origin, orientation, scale and
+    focal length. Cameras are matched by the number in their names (`image_c_007_f_000005.png`,
+    `007.png`), else by name; points are moved by the similarity between the two sets of cameras.
+    Views that are not in the rig keep their own pose, moved as well.
 
     Args:
         capture: The capture to change.
-        rig: The capture whose cameras are taken.
+        rig: The capture that provides the cameras.
         where: Path of `capture`, for messages.
         rig_at: Path of `rig`, for messages.
 
     Raises:
-        DatasetError: fewer than two cameras are in both, or they stand differently.
+        DatasetError: fewer than two cameras are in both, or their arrangement differs.
     """
-    places = {_key(view.name): view for view in rig.views}
-    pairs = [(view, places[_key(view.name)]) for view in capture.views if _key(view.name) in places]
-    if all(_same(view, place) for view, place in pairs) and len(pairs) == len(capture.views):
+    targets = {_key(view.name): view for view in rig.views}
+    pairs = [
+        (view, targets[_key(view.name)]) for view in capture.views if _key(view.name) in targets
+    ]
+    if all(_same(view, target) for view, target in pairs) and len(pairs) == len(capture.views):
         return capture
     if len(pairs) < 2:
         raise DatasetError(
@@ -80,26 +82,26 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
     distance, angle = float(np.median(fit.distances)), float(np.median(fit.angles))
     if distance > _FARTHEST or angle > _TURNED:
         raise DatasetError(
-            f"The cameras of {where} do not stand as those of {rig_at}: they are off by "
+            f"The cameras of {where} are not arranged as those of {rig_at}: they are off by "
             f"{100 * distance:.1f} % of the rig's radius and {np.rad2deg(angle):.1f} degrees in "
             f"the median. Take a rig with the same fixed cameras, or let each frame keep its own."
         )
     views = []
     for view in capture.views:
-        place = places.get(_key(view.name))
-        if place is None:
+        target = targets.get(_key(view.name))
+        if target is None:
             views.append(replace(view, viewmat=fit.move_viewmat(view.viewmat)))
         else:
-            views.append(replace(view, viewmat=place.viewmat, camera=place.camera))
+            views.append(replace(view, viewmat=target.viewmat, camera=target.camera))
     warnings, farthest = [], float(fit.distances.max())
-    if farthest > _TOLD:
+    if farthest > _REPORTED:
         warnings.append(
             f"The cameras of {count_words(len(pairs), 'view')} are those of {rig_at}, and the "
             "points were moved "
-            f"into its world; the cameras' own places differ by {100 * distance:.2f} % of the "
+            f"into its world; the cameras' own positions differ by {100 * distance:.2f} % of the "
             f"rig's radius in the median, {100 * farthest:.2f} % at most."
         )
-    lone = [view.name for view in capture.views if _key(view.name) not in places]
+    lone = [view.name for view in capture.views if _key(view.name) not in targets]
     if lone:
         warnings.append(
             f"{count_words(len(lone), 'view is', 'views are')} not in {rig_at}: {listing(lone)}."
@@ -126,23 +128,23 @@ def _key(name: str) -> int | str:
     return name if number is None else number
 
 
-def _same(view: View, place: View) -> bool:
-    a, b = view.camera, place.camera
+def _same(view: View, target: View) -> bool:
+    a, b = view.camera, target.camera
     return (
         (a.model, a.width, a.height) == (b.model, b.width, b.height)
         and np.array_equal(a.params, b.params)
-        and np.array_equal(view.viewmat, place.viewmat)
+        and np.array_equal(view.viewmat, target.viewmat)
     )
 
 
 def _fit(pairs: list[tuple[View, View]]) -> _Fit:
-    """The similarity from the cameras of the first of each pair to those of the second.
+    """Similarity from the first cameras of the pairs to the second.
 
-    The rotation is the mean one between paired cameras, so that rigs on a line or an arc, whose
-    centres alone leave it open, are no special case.
+    The rotation is the mean one between paired cameras, so that it is defined also for rigs on a
+    line or an arc, where the centres alone leave it open.
     """
     old = np.stack([view.viewmat for view, _ in pairs])
-    new = np.stack([place.viewmat for _, place in pairs])
+    new = np.stack([target.viewmat for _, target in pairs])
     turns = np.swapaxes(new[:, :3, :3], 1, 2) @ old[:, :3, :3]
     from_old, to_new = camera_centers(old), camera_centers(new)
     radius = float(np.linalg.norm(to_new - to_new.mean(axis=0), axis=1).max()) or 1.0

@@ -1,4 +1,4 @@
-"""Search record: photos without a camera, as listed by the camera search of a capture."""
+"""Search record: photos without a camera, listed by the SfM of a capture."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,46 +13,46 @@ from .capture import listing
 
 
 def left_out_text(others: Sequence[Sequence[str]], alone: Sequence[str]) -> list[str]:
-    """Sentences on photos without a camera, and what to do about them.
+    """Messages about photos without a camera, with the remedy.
 
     Args:
         others: Names of the photos of each model but the largest.
-        alone: Names of those in no model.
+        alone: Names of the photos in no model.
     """
-    told = [
-        f"{count_words(len(other), 'photo makes', 'photos make')} a model of their own and "
+    messages = [
+        f"{count_words(len(other), 'photo forms', 'photos form')} a separate model and "
         f"{'is' if len(other) == 1 else 'are'} left out: {listing(list(other))}. If it is the same "
-        "scene, take photos between the two; if not, use folders of their own."
+        "scene, take photos between the two; if not, use separate folders."
         for other in others
     ]
     if alone:
-        told.append(
-            f"{count_words(len(alone), 'photo stands', 'photos stand')} alone: "
+        messages.append(
+            f"{count_words(len(alone), 'photo matches', 'photos match')} no other: "
             f"{listing(list(alone))}. Take photos between these and the others, or remove them if "
-            "they are blurred or show something else."
+            "they are blurred or show another scene."
         )
-    return told
+    return messages
 
 
 def search_warnings(source: Path, views: int) -> list[str]:
-    """A sentence where gscore found the cameras of a capture and not all photos have one.
+    """Warning if gscore's SfM found cameras for only some of a capture's photos.
 
     Args:
         source: The capture.
-        views: Of its model; a record of another number was not made with this model.
+        views: Number of views of its model; a record with another number is of another model.
     """
     try:
-        found = parse_json(read_bytes(source / SEARCH_RECORD))
+        record = parse_json(read_bytes(source / SEARCH_RECORD))
     except (GsError, ValueError):
-        return []  # somebody else found them
-    if not isinstance(found, dict) or found.get("registered") != views:
+        return []  # cameras from another program
+    if not isinstance(record, dict) or record.get("registered") != views:
         return []
-    others, alone, photos = found.get("others"), found.get("alone"), found.get("photos")
+    others, alone, photos = record.get("others"), record.get("alone"), record.get("photos")
     if not (isinstance(others, list) and all(map(_are_names, others)) and _are_names(alone)):
         return []
-    if not (isinstance(photos, int) and (told := left_out_text(others, alone))):
+    if not (isinstance(photos, int) and (messages := left_out_text(others, alone))):
         return []
-    return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *told])]
+    return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *messages])]
 
 
 def _are_names(value: Any) -> TypeGuard[list[str]]:

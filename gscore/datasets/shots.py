@@ -1,4 +1,4 @@
-"""Shots with several files: HEIC and JPEG of one exposure, or one photo saved twice."""
+"""Shots with several files: HEIC and JPEG of one exposure, or a photo saved twice."""
 
 import contextlib
 from collections.abc import Sequence
@@ -17,40 +17,42 @@ from .capture import View, listing
 from .dataset import map_threads
 
 _SIDE = 64
-"""Pixels of the squares that are compared."""
+"""Side of the compared thumbnails, pixels."""
 _EQUAL, _ALIKE = 2.0, 6.0
-"""Root mean square differences, of 255, of equal pixels, and of those of one moment. A photo saved
-again at half its size differs by .8 at most, neighbours of an orbit by 6 and more."""
+"""Largest RMS difference, of 255, of equal photos, and of similar ones of one moment. A photo saved
+again at half its size differs by at most 0.8, neighbours of an orbit by 6 and more."""
 _FLAT, _LEAST = 0.15, 1.0
-"""The same as a share of the contrast, for photos that show little, and the contrast below which
-pixels prove nothing."""
+"""Largest RMS difference as a share of the contrast, for flat photos, and the contrast below which
+photos are not compared."""
 _TURNED, _MOVED = np.radians(2), 0.02
-"""Between cameras of one shot: radians, and a share of the cameras' median distance from their
-middle."""
+"""Largest rotation, radians, and distance between cameras of one shot, as a share of the cameras'
+median distance from their middle."""
 _EXIF_BLOCK, _TIME, _FRACTION = 0x8769, 0x9003, 0x9291
 _MAKE, _MODEL = 0x010F, 0x0110
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What tells whether two photos are of one exposure."""
+    """Features that identify photos of one exposure."""
 
     pixels: np.ndarray
     """[64 * 64] float32 grey, upright."""
     moment: tuple[str, ...]
-    """EXIF's time of the exposure and camera; empty where it states none."""
+    """Time of the exposure and camera from EXIF; empty: not stated."""
     stem: str
-    """Path without the endings."""
+    """Path without the ending, lower case."""
 
 
 def shot_of(name: str, image: Any) -> Shot:
-    """Look at a photo that Pillow has opened.
+    """Compute the features of a photo.
 
     Args:
         name: Its path below the folder of the photos, with '/'.
-        image: The photo.
+        image: The photo, opened by Pillow.
     """
-    image.draft("L", (2 * _SIDE, 2 * _SIDE))  # a JPEG is decoded at an eighth; loaded ones stay
+    image.draft(
+        "L", (2 * _SIDE, 2 * _SIDE)
+    )  # decode a JPEG at down to an eighth; loaded ones are unchanged
     upright = image.convert("L").resize((_SIDE, _SIDE), pillow().Resampling.BILINEAR)
     moment: tuple[str, ...] = ()
     with contextlib.suppress(Exception):  # damaged EXIF does not make the picture unusable
@@ -65,10 +67,10 @@ def shot_of(name: str, image: Any) -> Shot:
 
 
 def same_shots(shot: Shot, others: Sequence[Shot]) -> np.ndarray:
-    """Which of the others are of one exposure with a photo, [N] bool: those of equal pixels, and
-    alike ones of one moment and camera.
+    """Mask [N] bool of the others that are of the same exposure as a photo: those with equal
+    pixels, and similar ones of the same moment and camera.
 
-    The moment alone would take synchronised cameras, and bursts within a second, for one.
+    The moment alone would also match synchronised cameras, and bursts within a second.
     """
     if not others:
         return np.zeros(0, bool)
@@ -82,7 +84,7 @@ def same_shots(shot: Shot, others: Sequence[Shot]) -> np.ndarray:
 
 
 def repeats(shots: Sequence[Shot]) -> list[tuple[int, int]]:
-    """Pairs of indices, the first photo of an exposure and a later one, rising by the latter."""
+    """Pairs of indices, the first photo of an exposure and a later one, sorted by the latter."""
     light = np.array([shot.pixels.mean() for shot in shots])
     order = np.argsort(light, kind="stable")
     rising = light[order]
@@ -90,8 +92,8 @@ def repeats(shots: Sequence[Shot]) -> list[tuple[int, int]]:
     first: list[int] = []
     for i, shot in enumerate(shots):
         low, high = np.searchsorted(rising, (light[i] - _EQUAL, light[i] + _EQUAL))
-        alike = {j for j in order[low : high + 1].tolist() if j < i}
-        near = sorted(alike.union(by_moment.get(shot.moment, ())))
+        similar = {j for j in order[low : high + 1].tolist() if j < i}
+        near = sorted(similar.union(by_moment.get(shot.moment, ())))
         same = np.flatnonzero(same_shots(shot, [shots[j] for j in near]))
         first.append(first[near[int(same[0])]] if len(same) else i)
         if shot.moment:
@@ -102,17 +104,17 @@ def repeats(shots: Sequence[Shot]) -> list[tuple[int, int]]:
 def warn_of_split_shots(
     views: Sequence[View], train: list[int], test: list[int], *, chosen: bool
 ) -> tuple[list[int], list[int], list[str]]:
-    """Take photos of the shots of test views out of the training views.
+    """Move training views that show the same shot as a test view to the test views.
 
-    Photos are decoded, small, where a training and a test camera stand in one place.
+    Photos of a training and a test camera with nearly equal poses are decoded at low resolution.
 
     Args:
         views: All views.
-        train, test: Indices, each rising.
-        chosen: Whether a rule chose the test views; a split that was stated stays.
+        train, test: Indices, each ascending.
+        chosen: Whether a rule chose the test views; a stated split is kept.
 
     Returns:
-        Training views, test views, both rising, and a sentence where there are such photos.
+        Training views and test views, both ascending, and a warning about such photos.
     """
     pairs = _in_one_place(views, train, test)
     at = sorted({i for pair in pairs for i in pair})
@@ -126,32 +128,36 @@ def warn_of_split_shots(
         return train, test, []
     named = listing([f"{views[i].name} of {views[j].name}" for i, j in twins.items()], 3)
     what = count_words(len(twins), "training photo shows", "training photos show")
-    told = f"{what} the same picture as a test view: {named}."
+    shown = f"{what} the same picture as a test view: {named}."
     if not chosen or len(twins) == len(train):
-        return train, test, [f"{told} Results on such views say nothing of new ones; remove them."]
+        return (
+            train,
+            test,
+            [f"{shown} Metrics of such views do not measure new views; remove them."],
+        )
     left = [i for i in train if i not in twins]
-    return left, sorted([*test, *twins]), [f"{told} They are test views too."]
+    return left, sorted([*test, *twins]), [f"{shown} They are test views too."]
 
 
 def _in_one_place(
     views: Sequence[View], train: Sequence[int], test: Sequence[int]
 ) -> list[tuple[int, int]]:
-    """Pairs of a training and a test view whose cameras stand and look alike."""
+    """Pairs of a training and a test view with nearly equal camera poses."""
     viewmats = np.stack([view.viewmat for view in views])
     turns = viewmats[:, :3, :3]
     centers = camera_centers(viewmats)
     spread = np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))
-    found = []
+    pairs = []
     for j in test:
         moved = np.linalg.norm(centers[train] - centers[j], axis=1)
         cosine = (np.einsum("nij,ij->n", turns[train], turns[j]) - 1) / 2
         near = (moved <= _MOVED * spread) & (cosine >= np.cos(_TURNED))
-        found += [(i, j) for i, close in zip(train, near, strict=True) if close]
-    return found
+        pairs += [(i, j) for i, close in zip(train, near, strict=True) if close]
+    return pairs
 
 
 def _shot(view: View) -> Shot | None:
-    """None where the photo cannot be read, which whoever reads it says."""
+    """Features of a view's photo; None if it cannot be read, which decoding it reports."""
     try:
         with opened_picture(view.image) as image:
             return shot_of(view.name, image)

@@ -20,18 +20,16 @@ def split_views(
     Args:
         names: Names of the views, sorted.
         config: `eval` off: all train. Otherwise the first of these that applies: `test_list`;
-            `test_first` and `test_last`; what the capture states itself, unless there is a
-            `test_offset`; every `test_every`-th view, counting from that place (the rule of the
-            3DGS paper with 8 and 0).
-        stated: Names that the capture itself calls test views.
+            `test_first` and `test_last`; the capture's own split, unless there is a `test_offset`;
+            every `test_every`-th view, from that offset (the rule of the 3DGS paper with 8 and 0).
+        stated: Names of test views stated by the capture.
 
     Returns:
-        Indices of training views and of test views, each rising.
+        Indices of training views and of test views, each ascending.
 
     Raises:
         ConfigError: a number is out of range.
-        DatasetError: the list names views that do not exist, or nothing is left to train or to
-            test.
+        DatasetError: the list has views that do not exist, or nothing is left to train or to test.
     """
     count = len(names)
     if not config.eval:
@@ -78,11 +76,11 @@ def is_chosen(config: DataConfig, *, stated: Collection[str] = ()) -> bool:
 
 
 def split_warnings(count: int, test: Sequence[int], config: DataConfig) -> list[str]:
-    """A sentence where the rule asks for more photos than there are between two test views.
+    """Warning if the interval between two test views is larger than the number of views.
 
     Args:
-        count: Of all views.
-        test: As `split_views` gives them.
+        count: Number of all views.
+        test: Test views, as from `split_views`.
         config: The rule.
     """
     if not (config.eval and is_chosen(config) and len(test) == 1 and config.test_every > count):
@@ -95,12 +93,12 @@ def split_warnings(count: int, test: Sequence[int], config: DataConfig) -> list[
     )
     return [
         f"One of {number(config.test_every)} views is held out, but there are only "
-        f"{count_words(count, 'view')}: one view alone is measured, which says little. {more}"
+        f"{count_words(count, 'view')}: only one view is measured, which is unreliable. {more}"
     ]
 
 
 def _listed(names: Sequence[str], path: Path) -> set[int]:
-    """Indices of the views a text file names; folder and ending may be left out where unique."""
+    """Indices of the views listed in a text file; folder and ending may be omitted if unique."""
     try:
         lines = read_bytes(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -118,9 +116,9 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
     unknown = [name for name in wanted if len(lookup.get(same_name(name), ())) != 1]
     if unknown:
         raise DatasetError(
-            f"{path} names {count_words(len(unknown), 'view')} that the capture does not have, or "
+            f"{path} has {count_words(len(unknown), 'view')} that the capture does not have, or "
             "not only once: "
-            f"{listing(unknown)}. Names look like "
+            f"{listing(unknown)}. An example of a name is "
             f"{names[0]}."
         )
     return {next(iter(lookup[same_name(name)])) for name in wanted}

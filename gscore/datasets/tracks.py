@@ -1,4 +1,4 @@
-"""Tracks: the views that observe each point of structure from motion."""
+"""Tracks: observations of SfM points in each view."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,25 +14,24 @@ from .dataset import Dataset
 from .undistort import rays_of
 
 _ENOUGH = 2000
-"""Points of a view that are looked at: more make neither its pose nor its exposure surer, and some
-captures have a hundred thousand."""
+"""Most points per view: more make neither its pose nor its exposure more certain, and some captures
+have a hundred thousand."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tracks:
-    """SfM points and their observations: in each view at most 2,000, those with the longest
-    tracks."""
+    """SfM points and their observations, per view at most 2,000 with the longest tracks."""
 
     points: np.ndarray
     """[P, 3] float64, world units."""
     seen: list[np.ndarray]
-    """By view: [M] int64, rows of the observed `points`."""
+    """Per view: [M] int64, rows of the observed `points`."""
     rays: list[np.ndarray]
-    """By view: [M, 2] float64, x / z and y / z of the observation rays."""
+    """Per view: [M, 2] float64, x / z and y / z of the observation rays, camera frame."""
 
 
 def tracks_of(dataset: Dataset) -> Tracks | None:
-    """The tracks of a capture; None where it keeps none: it has no COLMAP model of its views.
+    """Tracks of a capture; None if it has no COLMAP model of its views.
 
     Raises:
         FormatError: the model is corrupt.
@@ -54,7 +53,7 @@ def tracks_of(dataset: Dataset) -> Tracks | None:
 
 
 def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
-    """[M, 2]: x / z and y / z for pixels [M, 2] of a camera as the photo was taken."""
+    """[M, 2]: x / z and y / z for pixels [M, 2] of the camera before undistortion."""
     if not camera.is_pinhole:
         return rays_of(camera, pixels)
     K = camera.K
@@ -62,7 +61,7 @@ def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
 
 
 def model_of(dataset: Dataset, *, most: int | None = None) -> ColmapModel | None:
-    """The COLMAP model of a capture, as `model_with` finds it."""
+    """COLMAP model of a capture, as from `model_with`."""
     cameras = dataset.scene.cameras
     viewmats = dict(zip(dataset.names, cameras.viewmats, strict=True))
     return model_with(dataset.source, viewmats, origin=cameras.origin, most=most)
@@ -75,15 +74,16 @@ def model_with(
     origin: np.ndarray | None,
     most: int | None = None,
 ) -> ColmapModel | None:
-    """The COLMAP model of a capture if its images are the views, and stand where these do.
+    """COLMAP model of a capture if it has images of all views, with equal poses; else None.
 
-    A transforms.json beside it, or cameras of another capture, may be of another world.
+    Poses can differ, because a transforms.json next to it, or cameras of another capture, may have
+    another world.
 
     Args:
         source: Folder of the capture.
-        viewmats: By the name of each view, [4, 4] world to camera.
-        origin: Local origin that they are about, as `Cameras.origin`; so is what is returned.
-        most: As `read_model` takes it.
+        viewmats: [4, 4] world to camera, by view name.
+        origin: Local origin of `viewmats` and of the result, as `Cameras.origin`.
+        most: As for `read_model`.
 
     Raises:
         FormatError: the model is corrupt.

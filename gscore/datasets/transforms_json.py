@@ -25,9 +25,9 @@ from .capture import Capture, View, listing, repeated
 from .poses import check_focal, rigid_matrix
 
 FILES = ("transforms.json", "transforms_train.json")
-"""Names by which such a capture is recognised."""
+"""File names that identify such a capture."""
 
-# What the tools call their cameras, as the COLMAP model whose first parameters they use.
+# Camera models of the tools, as the COLMAP model whose first parameters they use.
 _MODELS = {
     "SIMPLE_PINHOLE": "PINHOLE",
     "PINHOLE": "PINHOLE",
@@ -50,11 +50,10 @@ def find_transforms(source: Path) -> Path | None:
 def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capture:
     """Read the transforms file at or in `config.source`.
 
-    Poses are camera to world in OpenGL axes. The world is kept as the file states it, so the result
-    fits the file's cameras; nerfstudio's `applied_transform` is already part of its poses and
-    points. Paths are relative to the file; `config.images` is not used. Beside
-    transforms_train.json, transforms_test.json gives the test views. Without `photos_required`
-    views whose photo is missing stay, with the file where it should be.
+    Poses are camera to world in OpenGL axes. The world is kept as in the file; nerfstudio's
+    `applied_transform` is already part of its poses and points. Paths are relative to the file;
+    `config.images` is not used. A transforms_test.json next to transforms_train.json has the test
+    views. Without `photos_required` views without a photo stay, with the path where it should be.
 
     Raises:
         DatasetError: photos are missing.
@@ -69,9 +68,9 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
     test_names = _stated_test(path, data)
     test = root / "transforms_test.json"
     if path.name == "transforms_train.json" and test.is_file():
-        held, held_missing = views_of_file(test, load_transforms(test), photos_required)
-        test_names = frozenset(view.name for view in held)
-        views, missing = views + held, missing + held_missing
+        test_views, test_missing = views_of_file(test, load_transforms(test), photos_required)
+        test_names = frozenset(view.name for view in test_views)
+        views, missing = views + test_views, missing + test_missing
     total = len(views) + (len(missing) if photos_required else 0)
     if not total:
         raise DatasetError(f"{path} lists no frames. Export the capture again.")
@@ -100,11 +99,11 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
 
 
 def load_transforms(path: Path) -> dict[str, Any]:
-    """The content of such a file, at least an object with a list `frames`.
+    """Content of a transforms.json, at least an object with a list `frames`.
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is something else.
+        FormatError: it is another file.
     """
     try:
         data = parse_json(read_bytes(path))
@@ -125,13 +124,13 @@ def views_of_file(
     photos_required: bool,
     find: Callable[[Path, str], Path | None] | None = None,
 ) -> tuple[list[View], list[str]]:
-    """Views of one file, and the names of photos that are not there.
+    """Views of one file, and the names of missing photos.
 
     Args:
         path: The file; names are relative to its folder.
-        data: What it holds.
-        photos_required: Leave views without a photo out.
-        find: The photo of a name in that folder; None: with any of the usual endings.
+        data: Its content.
+        photos_required: Leave out views without a photo.
+        find: Returns the photo of a name in that folder; None: tries the usual endings.
 
     Raises:
         FormatError: a key is missing or unusable, a camera model is unknown.
@@ -165,7 +164,7 @@ def views_of_file(
 
 
 def _stated_test(path: Path, data: dict[str, Any]) -> frozenset[str]:
-    """Names of the views that nerfstudio's `test_filenames` holds out."""
+    """Names of test views in nerfstudio's `test_filenames`."""
     stated = data.get("test_filenames", [])
     if not isinstance(stated, list):
         raise FormatError(f"{path}: test_filenames must be a list. Export the capture again.")
@@ -173,7 +172,8 @@ def _stated_test(path: Path, data: dict[str, Any]) -> frozenset[str]:
 
 
 def inside(where: str, key: str, value: Any) -> str:
-    """`value` as a relative path that stays inside the folder of the file, or FormatError."""
+    """Return `value` as a relative path inside the folder of the file; raise FormatError for
+    others."""
     if not isinstance(value, str) or not is_safe_name(value):
         raise FormatError(
             f"{where}: {key} is {quoted(value)}, expected a path inside the folder of the file, "
@@ -184,7 +184,7 @@ def inside(where: str, key: str, value: Any) -> str:
 
 
 def _find(root: Path, name: str) -> Path | None:
-    """The photo; synthetic NeRF scenes leave the ending out."""
+    """Path of the photo; synthetic NeRF scenes omit the ending."""
     forms = dict.fromkeys((name, *(unicodedata.normalize(form, name) for form in ("NFC", "NFD"))))
     candidates = [form + ending for form in forms for ending in ("", *IMAGE_ENDINGS)]
     return next((root / c for c in candidates if is_file(root / c)), None)
@@ -195,14 +195,14 @@ def _mask(root: Path, name: str) -> Path:
 
 
 def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
-    """Intrinsics of one frame; its own keys win over those of the whole file."""
+    """Intrinsics of one frame; its own keys take precedence over those of the file."""
 
     def number(key: str, default: float | None = None) -> float:
         value = data.get(key, default)
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not abs(value) <= FARTHEST  # NaN is not
+            or not abs(value) <= FARTHEST  # also refuses NaN
         ):
             raise FormatError(
                 f"{where}: {key} is {quoted(value)}, expected a number up to {FARTHEST:g}. "
@@ -259,7 +259,7 @@ def _camera(where: str, data: dict[str, Any], image: Path) -> ColmapCamera:
 
 
 def _focal(size: int, angle: float) -> float:
-    """Focal length in pixels of a full field of view in radians."""
+    """Focal length in pixels from a full field of view in radians; NaN if invalid."""
     return 0.5 * size / math.tan(0.5 * angle) if 0 < angle < math.pi else math.nan
 
 

@@ -1,4 +1,4 @@
-"""Undistortion: distorted cameras, photos, masks and depths to pinhole; numpy alone."""
+"""Undistortion: distorted cameras, photos, masks and depths to pinhole; numpy only."""
 
 from dataclasses import dataclass, replace
 
@@ -12,27 +12,27 @@ from ..io.images.image_lookup import Pixels
 
 _ROWS_A_STRIP, _PIXELS_A_STRIP = 32, 1 << 17
 _MOST_BLANK = 0.05
-"""Share of the picture that may lie outside the photo, or beyond a fold of the distortion."""
+"""Largest share of the picture outside the photo, or beyond a fold of the distortion."""
 _SCALES = (0.2, 2.0)
-"""Sizes of the pinhole camera's picture at least and at most, of the photo's."""
+"""Least and largest size of the pinhole picture, in sizes of the photo."""
 _WAYS, _STEPS = 33, 400
-"""Ways to each side of the picture on which folds are looked for, and places on each of them."""
+"""Search for folds: lines to each side of the picture, and samples on each line."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Undistortion:
-    """The pinhole camera that replaces a distorted one, and the way between their pixels."""
+    """The pinhole camera that replaces a distorted one, and the mapping between their pixels."""
 
     camera: ColmapCamera
     """The distorted camera."""
     width: int
-    """Of the pinhole camera, in pixels as large as those of `camera`."""
+    """Width of the pinhole camera, pixels of the scale of `camera`."""
     height: int
-    """Of the pinhole camera, in pixels as large as those of `camera`."""
+    """Height of the pinhole camera, pixels of the scale of `camera`."""
     K: np.ndarray
     """[3, 3] float64, intrinsics of the pinhole camera at that size."""
     cut_off: float = 0.0
-    """Share of the picture that was left out at its rim, where the distortion folds back."""
+    """Share of the picture left out at its rim, where the distortion folds back."""
 
     def distort(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the distorted camera for pixels of the pinhole camera, both [P, 2] float64."""
@@ -40,19 +40,19 @@ class Undistortion:
         return bent_pixels(self.camera.model, self.camera.params.tolist(), rays)
 
     def undistort(self, points: np.ndarray) -> np.ndarray:
-        """The way back: pixels of the pinhole camera for those of the distorted one, both [P, 2]
-        float64; NaN where the distortion has no inverse."""
+        """Pixels of the pinhole camera for pixels of the distorted camera, both [P, 2] float64; NaN
+        where the distortion has no inverse."""
         return rays_of(self.camera, points) * np.diag(self.K)[:2] + self.K[:2, 2]
 
     def straighten(self, photo: np.ndarray) -> np.ndarray:
-        """A photo [h, w, 3 or 4] uint8 of the distorted camera as one of the pinhole camera, of the
-        same channels, in pixels as large as its own."""
+        """Undistort a photo [h, w, 3 or 4] uint8 of the distorted camera, keeping its channels and
+        pixel scale."""
         height, width = photo.shape[:2]
         pixels = (width / self.camera.width, height / self.camera.height)
         size = (round(self.width * pixels[0]), round(self.height * pixels[1]))
         opaque = photo.shape[2] == 3 or photo[..., 3].min() == 255
         colors = np.ascontiguousarray(photo[..., :3]) if opaque else premultiplied(photo)
-        # Where alpha would go beyond 255 and premultiplied colours would not, rims turn bright.
+        # Where alpha overshoots 255 and premultiplied colours do not, rims turn bright.
         colors = self.remap(colors, size, pixels=pixels, sharp=opaque)
         if photo.shape[2] == 3:
             return colors
@@ -68,19 +68,19 @@ class Undistortion:
         nearest: bool = False,
         sharp: bool = False,
     ) -> np.ndarray:
-        """Resample an image of the distorted camera as one of the pinhole camera.
+        """Resample an image of the distorted camera to the pinhole camera.
 
         Args:
-            image: [h, w] or [h, w, D] of any dtype; channels are independent, so
-                premultiply colours by alpha before.
-            size: Width and height of the result, which shows the whole pinhole image whatever the
-                size; its K is `scale_intrinsics(self.K, (self.width, self.height), size)`.
+            image: [h, w] or [h, w, D] of any dtype; channels are independent, so premultiply
+                colours by alpha first.
+            size: Width and height of the result, which always covers the whole pinhole image; its
+                K is `scale_intrinsics(self.K, (self.width, self.height), size)`.
             pixels: Pixels of `image` per pixel of `camera`, each axis; not 1 if the photo has
                 another size than the camera was calibrated at.
             nearest: Take the nearest pixel (labels, binary masks, depth) instead of interpolating
                 bilinearly.
-            sharp: Interpolate bytes by cubic convolution, for photos that are not scaled down
-                after: between pixels a bilinear one loses half of the contrast of fine detail.
+            sharp: Interpolate uint8 by cubic convolution, for photos that are not downscaled
+                afterwards: bilinear interpolation loses half of the contrast of fine detail.
 
         Returns:
             [size[1], size[0], ...] of the dtype of `image`. Outside the photo its border is
@@ -91,15 +91,15 @@ class Undistortion:
         columns = (np.arange(size[0]) + 0.5) * (self.width / size[0])
         lookup = Pixels(image)
         interpolate = lookup.cubic if sharp else lookup.bilinear
-        # Strips keep the positions of a large photo in cache instead of gigabytes of memory.
+        # Strips keep positions in cache; those of a large photo would take gigabytes.
         strip = min(_ROWS_A_STRIP, max(1, _PIXELS_A_STRIP // size[0]))
         for top in range(0, size[1], strip):
             part = out[top : top + strip]
             rows = (np.arange(top, top + len(part)) + 0.5) * (self.height / size[1])
             grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-            found = self.distort(grid.reshape(-1, 2)).reshape(grid.shape) * pixels - 0.5
-            x = np.clip(np.nan_to_num(found[..., 0]), 0, width - 1)
-            y = np.clip(np.nan_to_num(found[..., 1]), 0, height - 1)
+            source = self.distort(grid.reshape(-1, 2)).reshape(grid.shape) * pixels - 0.5
+            x = np.clip(np.nan_to_num(source[..., 0]), 0, width - 1)
+            y = np.clip(np.nan_to_num(source[..., 1]), 0, height - 1)
             if nearest:
                 part[...] = image[np.rint(y).astype(np.int64), np.rint(x).astype(np.int64)]
             else:
@@ -108,21 +108,20 @@ class Undistortion:
 
 
 def rays_of(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
-    """x / z and y / z of the rays that a distorted camera sees at its pixels, both [P, 2] float64;
-    NaN where the distortion has no inverse."""
+    """x / z and y / z of the rays through pixels of a distorted camera, both [P, 2] float64; NaN
+    where the distortion has no inverse."""
     return straight_rays(camera.model, camera.params.tolist(), pixels)
 
 
 def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
-    """How to undistort a camera so that no blank pixels appear; None if it is a pinhole camera.
+    """Undistortion of a camera without blank pixels; None if it is a pinhole camera.
 
     The pinhole camera is the one COLMAP's image undistorter would choose, without the rim in which
-    the distortion folds back and the photo would appear again, mirrored.
+    the distortion folds back and the photo would repeat mirrored.
 
     Raises:
-        DatasetError: the camera sees in all directions, no pinhole camera can replace it.
-        FormatError: the parameters make no camera, or one whose distortion folds back in more than
-            a rim.
+        DatasetError: the camera is equirectangular; no pinhole camera can replace it.
+        FormatError: the parameters are invalid, or the distortion folds back in more than a rim.
     """
     if camera.is_pinhole:
         return None
@@ -138,8 +137,8 @@ def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:
 
 
 def _without_blanks(camera: ColmapCamera) -> Undistortion:
-    """The largest picture of the camera's focal length that a photo fills, as COLMAP's image
-    undistorter chooses it."""
+    """Largest picture at the camera's focal length that the photo fills, as chosen by COLMAP's
+    image undistorter."""
     size = np.array([camera.width, camera.height])
     whole = Undistortion(camera=camera, width=camera.width, height=camera.height, K=camera.K)
     scale = np.ones(2)
@@ -150,7 +149,7 @@ def _without_blanks(camera: ColmapCamera) -> Undistortion:
         near = np.fmax.reduce(whole.undistort(rim)[:, axis], initial=-np.inf)
         rim[:, axis] = size[axis] - 0.5
         far = np.fmin.reduce(whole.undistort(rim)[:, axis], initial=np.inf)
-        # A side that no ray leads to sets no limit.
+        # A side that no ray reaches sets no limit.
         with np.errstate(divide="ignore"):
             smaller = max(middle / (middle - near), (size[axis] - 0.5 - middle) / (far - middle))
         scale[axis] = min(max(1 / smaller, _SCALES[0]), _SCALES[1]) if smaller else _SCALES[1]
@@ -161,17 +160,17 @@ def _without_blanks(camera: ColmapCamera) -> Undistortion:
 
 
 def _unfolded(plan: Undistortion) -> Undistortion:
-    """The plan without what lies beyond the first fold of the distortion, seen from its middle.
+    """The plan cropped at the first fold of the distortion, from the middle outwards.
 
     Raises:
-        FormatError: that is more than a rim.
+        FormatError: more than a rim is lost.
     """
     size = np.array([plan.width, plan.height], np.float64)
     center = np.clip(plan.K[:2, 2], 0, size)
     good = _ways_to_fold(plan, center, _border(size))
     if good.min() == 1:
         return plan
-    # Each way stands for the triangle from the middle to its piece of the rim.
+    # Each line represents the triangle from the middle to its piece of the rim.
     beyond = 1 - float(np.mean(good**2))
     if beyond > _MOST_BLANK:
         raise FormatError(
@@ -199,32 +198,31 @@ def _border(size: np.ndarray) -> np.ndarray:
 
 
 def _ways_to_fold(plan: Undistortion, center: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """How far the distortion is one to one from `center` to each of `ends` [P, 2]: [P], 0 to 1.
-
-    It is as long as the Jacobian of pinhole pixels to photo pixels keeps its sign.
+    """Share [P], 0 to 1, of the line from `center` to each of `ends` [P, 2] on which the distortion
+    is one to one: up to the first sign change of the Jacobian of pinhole to photo pixels.
     """
     far = np.linspace(0, 1, _STEPS + 1)[1:]
     places = center + far[None, :, None] * (ends - center)[:, None]
     small = np.array([0.25, 0.25]) * np.eye(2)
     moved = [places, places + small[0], places + small[1]]
-    found = [plan.distort(p.reshape(-1, 2)).reshape(places.shape) for p in moved]
-    right, down = found[1] - found[0], found[2] - found[0]
+    distorted = [plan.distort(p.reshape(-1, 2)).reshape(places.shape) for p in moved]
+    right, down = distorted[1] - distorted[0], distorted[2] - distorted[0]
     area = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
-    folded = ~(area > 0)  # NaN is folded
-    # The step before the first one that is folded is the last good one.
+    folded = ~(area > 0)  # also NaN
+    # The last good step is the one before the first folded one.
     steps = np.where(folded.any(axis=1), folded.argmax(axis=1), _STEPS)
     return steps / _STEPS
 
 
 def _check_plan(plan: Undistortion) -> None:
-    """Raise FormatError if the pinhole image would show much that the photo does not."""
+    """Raise FormatError if much of the pinhole image is outside the photo."""
     x, y = (np.linspace(0, size, 33) for size in (plan.width, plan.height))
-    found = plan.distort(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
-    outside = (found < -1) | (found > [plan.camera.width + 1, plan.camera.height + 1])
-    blank = float((outside | ~np.isfinite(found)).any(axis=1).mean())
+    pixels = plan.distort(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    outside = (pixels < -1) | (pixels > [plan.camera.width + 1, plan.camera.height + 1])
+    blank = float((outside | ~np.isfinite(pixels)).any(axis=1).mean())
     if blank > _MOST_BLANK:
         raise FormatError(
             f"The {plan.camera.model} camera with parameters {plan.camera.params.tolist()} cannot "
-            f"be undistorted: {100 * blank:.0f} % of the picture would lie outside the photo, so "
+            f"be undistorted: {100 * blank:.0f} % of the picture would be outside the photo, so "
             f"the distortion is wrong. Run COLMAP again, perhaps with a simpler camera model."
         )

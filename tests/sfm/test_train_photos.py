@@ -109,7 +109,7 @@ def test_a_taken_folder_is_refused_before_the_search(
         ("--hold-out", "no.txt", "no.txt"),
         ("--lpips", "no.onnx", "no.onnx"),
         ("--hold-out", "none.txt", "leaves no view to test"),
-        ("--hold-out", "strange.txt", "names 1 view that the capture does not have"),
+        ("--hold-out", "strange.txt", "has 1 view that the capture does not have"),
         ("--hold-out", "first:8", "leaves no view to train"),
         ("--start-checkpoint", "no.safetensors", "no.safetensors"),
         ("--start-checkpoint", "half.json", "is not a complete checkpoint"),
@@ -263,6 +263,6 @@ def test_photos_without_a_camera_are_told(mine: Path, tmp_path: Path, capsys: Ou
     Image.fromarray(noise).save(mine / "front/elsewhere.jpg")
     out = tmp_path / "out"
     assert _train(mine, "-o", out) == 0
-    words = "8 of 9 photos have a camera. 1 photo stands alone: front/elsewhere.jpg."
+    words = "8 of 9 photos have a camera. 1 photo matches no other: front/elsewhere.jpg."
     assert words in " ".join(capsys.readouterr().err.split())
     assert words in html.unescape((out / "report.html").read_text())

@@ -121,12 +121,12 @@ def test_an_impossible_principal_point_is_named(photos: Any) -> None:
     Ks[2, 0, 2] += 20 * cameras.widths[2]
     moved = replace(photos.scene, cameras=replace(cameras, Ks=Ks))
     told = warnings(replace(photos, scene=moved))
-    assert told[0].startswith(f"{cameras.names[2]}: the principal point lies 20 times")
+    assert told[0].startswith(f"{cameras.names[2]}: the principal point is 20 times")
 
 
 def test_stray_points_are_counted(photos: Any) -> None:
     """Oracle: five points 1e5 times as far as they were."""
     points = photos.scene.points.points.copy()
     points[:5] *= 1e5
-    told = [w for w in warnings(with_points(photos, points)) if "points lie" in w]
+    told = [w for w in warnings(with_points(photos, points)) if "points are" in w]
     assert len(told) == 1 and told[0].startswith(f"5 of {len(points)} points")

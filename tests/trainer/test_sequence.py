@@ -216,7 +216,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
         (["{video}/{{number}}", "-o", "{out}"], "{frame:06d}"),
         (["{video}/{{frame:999999999d}}", "-o", "{out}"], "99 digits"),
         (["{video}/{{frame:٣d}}", "-o", "{out}"], "{frame:06d}"),
-        (["{video}/{{frame}}x", "-o", "{out}"], "Nothing fits"),
+        (["{video}/{{frame}}x", "-o", "{out}"], "Nothing matches"),
         (["{video}", "-o", "{out}", "-i", "none"], "frame_000000: There is no image folder"),
     ],
 )
@@ -252,7 +252,7 @@ def test_moving_cameras_are_refused_as_a_rig(frames: Path, tmp_path: Path) -> No
     names = [image.name for image in model.images]
     images = [replace(im, name=n) for im, n in zip(model.images, names[::-1], strict=True)]
     write_model(replace(model, images=images), folder / "sparse/0")
-    with pytest.raises(DatasetError, match=r"frame_000005: The cameras of .* do not stand"):
+    with pytest.raises(DatasetError, match=r"frame_000005: The cameras of .* are not arranged"):
         options = SequenceOptions(next_iterations=5)
         train_sequence(CONFIG, DataConfig(source=frames), tmp_path / "out", options=options)
 

@@ -175,8 +175,7 @@ def test_photos_turned_by_exif_without_a_trace_in_their_size(
         assert bool(data.warnings) == told
         if told:
             assert data.warnings[0].startswith(
-                f"EXIF asks to turn 3 photos that are used as stored, as "
-                f"COLMAP does: 0.{ending}, 1.{ending}"
+                f"The EXIF rotation of 3 photos is ignored, as in COLMAP: 0.{ending}, 1.{ending}"
             )
 
 
@@ -613,7 +612,7 @@ class TestPoints:
         first, second = _load(capture.root), _load(capture.root)
         assert len(first.scene.points) == 100_000
         np.testing.assert_array_equal(first.scene.points.points, second.scene.points.points)
-        assert any("no points. Where photos do not tell better" in w for w in first.warnings)
+        assert any("no points. Unless points can be computed" in w for w in first.warnings)
 
     @pytest.mark.parametrize(("black", "far"), [(False, np.nan), (True, np.nan), (False, -1e300)])
     def test_points_that_are_not_finite(

@@ -373,7 +373,7 @@ def test_frames_are_picked_by_number_or_path(make_case: Callable[..., Case]) -> 
     assert "per_frame" in str(other.views[0].image), "the next layout that has the frame"
     with pytest.raises(DatasetError, match=r"no frame 7: data_COLMAP has 2, 0 to 5 in steps of 5"):
         read_capture(DataConfig(source=root, frame=7))
-    with pytest.raises(ConfigError, match="is frame 5, but frame 10 was asked for"):
+    with pytest.raises(ConfigError, match="is frame 5, but --frame is 10"):
         read_capture(DataConfig(source=root / "per_frame/000005", frame=10))
     with pytest.raises(ConfigError, match="no multi-view video"):
         read_capture(DataConfig(source=root / "cams", frame=5))
@@ -442,7 +442,7 @@ def test_a_rig_joins_the_worlds_of_frames(
         np.testing.assert_array_equal(a.viewmat, b.viewmat)
         np.testing.assert_array_equal(a.camera.params, b.camera.params)
     assert not any("differ by" in warning for warning in joined.warnings)
-    monkeypatch.setattr("gscore.datasets.rig._TOLD", -1.0)
+    monkeypatch.setattr("gscore.datasets.rig._REPORTED", -1.0)
     told = read_capture(DataConfig(source=case.root, frame=5, rig=rig)).warnings
     assert "differ by 0.00 %" in told[-1]
     same = read_capture(DataConfig(source=rig, rig=rig))
@@ -492,7 +492,7 @@ def test_another_rig_is_refused(make_case: Callable[..., Case]) -> None:
     zero, five = (case.root / f"data_COLMAP/{frame:06d}" for frame in (0, 5))
     model = case.model(5, noise=0.7)
     write_model(model, five / "sparse")
-    with pytest.raises(DatasetError, match="do not stand as those of"):
+    with pytest.raises(DatasetError, match="are not arranged as those of"):
         read_capture(DataConfig(source=five, rig=zero))
     far = [replace(image, name=f"x{image.id}_c_9{image.id:02d}_f_5.png") for image in model.images]
     write_model(replace(model, images=far), zero / "sparse")

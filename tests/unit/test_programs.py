@@ -277,7 +277,7 @@ def test_points_of_the_folder(rig: Rig, tmp_path: Path) -> None:
     capture = _read(tmp_path)
     assert not len(capture.points) and "in other coordinates" in capture.warnings[-1]
     _write_ply(tmp_path / "other.ply", points)
-    assert "holds 2 PLY files" in _read(tmp_path).warnings[-1]
+    assert "has 2 PLY files" in _read(tmp_path).warnings[-1]
     (tmp_path / "other.ply").rename(tmp_path / "points3D.ply")
     np.testing.assert_array_equal(_read(tmp_path).points.points, points)
 
@@ -320,7 +320,7 @@ def test_photos_that_exif_turns(rig: Rig, tmp_path: Path) -> None:
     for name in rig.names:
         Image.new("RGB", rig.size, "gray").save(tmp_path / "images" / name, exif=exif)
     capture = _read(tmp_path)
-    assert "EXIF asks to turn 8 photos" in capture.warnings[0]
+    assert "EXIF rotates 8 photos" in capture.warnings[0]
     _check(capture, rig, "realityscan")
     (tmp_path / "registration.csv").unlink()
     files.write_metashape(tmp_path, rig)

@@ -69,7 +69,7 @@ def test_unknown_and_ambiguous_names(tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as caught:
         split_views(_NAMES, _config(test_list=path))
     message = str(caught.value)
-    assert "names 7 views" in message and "no0, no1, no2, no3, no4, ..." in message
+    assert "has 7 views" in message and "no0, no1, no2, no3, no4, ..." in message
     assert "cam/00.jpg" in message
     path.write_text("03")
     twice = ["a/03.jpg", "b/03.jpg", "c/04.jpg"]
@@ -119,7 +119,7 @@ def test_one_view_of_few_is_told(make_capture: Callable[..., SmallCapture]) -> N
     capture = make_capture(views=9)
     for every, told in ((40, 1), (8, 0)):
         config = DataConfig(source=capture.root, eval=True, test_every=every)
-        words = [w for w in load_dataset(config).warnings if "one view alone is measured" in w]
+        words = [w for w in load_dataset(config).warnings if "only one view is measured" in w]
         assert len(words) == told
         assert all("`--hold-out 3` measures 3." in w for w in words)
         assert [p.text for p in inspect(config).problems if p.text in words] == words

@@ -1,4 +1,4 @@
-"""PKU-DyMVHumans cams: video frames with a COLMAP model each, or with the rig's cams/*.txt."""
+"""PKU-DyMVHumans cams: video frames with their own COLMAP models, or with the rig's cams/*.txt."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from ..poses import pinhole_camera, rigid_matrix
 from .photos import VIEW_FOLDER, camera_number, mattes, photo_folder_name, pictures_by_camera
 
 _SAME = 0.02
-"""Relative difference up to which twice the principal point is the size of the photo."""
+"""Largest relative difference between twice the principal point and the size of the photo."""
 
 
 def read_model_frame(
@@ -39,7 +39,7 @@ def read_model_frame(
 def read_per_frame(
     config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
 ) -> Capture:
-    """`per_frame/<frame>`: photos and mattes; cameras of its own model, else of `cams`."""
+    """`per_frame/<frame>`: photos and mattes; cameras from its own model, else from `cams`."""
     if any(has_model(path / name) for name in ("sparse/0", "sparse")):
         return read_model_frame(config, case, path, frame, photos_required)
     images = photo_folder_name(path, config.images)
@@ -56,7 +56,7 @@ def read_per_frame(
 def read_per_view(
     config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
 ) -> Capture:
-    """`per_view/cam_<i>/{images,pha,com}/<frame>.png`, cameras of `cams`."""
+    """`per_view/cam_<i>/{images,pha,com}/<frame>.png`, cameras from `cams`."""
     photos: dict[int, Path] = {}
     soft: dict[int, Path] = {}
     missing = []
@@ -66,12 +66,12 @@ def read_per_view(
             continue
         number = int(match[1])
         images = photo_folder_name(folder, config.images)
-        # Pictures of a view are numbered by frame, so "by camera" finds the frame here.
-        found = pictures_by_camera(folder / images).get(frame)
-        if found is None:
+        # Pictures of a view are numbered by frame, so the "camera number" is the frame here.
+        photo = pictures_by_camera(folder / images).get(frame)
+        if photo is None:
             missing.append(folder.name)
             continue
-        photos[number] = found
+        photos[number] = photo
         if matte := mattes(folder, images).get(frame):
             soft[number] = matte
     total = len(photos) + len(missing)
@@ -84,8 +84,8 @@ def read_per_view(
     capture = _with_cams(case, path, photos, names, soft)
     if not missing:
         return capture
-    sentence = f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')}: "
-    return replace(capture, warnings=(*capture.warnings, f"{sentence}{listing(missing)}."))
+    warning = f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')}: "
+    return replace(capture, warnings=(*capture.warnings, f"{warning}{listing(missing)}."))
 
 
 def _with_cams(
@@ -95,8 +95,8 @@ def _with_cams(
     cams = list_cams(case / "cams")
     without = [names[number] for number in photos if number not in cams]
     if without:
-        # Cameras that COLMAP lost are left out when these files are numbered, so those after it
-        # would belong to other photos.
+        # Cameras that COLMAP could not place are skipped in the numbering of these files, so later
+        # files would belong to other photos.
         raise DatasetError(
             f"{case / 'cams'} has {count_words(len(cams), 'camera')}, numbers {min(cams)} to "
             f"{max(cams)}, but "
@@ -128,10 +128,10 @@ def _with_cams(
 
 
 def _camera(path: Path, intrinsic: list[list[float]], photo: Path) -> ColmapCamera:
-    """The camera at the size its file was made for, which the file does not state.
+    """Camera at its calibrated size, which the file does not state.
 
-    COLMAP leaves the principal point in the middle, so twice that is the size. It is smaller than
-    the photo where the photos were shrunk before the cameras were exported (4K ones to 2000 px).
+    COLMAP keeps the principal point in the middle, so twice that is the size. It is smaller than
+    the photo if the photos were downscaled before the export (4K ones to 2000 px).
     """
     info = read_info(photo)
     width, height = 2 * intrinsic[0][2], 2 * intrinsic[1][2]

@@ -26,38 +26,38 @@ _SPLITS = ("train", "test")
 
 @dataclass(frozen=True, kw_only=True)
 class PkuVideo:
-    """A folder of the data set, and what of it was asked for."""
+    """A scenario of the data set, with the requested layout and frame."""
 
     case: Path
-    """Folder of the scenario, which holds `cams`, `per_frame`, `data_COLMAP` and so on."""
+    """Folder of the scenario, with `cams`, `per_frame`, `data_COLMAP` and so on."""
     layout: str
     """Name of a folder in it, a key of `LAYOUTS`; empty: the first that has the frame."""
     frame: int | None
-    """Number of the frame that the path names; None: it names none."""
+    """Number of the frame in the path; None: none."""
 
     def frames(self) -> dict[int, Path]:
-        """Paths by frame number, rising, of the layout or of the first that has any frames.
+        """Paths by frame number, ascending, of the layout or of the first that has frames.
 
-        Each path names one frame on its own, except those of `per_view`, where it is that folder.
+        Each path identifies one frame, except in `per_view`, where it is that folder.
 
         Raises:
             DatasetError: there are none.
         """
         for layout in (self.layout,) if self.layout else LAYOUTS:
-            found = _list(self.case / layout, layout)
-            if found and self.frame is None:
-                return found
-            if self.frame in found:
-                return {self.frame: found[self.frame]}
+            paths = _list(self.case / layout, layout)
+            if paths and self.frame is None:
+                return paths
+            if self.frame in paths:
+                return {self.frame: paths[self.frame]}
         raise _no_frame(self, self.frame)
 
 
 def find_video(source: Path) -> PkuVideo | None:
-    """What a path means in the data set's layouts, or None if it is none of them.
+    """Scenario, layout and frame of a path in one of the data set's layouts, or None for others.
 
-    A folder that also holds a COLMAP model in `sparse` is an ordinary capture.
+    A folder that also has a COLMAP model in `sparse` is an ordinary capture.
     """
-    path = Path(os.path.abspath(source))  # noqa: PTH100 - links may carry the names that count
+    path = Path(os.path.abspath(source))  # noqa: PTH100 - the names may be those of links
     names = [path.name, path.parent.name, path.parent.parent.name]
     if path.is_file():
         number = _NEUS2.fullmatch(names[0])
@@ -80,31 +80,31 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
     """Read one frame: that of `config.frame`, that of the path, or the first.
 
     Raises:
-        ConfigError: the path and the option name different frames.
+        ConfigError: the path and the option give different frames.
         DatasetError: there is no such frame, or files of it are missing.
-        FormatError: a file is truncated, corrupt or of another kind.
+        FormatError: a file is truncated, corrupt or of another format.
     """
-    asked = video.frame if config.frame is None else config.frame
-    if video.frame is not None and asked != video.frame:
+    wanted = video.frame if config.frame is None else config.frame
+    if video.frame is not None and wanted != video.frame:
         raise ConfigError(
-            f"{config.source} is frame {video.frame}, but frame {asked} was asked for. Give the "
+            f"{config.source} is frame {video.frame}, but --frame is {wanted}. Give the "
             f"folder above it, or leave --frame out."
         )
     layouts = (video.layout,) if video.layout else tuple(LAYOUTS)
     for layout in layouts:
         listed = _list(video.case / layout, layout)
-        if listed and (asked is None or asked in listed):
+        if listed and (wanted is None or wanted in listed):
             break
     else:
-        raise _no_frame(video, asked)
-    frame = next(iter(listed)) if asked is None else asked
+        raise _no_frame(video, wanted)
+    frame = next(iter(listed)) if wanted is None else wanted
     capture = LAYOUTS[layout](config, video.case, listed[frame], frame, photos_required)
     warnings = list(capture.warnings)
     points = capture.points
     if len(points) == 0:
-        points, told = _points_of_colmap(video.case, frame, capture, listed[frame])
-        warnings += told
-    if asked is None and len(listed) > 1:
+        points, notes = _points_of_colmap(video.case, frame, capture, listed[frame])
+        warnings += notes
+    if wanted is None and len(listed) > 1:
         warnings.append(
             f"{video.case / layout} holds {count_words(len(listed), 'frame')}, {_span(listed)}; "
             f"using frame {frame}. Choose another with --frame."
@@ -115,7 +115,8 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
 def _points_of_colmap(
     case: Path, frame: int, capture: Capture, path: Path
 ) -> tuple[PointCloud, list[str]]:
-    """SfM points of the frame, or of the nearest one, in the world of a capture that has none."""
+    """SfM points of the frame, or of the nearest one, moved to the world of a capture without
+    points."""
     models = _list(case / "data_COLMAP", "data_COLMAP")
     if not models:
         return capture.points, []
@@ -125,8 +126,8 @@ def _points_of_colmap(
         points = with_rig(model, capture, where=folder, rig_at=path).points
     except GsError as error:
         return capture.points, [f"The points of {folder} cannot be used: {error}"]
-    sentence = f"{path} has no points; starting from those of {folder}, moved into its world."
-    return points, [sentence]
+    warning = f"{path} has no points; starting from those of {folder}, moved into its world."
+    return points, [warning]
 
 
 Reader = Callable[[DataConfig, Path, Path, int, bool], Capture]
@@ -140,7 +141,7 @@ LAYOUTS: dict[str, Reader] = {
     "data_ngp": pku_json.read_ngp,
     "data_NeuS": pku_neus.read_neus,
 }
-"""Folders of a scenario, best first: SfM points and photos as they were taken come before none."""
+"""Folders of a scenario, best first: layouts with SfM points and original photos come first."""
 
 _FOLDER_A_FRAME = ("data_COLMAP", "per_frame", "data_ngp", "data_NeuS")
 _EXAMPLES = {
@@ -155,7 +156,7 @@ _EXAMPLES = {
 
 
 def _list(folder: Path, layout: str) -> dict[int, Path]:
-    """Frames of one layout by number, rising; empty if it has none."""
+    """Frames of one layout by number, ascending; empty if it has none."""
     if not folder.is_dir():
         return {}
     found: dict[int, Path] = {}
@@ -164,7 +165,11 @@ def _list(folder: Path, layout: str) -> dict[int, Path]:
             if _NUMBER.fullmatch(path.name) and path.is_dir():
                 found[int(path.name)] = path
     elif layout == "data_NeuS2":
-        for place in (folder / "test", folder / "train", folder):  # the whole file wins
+        for place in (
+            folder / "test",
+            folder / "train",
+            folder,
+        ):  # the complete file overrides the splits
             for path in place.iterdir() if place.is_dir() else ():
                 if match := _NEUS2.fullmatch(path.name):
                     found[int(match[1])] = path
@@ -177,7 +182,7 @@ def _list(folder: Path, layout: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def _no_frame(video: PkuVideo, asked: int | None) -> DatasetError:
+def _no_frame(video: PkuVideo, wanted: int | None) -> DatasetError:
     listed = {
         name: frames
         for name in ((video.layout,) if video.layout else LAYOUTS)
@@ -190,11 +195,11 @@ def _no_frame(video: PkuVideo, asked: int | None) -> DatasetError:
             f"{video.layout or 'data_COLMAP'}/{_EXAMPLES[video.layout]}."
         )
     have = "; ".join(f"{name} has {len(f)}, {_span(f)}" for name, f in listed.items())
-    return DatasetError(f"{where} has no frame {asked}: {have}. Choose one of these with --frame.")
+    return DatasetError(f"{where} has no frame {wanted}: {have}. Choose one of these with --frame.")
 
 
 def _span(frames: dict[int, Path]) -> str:
-    """ "0 to 145 in steps of 5"."""
+    """Range of frames, such as "0 to 145 in steps of 5"."""
     numbers = list(frames)
     steps = {b - a for a, b in pairwise(numbers)}
     if len(numbers) == 1:

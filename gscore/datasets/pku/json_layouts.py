@@ -20,10 +20,10 @@ _NGP = ("transform", "transforms")
 def read_neus2(
     config: DataConfig, case: Path, path: Path, frame: int, photos_required: bool
 ) -> Capture:
-    """`data_NeuS2`: `transform_<frame>.json`, the same in `train` and `test` for the split.
+    """`data_NeuS2`: `transform_<frame>.json`, also in `train` and `test` for the split.
 
-    The world is that of the file: the people lie in the unit sphere. Views that are listed twice,
-    as the data set's own script does it with the test views, are taken once.
+    The world is that of the file: the people are in the unit sphere. Views that are listed twice,
+    as the data set's own script does with test views, are read once.
 
     Raises:
         DatasetError: photos are missing.
@@ -120,7 +120,7 @@ def _neus2_view(where: str, root: Path, data: dict[str, Any], entry: Any) -> Vie
     pose = rigid_matrix(where, "transform_matrix", entry.get("transform_matrix"))
     merged = data | entry
     width, height = _pixels(where, merged, "w"), _pixels(where, merged, "h")
-    # `from_na` says that the poses have OpenCV's axes, as NeuS has them, and not OpenGL's.
+    # `from_na`: poses have OpenCV's axes, as in NeuS, not OpenGL's.
     viewmat = invert_rigid(pose) if merged.get("from_na") is True else viewmat_from_opengl(pose)
     matrix = merged.get("intrinsic_matrix")
     return View(
@@ -139,7 +139,7 @@ def _pixels(where: str, data: dict[str, Any], key: str) -> int:
 
 
 def _either_folder(root: Path, name: str) -> Path | None:
-    """The photo where the file says, or in the folder that the scripts call otherwise."""
+    """The photo at the stated path, or in a folder of another usual name."""
     path = PurePosixPath(name)
     candidates = [root / path]
     for folder in PLAIN_FOLDERS:

@@ -30,13 +30,13 @@ def read_neus(
     that of structure from motion.
 
     Raises:
-        DatasetError: photos are missing, or there are not as many as cameras.
+        DatasetError: photos are missing, or their number differs from that of the cameras.
         FormatError: the npz is corrupt or its matrices are no cameras.
     """
     projections = _projections(path / _FILE)
     images = photo_folder_name(path, config.images)
     photos = pictures_by_camera(path / images)
-    # Matrices are counted through the sorted photos, whatever numbers these have.
+    # Matrices follow the order of the sorted photos, not their numbers.
     if len(photos) != len(projections):
         raise DatasetError(
             f"{path / _FILE} has {count_words(len(projections), 'camera')}, {path / images} has "
@@ -70,39 +70,39 @@ def _projections(path: Path) -> list[np.ndarray]:
         with zipfile.ZipFile(path) as stored:
             matrices = re.compile(r"world_mat_\d+\.npy")
             count = sum(1 for name in stored.namelist() if matrices.fullmatch(name))
-            found = [_matrix(stored, f"world_mat_{i}.npy") for i in range(count)]
-    except Exception as error:  # damaged archives raise some ten kinds
+            projections = [_matrix(stored, f"world_mat_{i}.npy") for i in range(count)]
+    except Exception as error:  # damaged archives raise about ten kinds
         raise FormatError(
             f"{path} cannot be read as an npz with world_mat_0, world_mat_1, ...: {brief(error)}. "
             f"Copy the frame again."
         ) from error
-    for i, matrix in enumerate(found):
+    for i, matrix in enumerate(projections):
         if matrix.shape not in ((3, 4), (4, 4)) or not (np.abs(matrix) <= FARTHEST).all():
             raise FormatError(
                 f"{path}: world_mat_{i} is {matrix.tolist()}, expected 4 x 4 numbers up to "
                 f"{FARTHEST:g}. Copy the frame again."
             )
-    if not found:
+    if not projections:
         raise FormatError(f"{path} has no world_mat_0. Copy the frame again.")
-    return [matrix[:3] for matrix in found]
+    return [matrix[:3] for matrix in projections]
 
 
 def _matrix(stored: zipfile.ZipFile, name: str) -> np.ndarray:
     with stored.open(name) as file:
-        raw = file.read(_MATRIX_BYTES)  # not more, whatever it would unpack to
+        raw = file.read(_MATRIX_BYTES)  # limits the unpacked size
     return read_npy(raw).astype(np.float64)
 
 
 def _decompose(projection: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """K [3, 3] with K[2, 2] = 1 and world-to-camera [4, 4] of K [R | t] [3, 4] up to its scale."""
-    # RQ by QR of the matrix turned upside down: with J the exchange, M = R Q from (J M)^T = Q' R'.
+    """K [3, 3] with K[2, 2] = 1 and world to camera [4, 4], from K [R | t] [3, 4] up to scale."""
+    # RQ by QR of the flipped matrix: with J the exchange matrix, M = R Q from (J M)^T = Q' R'.
     flip = np.eye(3)[::-1]
     q, r = np.linalg.qr((flip @ projection[:, :3]).T)
     K, rotation = flip @ r.T @ flip, flip @ q.T
     signs = np.diag(np.where(np.diag(K) < 0, -1.0, 1.0))
     K, rotation = K @ signs, signs @ rotation
     translation = np.linalg.solve(K, projection[:, 3]) if np.linalg.det(K) else np.zeros(3)
-    if np.linalg.det(rotation) < 0:  # the projection was negative as a whole
+    if np.linalg.det(rotation) < 0:  # the projection had a negative sign
         rotation, translation = -rotation, -translation
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = rotation, translation

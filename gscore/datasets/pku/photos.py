@@ -9,9 +9,9 @@ from ...io.images.read_image import IMAGE_ENDINGS
 VIEW_FOLDER = re.compile(r"cam_?(\d+)")
 """Folders of the cameras in `per_view`."""
 PLAIN_FOLDERS = ("images", "image")
-"""Photos as they were taken; the data set's scripts write either name."""
+"""Folders of the original photos; the data set's scripts write either name."""
 MATTE_FOLDERS = ("masks", "pha", "mask")
-"""Soft opacity of the people."""
+"""Folders of soft mattes of the people."""
 
 _CAMERA = re.compile(r"(?:^|_)c_(\d+)(?:_|$)")
 _ALONE = re.compile(r"(\d+)")
@@ -25,35 +25,35 @@ def camera_number(name: str) -> int | None:
 
 
 def pictures_by_camera(folder: Path) -> dict[int, Path]:
-    """The pictures in a folder by camera number, rising; empty without the folder.
+    """Pictures in a folder by camera number, ascending; empty without the folder.
 
     Raises:
         DatasetError: a camera has two pictures.
     """
-    found: dict[int, Path] = {}
+    pictures: dict[int, Path] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         number = camera_number(path.name)
         if number is None or path.suffix.lower() not in IMAGE_ENDINGS:
             continue
-        if number in found:
+        if number in pictures:
             raise DatasetError(
-                f"{folder} has two pictures of camera {number}, {found[number].name} and "
+                f"{folder} has two pictures of camera {number}, {pictures[number].name} and "
                 f"{path.name}. Keep one of them."
             )
-        found[number] = path
-    return dict(sorted(found.items()))
+        pictures[number] = path
+    return dict(sorted(pictures.items()))
 
 
-def photo_folder_name(root: Path, asked: str, *, default: str = "images") -> str:
-    """Name of the photo folder in `root`: what was asked for, or one of the usual names.
+def photo_folder_name(root: Path, name: str, *, default: str = "images") -> str:
+    """Name of the photo folder in `root`: `name`, or for the default one of the usual names.
 
     Raises:
         DatasetError: there is none.
     """
-    names = PLAIN_FOLDERS if asked == default else (asked,)
-    for name in names:
-        if (root / name).is_dir():
-            return name
+    names = PLAIN_FOLDERS if name == default else (name,)
+    for folder in names:
+        if (root / folder).is_dir():
+            return folder
     others = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
     raise DatasetError(
         f"There is no photo folder {' or '.join(names)} in {root}"
@@ -62,7 +62,7 @@ def photo_folder_name(root: Path, asked: str, *, default: str = "images") -> str
 
 
 def mattes(root: Path, images: str) -> dict[int, Path]:
-    """Soft opacity by camera number; none for photos that carry it themselves."""
+    """Soft mattes by camera number; empty for photos with their own alpha."""
     if Path(images).name not in PLAIN_FOLDERS:
         return {}
     return next((found for name in MATTE_FOLDERS if (found := pictures_by_camera(root / name))), {})

@@ -6,33 +6,33 @@ from pathlib import Path
 from . import metashape, realityscan
 
 _HEAD = 1 << 13
-"""Bytes of a file that are looked at."""
+"""Bytes read from the start of a file."""
 _RECONSTRUCTIONS = ("reconstruction.json", "opensfm/reconstruction.json")
 _BOUNDS = "poses_bounds.npy"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramFile:
-    """A camera file that can be read."""
+    """A supported camera file."""
 
     program: str
     """`RealityScan CSV`, `Metashape XML`, `OpenSfM`, `LLFF` or `RealityScan XMP`."""
     path: Path
-    """The file; of XMP sidecars the folder below which they lie."""
+    """The file; for XMP sidecars their common folder."""
     root: Path
     """Folder of the capture."""
     others: tuple[Path, ...] = ()
-    """Further camera files in the folder, which are not read."""
+    """Other camera files in the folder, which are not read."""
 
 
 def find_program(source: Path, images: str = "images", *, below: bool = True) -> ProgramFile | None:
-    """The camera file at or in `source`, or None; XMP sidecars where there is no other.
+    """The camera file at or in `source`, or None; XMP sidecars if there is no other.
 
     Args:
         source: A file, or the folder of a capture.
         images: Folder of the photos in it, for sidecars.
-        below: Whether sidecars are looked for in all folders below; else in those two alone, for
-            folders that may hold anything.
+        below: Search sidecars in all folders below; else only in those two, for folders with
+            unknown content.
     """
     if source.is_file():
         return _of_file(source, source.parent)
@@ -40,9 +40,9 @@ def find_program(source: Path, images: str = "images", *, below: bool = True) ->
         return None
     files = sorted(p for p in source.iterdir() if p.suffix.lower() in (".csv", ".xml"))
     files += [source / name for name in (*_RECONSTRUCTIONS, _BOUNDS)]
-    found = [f for path in files if (f := _of_file(path, source))]
-    if found:
-        return replace(found[0], others=tuple(other.path for other in found[1:]))
+    known = [f for path in files if (f := _of_file(path, source))]
+    if known:
+        return replace(known[0], others=tuple(other.path for other in known[1:]))
     photos = source / images if (source / images).is_dir() else source
     if any(realityscan.sidecars_in(photos, below=below)):
         return ProgramFile(program="RealityScan XMP", path=photos, root=source)
@@ -65,7 +65,7 @@ def _of_file(path: Path, root: Path) -> ProgramFile | None:
 
 
 def _head(path: Path) -> str:
-    """The beginning of a file as text, of any encoding whose letters are ASCII's."""
+    """First bytes of a file as text, in any encoding with ASCII letters."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     return head.replace(b"\0", b"").decode("latin-1").removeprefix("\u00ef\u00bb\u00bf")

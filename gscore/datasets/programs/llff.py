@@ -1,9 +1,9 @@
 """LLFF poses: the poses_bounds.npy of many NeRF scenes.
 
 Schema: "Using your own poses without running COLMAP" of the readme of Fyusion/LLFF, and its
-`pose_utils.py`: a row for each photo in the order of the sorted names, 3 x 5 numbers row by row and
-two depths. The first three columns are the camera's axes down, right and backwards in the world,
-the fourth its position, the fifth height, width and focal length in pixels.
+`pose_utils.py`: a row for each photo in the order of the sorted names, a 3 x 5 matrix row by row
+and two depths. The first three columns are the camera's axes down, right and backwards in the
+world, the fourth its position, the fifth height, width and focal length in pixels.
 """
 
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ _NUMBERS = 17
 
 
 def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
-    """Read poses and the one lens, whose principal point is the middle of the photo.
+    """Read poses and the shared lens, whose principal point is the middle of the photo.
 
     Args:
         path: The file.
-        names: Of all photos, sorted.
+        names: Names of all photos, sorted.
 
     Raises:
         DatasetError: the file is missing, or there are more or fewer photos than poses.
-        FormatError: it is no array of 17 numbers a row, or a pose or size is unusable.
+        FormatError: it is no array of 17 numbers per row, or a pose or size is unusable.
     """
     try:
         rows = read_npy(read_bytes(path)).astype(np.float64)
@@ -45,8 +45,8 @@ def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
     if len(rows) != len(names):
         raise DatasetError(
             f"{path} has {count_words(len(rows), 'pose')} for {count_words(len(names), 'photo')}, "
-            "and names none of them: which belong together is not known. Keep only the photos that "
-            "it was made from."
+            "without their names, so they cannot be matched. Keep only the photos that it was made "
+            "from."
         )
     return PosedPhotos(photos=[_shot(f"{path}: row {i}", *pair)
                         for i, pair in enumerate(zip(rows, names, strict=True))])  # fmt: skip
@@ -54,10 +54,10 @@ def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
 
 def _shot(where: str, row: np.ndarray, name: str) -> PosedPhoto:
     stated = row[:15].reshape(3, 5)
-    down, right, back, place, (height, width, focal) = stated.T
-    pose = rigid_matrix(where, "the pose", np.column_stack([right, down, -back, place]))
+    down, right, back, center, (height, width, focal) = stated.T
+    pose = rigid_matrix(where, "the pose", np.column_stack([right, down, -back, center]))
     if not all(0 < side < 2**31 for side in (height, width)):
-        raise FormatError(f"{where}: the size {width:g} x {height:g} is none. Make it again.")
+        raise FormatError(f"{where}: the size {width:g} x {height:g} is invalid. Make it again.")
     size = (round(width), round(height))
     lens = brown_camera(where, size, focal=(focal, focal), center=(size[0] / 2, size[1] / 2))
     return PosedPhoto(name=name, viewmat=invert_rigid(pose), camera=lambda _: lens, size=size)

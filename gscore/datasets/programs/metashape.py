@@ -1,11 +1,11 @@
 """Agisoft Metashape cameras, exported as XML (*Export Cameras*, Agisoft XML).
 
-The schema is that of files with `<document version="1.2.0">` to `"2.0.0"`, as Metashape 1.5 to 2.3
-write them. Lenses are those of the *Metashape User Manual, Professional Edition*, appendix "Camera
+The schema is that of files with `<document version="1.2.0">` to `"2.0.0"`, written by Metashape 1.5
+to 2.3. Lenses are those of the *Metashape User Manual, Professional Edition*, appendix "Camera
 models" (version 2.2, frame and fisheye cameras): f, cx, cy, b1 and b2 in pixels, cx and cy from the
-middle of the picture. A camera's `transform` leads from its axes (x right, y down, z forwards) to
-those of the chunk, and the transform of its component, or of the chunk in older files, from there
-to the world: metres, geocentric where the chunk has a geographic coordinate system.
+middle of the picture. A camera's `transform` maps its axes (x right, y down, z forwards) to those
+of the chunk, and the transform of its component, or of the chunk in older files, maps these to the
+world: metres, geocentric if the chunk has a geographic coordinate system.
 """
 
 from collections import Counter
@@ -29,25 +29,25 @@ _COEFFICIENTS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2"
 _FISHEYES = ("fisheye", "equidistant_fisheye")
 """Both are the equidistant lens."""
 _EARTH = (6.2e6, 6.5e6)
-"""Metres from the middle of the Earth within which cameras are geocentric."""
+"""Distances from the Earth's centre at which cameras are geocentric, metres."""
 
 Place = tuple[np.ndarray, np.ndarray, float]
-"""Of a chunk in the world: rotation [3, 3], translation [3], scale."""
+"""Transform of a chunk to the world: rotation [3, 3], translation [3], scale."""
 _HERE: Place = (np.eye(3), np.zeros(3), 1.0)
 
 
 def is_xml(head: str) -> bool:
-    """Whether a text begins as such a file does."""
+    """True if a text begins like a Metashape camera file."""
     return "<document" in head and ("<chunk" in head or "<sensors" in head)
 
 
 def read_metashape(path: Path) -> PosedPhotos:
-    """Read the cameras that are aligned and enabled, of the largest component.
+    """Read the aligned and enabled cameras of the largest component.
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: a value is missing or unusable, there is no aligned camera, or a lens is none
-            of COLMAP's.
+        FormatError: a value is missing or unusable, there is no aligned camera, or COLMAP has no
+            model of a lens.
     """
     chunks = [c for c in read_xml(path).iter("chunk") if any(map(_is_aligned, _cameras(c)))]
     if len(chunks) != 1:
@@ -83,12 +83,12 @@ def read_metashape(path: Path) -> PosedPhotos:
         others = len(used) - components[largest]
         warnings.append(
             f"{count_words(others, 'camera')} of {path} left out: they belong to other components "
-            "than the largest, which lie anywhere. Align or merge them."
+            "than the largest, which are not placed. Align or merge them."
         )
         used = [camera for camera in used if camera.get("component_id", "") == largest]
     if any(camera.find("rolling_shutter") is not None for camera in used):
         warnings.append(
-            f"{path} has cameras that move while the shutter rolls; each is used at its one pose."
+            f"{path} has cameras with rolling shutter motion, which is ignored; each has one pose."
         )
     place, lenses = _place(path, chunk, largest), _lenses(path, chunk)
     shots = [_shot(path, camera, place, lenses) for camera in used]
@@ -96,7 +96,7 @@ def read_metashape(path: Path) -> PosedPhotos:
 
 
 def _cameras(chunk: Element) -> Iterator[Element]:
-    """Those of the chunk, in groups too."""
+    """Cameras of the chunk, also those in groups."""
     for cameras in chunk.findall("cameras"):
         yield from cameras.iter("camera")
 
@@ -116,12 +116,12 @@ def _slaves(chunk: Element, cameras: list[Element]) -> int:
 
 
 def _place(path: Path, chunk: Element, component: str) -> Place:
-    """Where the chunk, or a component of it, lies in the world."""
-    found = chunk.find(f"components/component[@id='{component}']/transform")
-    transform = found if found is not None else chunk.find("transform")
+    """Transform of the chunk, or of a component of it, to the world."""
+    own = chunk.find(f"components/component[@id='{component}']/transform")
+    transform = own if own is not None else chunk.find("transform")
     if transform is None:
         return _HERE
-    where = f"{path}: the transform of the {'chunk' if found is None else 'component'}"
+    where = f"{path}: the transform of the {'chunk' if own is None else 'component'}"
     turn = numbers(where, "rotation", transform.findtext("rotation", "1 0 0 0 1 0 0 0 1"), 9)
     shift = numbers(where, "translation", transform.findtext("translation", "0 0 0"), 3)
     (scale,) = numbers(where, "scale", transform.findtext("scale", "1"), 1)
@@ -144,7 +144,7 @@ def _shot(
     sensor = camera.get("sensor_id", "")
     if sensor not in lenses:
         raise FormatError(
-            f"{where} is of sensor {quoted(sensor)}, which is not there. Export again."
+            f"{where} uses sensor {quoted(sensor)}, which does not exist. Export again."
         )
     lens = lenses[sensor]()
     return PosedPhoto(
@@ -156,7 +156,7 @@ def _shot(
 
 
 def _lenses(path: Path, chunk: Element) -> dict[str, Callable[[], ColmapCamera]]:
-    """By the id of the sensor; called for those that are used, so that others may be unreadable."""
+    """Readers of lenses by sensor id, called only for used ones, so that others may be invalid."""
     sensors = chunk.findall("sensors/sensor")
     return {sensor.get("id", ""): partial(_lens, path, sensor) for sensor in sensors}
 
@@ -188,19 +188,19 @@ def _lens(path: Path, sensor: Element) -> ColmapCamera:
             focal=(values["f"] + values["b1"], values["f"]),
             center=(size[0] / 2 + values["cx"], size[1] / 2 + values["cy"]),
             radial=[values[f"k{i}"] for i in (1, 2, 3, 4)],
-            tilt=(values["p2"], values["p1"]),  # the manual's p1 and p2 are OpenCV's p2 and p1
+            tilt=(values["p2"], values["p1"]),  # p1 and p2 are swapped in OpenCV
             skew=values["b2"],
         )
     if kind in _FISHEYES:
         return _fisheye(where, size, values)
     raise FormatError(
-        f"{where} is of the type {quoted(kind)}, expected frame or fisheye. Export the cameras in "
-        "COLMAP's format, which cuts or straightens the photos."
+        f"{where} has the type {quoted(kind)}, expected frame or fisheye. Export the cameras in "
+        "COLMAP's format, which crops or undistorts the photos."
     )
 
 
 def _fisheye(where: str, size: Size, values: dict[str, float]) -> ColmapCamera:
-    """The equidistant lens with tilt, which is COLMAP's without its prism."""
+    """Equidistant lens with tangential distortion: COLMAP's thin prism fisheye without a prism."""
     if values["b2"] != 0:
         raise FormatError(
             f"{where}: the skew (b2) of the lens is {values['b2']:g}, which no camera model of "
@@ -224,8 +224,8 @@ def _size(where: str, *elements: Element) -> Size:
 
 
 def _up(shots: list[PosedPhoto]) -> np.ndarray | None:
-    """Away from the middle of the Earth where the world is geocentric; else the format says
-    nothing of it."""
+    """Up direction, away from the Earth's centre, of a geocentric world; else the format does not
+    state it."""
     if not shots:
         return None
     middle = camera_centers(np.stack([shot.viewmat for shot in shots])).mean(axis=0)

@@ -1,9 +1,9 @@
 """OpenSfM and OpenDroneMap cameras: reconstruction.json.
 
 Schema: "Reconstruction file format" and "Geometric Models" of OpenSfM's documentation, and
-`opensfm/io.py` (0.5 to 0.6), which names the parameters of each `projection_type`. Lengths of the
-picture are in units of its longer side, from its middle; poses lead from the world to the camera,
-x right, y down, z forwards; the world's z is up.
+`opensfm/io.py` (0.5 to 0.6), with the parameters of each `projection_type`. Image coordinates are
+in units of the longer side, from the middle; poses are world to camera, x right, y down, z
+forwards; the world's z is up.
 """
 
 from pathlib import Path
@@ -32,8 +32,8 @@ def read_opensfm(path: Path) -> PosedPhotos:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is something else, a value is missing or unusable, or a lens is none of
-            COLMAP's.
+        FormatError: it is another file, a value is missing or unusable, or COLMAP has no model of a
+            lens.
     """
     try:
         data = parse_json(read_bytes(path))
@@ -45,7 +45,7 @@ def read_opensfm(path: Path) -> PosedPhotos:
         for part in parts
     ):
         raise FormatError(
-            f"{path} is no reconstruction of OpenSfM: it must hold a list of objects with cameras "
+            f"{path} is no reconstruction of OpenSfM: it must be a list of objects with cameras "
             "and shots. Run OpenSfM's reconstruct again."
         )
     best = max(parts, key=lambda part: len(part["shots"]))
@@ -72,7 +72,7 @@ def _shot(
 ) -> PosedPhoto:
     where = f"{path}: shot {quoted(name)}"
     if shot["camera"] not in cameras:
-        raise FormatError(f"{where} is of a camera that is not there. Reconstruct it again.")
+        raise FormatError(f"{where} uses a camera that does not exist. Reconstruct it again.")
     camera = cameras[shot["camera"]]
     viewmat = np.eye(4)
     viewmat[:3, :3] = _rotation(numbers(where, "rotation", shot.get("rotation"), 3))
@@ -82,7 +82,7 @@ def _shot(
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    """[3, 3] of an axis [3] as long as the angle, radians."""
+    """Rotation [3, 3] from an axis [3] whose length is the angle, radians."""
     half = float(np.linalg.norm(vector)) / 2
     return quat_to_rotmat(np.array([np.cos(half), *(np.sinc(half / np.pi) / 2 * vector)]))
 
@@ -132,5 +132,6 @@ def _points(path: Path, part: dict[str, Any]) -> PointCloud:
 
 
 def _flat(rows: list[Any]) -> list[Any]:
-    """Numbers of lists of three, in one list; other lists make it a length that is refused."""
+    """Numbers of lists of three, flattened; other lists are skipped, so that the length is
+    refused."""
     return [n for row in rows for n in (row if isinstance(row, list) and len(row) == 3 else ())]

@@ -20,16 +20,16 @@ Values = Sequence[float] | np.ndarray
 
 @dataclass(frozen=True, kw_only=True)
 class PosedPhoto:
-    """One posed photo as the program's file states it."""
+    """One posed photo as in the program's file."""
 
     name: str
-    """Its file: a name with or without ending, or a path, perhaps of another machine."""
+    """Its file: a name with or without ending, or a path, perhaps on another machine."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     camera: Callable[[Size], ColmapCamera]
-    """The camera for the size of the photo, which some formats do not state."""
+    """Returns the camera for the size of the photo, which some formats do not state."""
     size: Size | None = None
-    """Width and height of the camera where the file states them."""
+    """Width and height of the camera, pixels; None: not stated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,30 +39,30 @@ class PosedPhotos:
     photos: list[PosedPhoto]
     """In file order."""
     points: PointCloud | None = None
-    """World points that the file holds; None: it has no place for any."""
+    """Points in world coordinates; None: the format has none."""
     up: np.ndarray | None = None
-    """[3] float64, unit: up in the world, where the format defines it."""
+    """[3] float64, unit: up direction in the world, if the format defines it."""
     warnings: tuple[str, ...] = field(default=())
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
 def numbers(where: str, key: str, value: object, count: int) -> np.ndarray:
-    """[count] float64 from a text of numbers or a list of them.
+    """Parse [count] float64 from a text of numbers or a list of them.
 
     Raises:
-        FormatError: there are others, or one is not finite or beyond `FARTHEST`.
+        FormatError: the count differs, or a number is not finite or beyond `FARTHEST`.
     """
     try:
         words = value.split() if isinstance(value, str) else value
-        found = np.array(words, np.float64).reshape(-1)
+        values = np.array(words, np.float64).reshape(-1)
     except (TypeError, ValueError, OverflowError):
-        found = np.zeros(0)
-    if len(found) != count or not (np.abs(found) <= FARTHEST).all():
+        values = np.zeros(0)
+    if len(values) != count or not (np.abs(values) <= FARTHEST).all():
         raise FormatError(
             f"{where}: {key} is {quoted(value)}, expected {count} numbers up to {FARTHEST:g}. "
             "Export the cameras again."
         )
-    return found
+    return values
 
 
 def brown_camera(
@@ -75,20 +75,20 @@ def brown_camera(
     tilt: Values = (0.0, 0.0),
     skew: float = 0.0,
 ) -> ColmapCamera:
-    """A lens of Brown's model, as the smallest of COLMAP's models that is exactly equal.
+    """A lens of Brown's model, as the simplest of COLMAP's models that is exactly equal.
 
     Args:
-        where: For messages.
+        where: Location in the file, for messages.
         size: Width and height, pixels.
         focal: fx and fy, pixels.
         center: cx and cy, pixels, centres of pixels at + 0.5.
         radial: k1, k2, ... of r^2, r^4, ...
-        tilt: p1 and p2 in OpenCV's order.
-        skew: Pixels.
+        tilt: Tangential p1 and p2 in OpenCV's order.
+        skew: Skew, pixels.
 
     Raises:
-        FormatError: it has a skew or an r^8 term, which none of COLMAP's models has, or a focal
-            length that no lens has.
+        FormatError: it has a skew or an r^8 term, which none of COLMAP's models has, or an
+            implausible focal length.
     """
     k1, k2, k3, k4 = (*radial, *(0.0,) * (4 - len(radial)))
     for name, value in (("the r^8 term (k4)", k4), ("the skew (b2)", skew)):
@@ -100,17 +100,16 @@ def brown_camera(
             )
     values = {"fx": focal[0], "fy": focal[1], "cx": center[0], "cy": center[1]}
     values |= {"k1": k1, "k2": k2, "k3": k3, "p1": tilt[0], "p2": tilt[1]}
-    bent = any((k1, k2, *tilt))
-    return colmap_camera(
-        where, "FULL_OPENCV" if k3 else "OPENCV" if bent else "PINHOLE", size, values
-    )
+    distorted = any((k1, k2, *tilt))
+    model = "FULL_OPENCV" if k3 else "OPENCV" if distorted else "PINHOLE"
+    return colmap_camera(where, model, size, values)
 
 
 def colmap_camera(where: str, model: str, size: Size, values: dict[str, float]) -> ColmapCamera:
-    """A camera of one of COLMAP's models, checked; parameters that are not given are 0.
+    """A checked camera of one of COLMAP's models; missing parameters are 0.
 
     Raises:
-        FormatError: the size or the focal lengths make no camera.
+        FormatError: the size or the focal lengths are invalid.
     """
     width, height = size
     if not (0 < width < 2**31 and 0 < height < 2**31):

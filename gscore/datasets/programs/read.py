@@ -23,13 +23,14 @@ from .posed import PosedPhoto, PosedPhotos, Size
 from .realityscan import read_csv, read_xmps, sidecars_in
 
 _POINTS = ("points3D.ply", "points3d.ply", "sparse_pc.ply", "points.ply", "pointcloud.ply")
-"""Names that are points for sure; else the only PLY of the folder is taken."""
-_LOOKED_AT = 1000
-"""Points of which it is asked whether a photo shows them."""
+"""Names of point clouds; else the only PLY of the folder is used."""
+_SAMPLED = 1000
+"""Most points that are projected into the photos."""
 _MARGIN = 1.2
-"""Half sizes of the picture, from its middle, within which a point counts as shown: lenses bend."""
+"""Half sizes of the picture, from its middle, within which a point counts as visible; above 1
+because of lens distortion."""
 _FARTHEST = 1000.0
-"""Times as far as the cameras stand apart: half of the points of no scene are beyond."""
+"""Largest depth of a visible point, in extents of the cameras."""
 
 
 def read_program(
@@ -37,18 +38,18 @@ def read_program(
 ) -> Capture:
     """Read the camera file and find its photos in `config.images`, or in the folder itself.
 
-    Without `photos_required` views whose photo is missing stay where the file states their size.
+    Without `photos_required` views without a photo stay if the file states their size.
 
     Raises:
-        DatasetError: photos are missing, or it is not known which are meant.
-        FormatError: the file is damaged, or a lens is none of COLMAP's.
+        DatasetError: photos are missing or ambiguous.
+        FormatError: the file is damaged, or COLMAP has no model of a lens.
     """
     folder = found.root / config.images
     photos = _Photos(folder if folder.is_dir() else found.root)
     listed = _read(found, photos)
     files = [photos.find(shot.name, found.path) for shot in listed.photos]
     missing = [s.name for s, file in zip(listed.photos, files, strict=True) if file is None]
-    told = (
+    warnings = (
         [
             f"{count_words(len(found.others), 'further camera file')} in {found.root} not read: "
             f"{listing([path.name for path in found.others])}; {found.path.name} is."
@@ -56,7 +57,7 @@ def read_program(
         if found.others
         else []
     )
-    told += _told_of_missing(found, photos, missing, len(files), photos_required)
+    warnings += _missing_warnings(found, photos, missing, len(files), photos_required)
     views = [
         view
         for shot, file, mask in zip(listed.photos, files, masks_by_photos(files), strict=True)
@@ -64,24 +65,25 @@ def read_program(
     ]
     if twice := repeated([view.name for view in views]):
         raise DatasetError(f"{found.path} has several cameras for {listing(twice)}. Export again.")
-    told += _told_of_turned(found, views) if any(s.size is None for s in listed.photos) else []
-    points, told_of_points = _points(found, listed.points, views)
+    if any(shot.size is None for shot in listed.photos):
+        warnings += _rotation_warnings(found, views)
+    points, point_warnings = _points(found, listed.points, views)
     return Capture(
         root=found.root,
         views=views,
         points=points,
         up=listed.up,
-        warnings=(*listed.warnings, *told, *told_of_points),
+        warnings=(*listed.warnings, *warnings, *point_warnings),
     )
 
 
-def _told_of_missing(
+def _missing_warnings(
     found: ProgramFile, photos: "_Photos", missing: list[str], count: int, photos_required: bool
 ) -> list[str]:
-    """A sentence on photos that are not there.
+    """Warning about missing photos.
 
     Raises:
-        DatasetError: most are not.
+        DatasetError: most are missing.
     """
     if not count or (photos_required and 2 * len(missing) > count):
         raise DatasetError(
@@ -110,21 +112,21 @@ def _read(found: ProgramFile, photos: "_Photos") -> PosedPhotos:
     return read_llff(found.path, photos.names)
 
 
-def _told_of_turned(found: ProgramFile, views: list[View]) -> list[str]:
-    """A sentence on photos that EXIF turns, where the file states no size to tell which way the
-    program had them."""
+def _rotation_warnings(found: ProgramFile, views: list[View]) -> list[str]:
+    """Warning about photos with an EXIF rotation if the file states no size, so that the
+    orientation in the program is unknown."""
     turned = [view.name for view in views if read_info(view.image).is_sideways]
     if not turned:
         return []
     return [
-        f"EXIF asks to turn {count_words(len(turned), 'photo')} by a quarter ({listing(turned)}), "
-        f"and {found.path} does not state which way they were when their cameras were made; they "
-        "are used as stored. If that is wrong, save the photos turned, and align them again."
+        f"EXIF rotates {count_words(len(turned), 'photo')} by 90 degrees ({listing(turned)}), but "
+        f"{found.path} does not state whether its cameras include the rotation; they are used as "
+        "stored. If that is wrong, save the photos rotated, and align them again."
     ]
 
 
 class _Photos:
-    """The photos below a folder, found by names that may be paths of another machine."""
+    """Photos below a folder, found by names that may be paths of another machine."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -138,11 +140,11 @@ class _Photos:
                 self._by_end[key].append(name)
 
     def find(self, name: str, of: Path) -> Path | None:
-        """The photo of a name with or without ending; of several in sub-folders the one whose
-        folders agree.
+        """The photo of a name with or without ending; among several in sub-folders the one with
+        the most matching folders.
 
         Raises:
-            DatasetError: several agree alike.
+            DatasetError: several match equally.
         """
         wanted = _plain(name)
         last = wanted[-1] if wanted else ""
@@ -153,19 +155,19 @@ class _Photos:
         best = [other for other, n in zip(found, shared, strict=True) if n == max(shared)]
         if len(best) > 1:
             raise DatasetError(
-                f"{of} names the photo {name}, which may be any of {listing(best)} in {self.root}. "
+                f"{of} lists the photo {name}, which may be any of {listing(best)} in {self.root}. "
                 "Give the photos different names, and export the cameras again."
             )
         return self.root / best[0]
 
 
 def _plain(name: str) -> tuple[str, ...]:
-    """The parts of a path as they are compared: letter case and composed letters do not count."""
+    """Parts of a path for comparison, without case and Unicode form."""
     return PurePosixPath(same_name(name).replace("\\", "/").lower()).parts
 
 
 def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
-    """How many folders agree, from the last on."""
+    """Number of equal folders, from the last on."""
     count = 0
     for a, b in zip(reversed(one), reversed(other), strict=False):
         if a != b:
@@ -175,7 +177,7 @@ def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
 
 
 def _is_apart(path: Path) -> bool:
-    """Whether a picture is a mask or hidden, which no camera took."""
+    """True for masks and hidden files."""
     hidden = any(part.startswith(".") for part in path.parts)
     return hidden or path.parts[0] in ("masks", "mask", "depths") or is_marked_mask(path)
 
@@ -187,8 +189,8 @@ def _view(
     mask: Path | None,
     photos_required: bool,
 ) -> View | None:
-    """The view of a posed photo; None where the photo is missing and required, or the file states
-    neither its size nor a name that may be one."""
+    """View of a posed photo; None if the photo is missing and required, or if the file states no
+    size or no valid name for it."""
     if image is not None:
         size = shot.size or _size(image)
         name = image.relative_to(photos.root).as_posix()
@@ -203,7 +205,7 @@ def _view(
 
 
 def _size(image: Path) -> Size:
-    """Width and height as the photo is stored."""
+    """Width and height of the photo as stored, pixels."""
     info = read_info(image)
     return info.width, info.height
 
@@ -211,15 +213,15 @@ def _size(image: Path) -> Size:
 def _points(
     found: ProgramFile, stated: PointCloud | None, views: list[View]
 ) -> tuple[PointCloud, list[str]]:
-    """The points of the file, else of a PLY in the folder if the cameras see it."""
+    """Points of the file, else of a PLY in the folder if they are visible to the cameras."""
     if stated is not None and len(stated):
         return stated, []
     clouds = sorted(p for p in found.root.glob("*") if p.suffix.lower() == ".ply")
     named = [p for name in _POINTS for p in clouds if p.name == name]
     if not named and len(clouds) > 1:
         return PointCloud.none(), [
-            f"{found.root} holds {len(clouds)} PLY files, and none is called {_POINTS[0]}: no "
-            "points are read. Call the one with the points so."
+            f"{found.root} has {len(clouds)} PLY files, and none is named {_POINTS[0]}: no "
+            "points are read. Rename the one with the points."
         ]
     if not clouds:
         return PointCloud.none(), []
@@ -227,7 +229,7 @@ def _points(
     points = read_point_cloud(path)
     if (share := _share_seen(points.points, views)) < 0.5:
         return PointCloud.none(), [
-            f"Only {100 * share:.0f} % of the points of {path} lie where a camera looks, so they "
+            f"Only {100 * share:.0f} % of the points of {path} are in view of a camera, so they "
             "are in other coordinates and are not used. Export points and cameras in the same "
             "coordinate system."
         ]
@@ -235,8 +237,8 @@ def _points(
 
 
 def _share_seen(points: np.ndarray, views: list[View]) -> float:
-    """Share of the points, of some all over the list, that lie in the picture of any view."""
-    some = points[:: max(1, len(points) // _LOOKED_AT)]
+    """Share of a sample of the points that is in the picture of any view."""
+    some = points[:: max(1, len(points) // _SAMPLED)]
     seen = np.zeros(len(some), bool)
     viewmats = np.array([view.viewmat for view in views]).reshape(-1, 4, 4)
     apart = (float(np.ptp(camera_centers(viewmats), axis=0).max()) if views else 0.0) or np.inf

@@ -1,9 +1,9 @@
 """RealityScan (RealityCapture) cameras: its CSV files and its XMP sidecars.
 
-Source of all formulas: M. Hornacek, "On the Coordinate Systems Employed in the Import, Estimation,
-and Export of Camera Geometry by RealityScan", Epic Games, 8 June 2026 (RealityScan 2.2), which the
-camera geometry reference of RealityScan's documentation links; equation numbers are of it. Older
-programs called the columns `heading`, `f`, `px` and `py`.
+Source of all formulas and equation numbers: M. Hornacek, "On the Coordinate Systems Employed in the
+Import, Estimation, and Export of Camera Geometry by RealityScan", Epic Games, 8 June 2026
+(RealityScan 2.2), linked from the camera geometry reference of RealityScan's documentation. Older
+versions named the columns `heading`, `f`, `px` and `py`.
 """
 
 import csv
@@ -28,16 +28,16 @@ _ANGLES = ("name", "x", "y", "alt", "yaw", "pitch", "roll", "f")
 _ROTATION = tuple(f"r{i}{j}" for i in range(3) for j in range(3))
 _MATRIX = ("name", "tx", "ty", "tz", *_ROTATION, "f_pix", "px_pix", "py_pix")
 _FILM = 36.0
-"""Millimetres of film that the longer side of the photo stands for (34)."""
+"""Film width of the longer side of the photo, mm (34)."""
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _BROWN = ("none", "perspective", "brown3", "brown4", "brown3t2", "brown4t2")
 _LEAST_SPREAD = 0.02
-"""Degrees: what a capture with longitudes and latitudes spans at most, about two kilometres."""
+"""Largest extent of a capture in longitudes and latitudes, degrees: about two kilometres."""
 
 
 def is_csv(head: str) -> bool:
-    """Whether a text begins as one of the CSV files with poses and lenses does."""
+    """True if a text begins like a CSV file with poses and lenses."""
     return _columns(head) is not None
 
 
@@ -46,7 +46,7 @@ def read_csv(path: Path) -> PosedPhotos:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: a number is missing or unusable, or the lens is none of COLMAP's.
+        FormatError: a number is missing or unusable, or COLMAP has no model of the lens.
     """
     try:
         text = read_bytes(path).decode("utf-8-sig")
@@ -110,13 +110,13 @@ def _shot(where: str, row: Mapping[str, str]) -> PosedPhoto:
 
 
 def _check_no_division(where: str, radial: np.ndarray, tilt: np.ndarray) -> None:
-    """Raise FormatError where k1 alone is not zero: so does the division model look, which a CSV
-    does not tell from Brown's."""
+    """Raise FormatError if only k1 is not zero, because a CSV does not distinguish the division
+    model from Brown's."""
     if radial[0] != 0 and not radial[1:].any() and not tilt.any():
         raise FormatError(
-            f"{where}: of the lens only k1 is not zero, {radial[0]:g}: this may be the division "
-            "model, which the CSV does not tell from Brown's. Export XMP files, which state the "
-            "model, or align with a Brown model and export again."
+            f"{where}: only k1 of the lens is not zero, {radial[0]:g}: this may be the division "
+            "model, which a CSV does not distinguish from Brown's. Export XMP files, which state "
+            "the model, or align with a Brown model and export again."
         )
 
 
@@ -128,8 +128,8 @@ def _normalized(
     radial: Values,
     tilt: Values,
 ) -> Callable[[Size], ColmapCamera]:
-    """The camera of a 35 mm equivalent and a principal point in units of the longer side (27) to
-    (34)."""
+    """Camera from a 35 mm equivalent focal length and a principal point in units of the longer
+    side, (27) to (34)."""
 
     def camera(size: Size) -> ColmapCamera:
         scale, f = max(size), focal * max(size) / _FILM
@@ -142,9 +142,9 @@ def _normalized(
 def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
     """[3, 3] camera to world, the camera's y up and z backwards (section 5.1).
 
-    The document turns a body by Rz(yaw) Ry(pitch) Rx(roll) in axes north, east, down, and mounts
-    the camera with x to the right wing and y to the nose. Both changes of axes are the same half
-    turn, which makes of it Rz(-yaw) Rx(pitch) Ry(roll) in axes east, north, up.
+    The document rotates a body by Rz(yaw) Ry(pitch) Rx(roll) in axes north, east, down, with the
+    camera's x to the right wing and y to the nose. Both changes of axes are the same half turn,
+    which gives Rz(-yaw) Rx(pitch) Ry(roll) in axes east, north, up.
     """
     z, x, y = np.radians([-yaw, pitch, roll])
     about_z = [[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]]
@@ -154,7 +154,7 @@ def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
 
 
 def _check_no_degrees(path: Path, shots: Sequence[PosedPhoto]) -> None:
-    """Raise FormatError where x and y are longitudes and latitudes, which are no lengths."""
+    """Raise FormatError if x and y are longitudes and latitudes, which are no lengths."""
     if len(shots) < 2:
         return
     centers = camera_centers(np.stack([shot.viewmat for shot in shots]))
@@ -169,7 +169,7 @@ def _check_no_degrees(path: Path, shots: Sequence[PosedPhoto]) -> None:
 
 
 def has_pose(head: str) -> bool:
-    """Whether the beginning of an XMP file has RealityScan's pose in it."""
+    """True if the first bytes of an XMP file contain RealityScan's pose."""
     return "capturingreality.com/ns/xcr" in head and "xcr:Rotation" in head
 
 
@@ -177,12 +177,12 @@ def read_xmps(sidecars: Sequence[Path], root: Path) -> PosedPhotos:
     """Read the XMP files of *Export > Metadata (XMP)*, one for each photo.
 
     Args:
-        sidecars: The files that have a pose.
+        sidecars: Files with a pose.
         root: Folder that names are relative to.
 
     Raises:
         DatasetError: a file is missing.
-        FormatError: a value is missing or unusable, or the lens is none of COLMAP's.
+        FormatError: a value is missing or unusable, or COLMAP has no model of the lens.
     """
     shots, worlds = [], Counter[str]()
     for path in sidecars:
@@ -192,8 +192,8 @@ def read_xmps(sidecars: Sequence[Path], root: Path) -> PosedPhotos:
         shots.append(_of_sidecar(path, element, path.relative_to(root).with_suffix("").as_posix()))
     if len(worlds) > 1 or 0 < worlds.total() < len(shots):
         raise FormatError(
-            f"The XMP files in {root} are of {max(2, len(worlds))} components, each in coordinates "
-            "of its own. Export those of one component, or with absolute coordinates."
+            f"The XMP files in {root} are of {max(2, len(worlds))} components, each in its own "
+            "coordinates. Export those of one component, or with absolute coordinates."
         )
     return PosedPhotos(photos=shots)
 
@@ -206,7 +206,7 @@ def _description(path: Path) -> Element:
 
 
 def _value(element: Element, key: str) -> str:
-    """An attribute, or an element of that name; empty where there is none."""
+    """Text of an attribute or element; empty without one."""
     inner = element.find(_XCR + key)
     return (element.get(_XCR + key) or (inner.text if inner is not None else "") or "").strip()
 
@@ -220,15 +220,15 @@ def _of_sidecar(path: Path, element: Element, name: str) -> PosedPhoto:
     for key, usual in (("Skew", 0.0), ("AspectRatio", 1.0)):
         if (value := get(key, 1, str(usual))[0]) != usual:
             raise FormatError(
-                f"{where}: xcr:{key} is {value:g}, expected {usual:g}: what it means for the "
-                "lens is not published. Align without K+, and export again."
+                f"{where}: xcr:{key} is {value:g}, expected {usual:g}: its formula is not "
+                "published. Align without K+, and export again."
             )
     model = _value(element, "DistortionModel") or "none"
     if model not in _BROWN:
         raise FormatError(
-            f"{where}: xcr:DistortionModel is {quoted(model)}, of which no formula is published "
-            f"that its files agree with; expected one of {', '.join(_BROWN)}. Choose a Brown model "
-            "in the alignment settings, or export undistorted photos with COLMAP's format."
+            f"{where}: xcr:DistortionModel is {quoted(model)}, whose published formula does not "
+            f"match its files; expected one of {', '.join(_BROWN)}. Choose a Brown model in the "
+            "alignment settings, or export undistorted photos with COLMAP's format."
         )
     k1, k2, k3, k4, t1, t2 = get("DistortionCoeficients", 6, "0 0 0 0 0 0")
     if model in ("none", "perspective"):
@@ -249,7 +249,7 @@ def _of_sidecar(path: Path, element: Element, name: str) -> PosedPhoto:
 
 
 def sidecars_in(folder: Path, *, below: bool = True) -> Iterator[Path]:
-    """XMP files in a folder, or in any below it, in which RealityScan's pose is stated, by name."""
+    """XMP files with RealityScan's pose in a folder, or in any below it, sorted by name."""
     for path in sorted(folder.rglob("*") if below else folder.iterdir()):
         if path.suffix.lower() == ".xmp" and path.is_file():
             with path.open("rb") as file:
