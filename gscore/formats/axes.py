@@ -1,4 +1,4 @@
-"""Axes of formats: exact half turns between them, which only change signs."""
+"""Axes of formats: exact half turns between them, by sign changes only."""
 
 from dataclasses import replace
 
@@ -8,17 +8,17 @@ from ..sh import sh_basis
 from ..splats import Splats
 
 X, Z = 0, 2
-"""Axes to turn about. A 3DGS PLY is right-down-front, as COLMAP's cameras: half a turn about x
-leads to right-up-back (SPZ, OpenGL, USD), half a turn about z to left-up-front (glTF)."""
+"""Axes of rotation. A 3DGS PLY is right-down-front, as COLMAP's cameras: a half turn about x gives
+right-up-back (SPZ, OpenGL, USD), one about z left-up-front (glTF)."""
 _DIRECTION = np.array([0.36, 0.48, 0.8])
-"""Any unit vector in which no basis function is zero."""
+"""A unit vector at which no basis function is zero."""
 
 
 def half_turn(splats: Splats, axis: int) -> Splats:
-    """The model turned by 180 degrees about an axis; twice is the same to the bit.
+    """The model rotated by 180 degrees about an axis; twice is bit-identical to the original.
 
-    A quaternion is conjugated by the turn, which turns a splat's own axes too: a Gaussian is the
-    same along each of them in both directions.
+    Quaternions are conjugated by the rotation, which also rotates a splat's own axes; this has no
+    effect, because a Gaussian is symmetric along each of them.
     """
     signs = np.array([1.0 if k == axis else -1.0 for k in range(3)], np.float32)
     return replace(
@@ -30,7 +30,7 @@ def half_turn(splats: Splats, axis: int) -> Splats:
 
 
 def harmonic_signs(degree: int, axis: int) -> np.ndarray:
-    """[K-1] float32: 1 or -1 for each basis function beyond the constant one."""
+    """[K-1] float32: sign, 1 or -1, of each SH basis function beyond degree 0 after a half turn."""
     turned = np.where(np.arange(3) == axis, _DIRECTION, -_DIRECTION)
     product = sh_basis(degree, turned)[1:] * sh_basis(degree, _DIRECTION)[1:]
     return np.sign(product).astype(np.float32)

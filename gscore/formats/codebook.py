@@ -1,24 +1,24 @@
-"""Codebooks: 256 numbers for many values, palettes of up to 65,536 rows of SH coefficients."""
+"""Codebooks of 256 numbers, and palettes of up to 65,536 rows of SH coefficients."""
 
 import numpy as np
 
 CODEBOOK_SIZE = 256
 """Numbers of a codebook."""
 MOST_ROWS = 1 << 16
-"""Of a palette."""
+"""Most rows of a palette."""
 _BINS, _BINS_A_GUESS = 1 << 14, 1 << 5
 _ROUNDS = 20
-_LOOKED_AT = 200_000
+_SAMPLED = 200_000
 _FEW = 1024
 _MOST_ERROR = 0.02
-"""Root mean square of what SH coefficients may lose to a short palette where a whole one fits."""
+"""Largest RMS error of SH coefficients in a short palette, if a full one is possible."""
 
 
 def codebook(values: np.ndarray) -> np.ndarray:
-    """[256] float32 ascending: numbers near which all `values` lie (Lloyd 1982, Max 1960).
+    """[256] float32 ascending: least-squares codebook of `values` (Lloyd 1982, Max 1960).
 
-    The first guess is that for fine steps, a density of numbers that is the cube root of that of
-    the values; the rounds run on a histogram.
+    Starts with the solution for fine steps, whose density is the cube root of that of the values;
+    iterates on a histogram.
     """
     values = values.ravel()
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
@@ -28,32 +28,32 @@ def codebook(values: np.ndarray) -> np.ndarray:
     middles = (edges[:-1] + edges[1:]) / 2
     amount = np.concatenate([[0.0], np.cumsum(counts)])
     moment = np.concatenate([[0.0], np.cumsum(counts * middles)])
-    # Over wider bins: in fine ones the tails hold one value or none, whose cube roots say little.
+    # Wider bins, because in the tails fine ones have one value or none, a poor density estimate.
     density = counts.reshape(-1, _BINS_A_GUESS).sum(axis=1)
     share = np.cumsum(np.repeat(np.cbrt(density), _BINS_A_GUESS) + 1e-9)
     at = np.searchsorted(share, (np.arange(CODEBOOK_SIZE) + 0.5) / CODEBOOK_SIZE * share[-1])
-    found = middles[np.minimum(at, _BINS - 1)]
+    book = middles[np.minimum(at, _BINS - 1)]
     for _ in range(_ROUNDS):
-        borders = np.searchsorted(middles, (found[1:] + found[:-1]) / 2)
+        borders = np.searchsorted(middles, (book[1:] + book[:-1]) / 2)
         borders = np.concatenate([[0], borders, [_BINS]])
-        held = np.diff(amount[borders])
-        means = np.diff(moment[borders]) / np.maximum(held, 1)
-        found = np.where(held > 0, means, found)
-    return np.sort(found).astype(np.float32)
+        members = np.diff(amount[borders])
+        means = np.diff(moment[borders]) / np.maximum(members, 1)
+        book = np.where(members > 0, means, book)
+    return np.sort(book).astype(np.float32)
 
 
 def nearest_entries(book: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Indices as uint8 into an ascending codebook, of the shape of `values`."""
+    """Indices of the nearest entries of an ascending codebook, uint8, of the shape of `values`."""
     return np.searchsorted((book[1:] + book[:-1]) / 2, values).astype(np.uint8)
 
 
 def palette(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Few rows near which all rows lie, and which of them each one is: a half to a quarter of them,
-    65,536 at most; all of them where there are 1,024 or fewer, or where fewer would lose much.
+    """Palette that approximates all rows, and the index of each row in it: a quarter to a half of
+    the rows, 65,536 at most; all rows for 1,024 or fewer, or if a shorter palette would lose much.
 
-    They are halved again and again at the median of a principal component, so that
-    groups are of one size; each gets the mean of its rows. Which component a halving takes is
-    settled beforehand for all groups: the one with the largest variance left.
+    The rows are halved repeatedly at the median of a principal component, so that groups have equal
+    sizes; the palette has the mean of each group. The component of each halving is the same for all
+    groups: the one with the largest remaining variance.
 
     Args:
         rows: [N, D] float32.
@@ -76,16 +76,16 @@ def palette(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         half = grouped.shape[1] // 2
         split = np.argpartition(values[grouped], half, axis=1)
         order = np.take_along_axis(grouped, split, axis=1).ravel()
-    found, labels = _means(rows, order.reshape(groups, each), count)
-    error = float(np.sqrt(np.mean((found[labels] - rows) ** 2, dtype=np.float64)))
+    means, labels = _means(rows, order.reshape(groups, each), count)
+    error = float(np.sqrt(np.mean((means[labels] - rows) ** 2, dtype=np.float64)))
     if error > _MOST_ERROR and count <= MOST_ROWS:
         return rows, np.arange(count, dtype=np.uint16)
-    return found, labels
+    return means, labels
 
 
 def _halvings(rows: np.ndarray, groups: int) -> tuple[np.ndarray, list[int]]:
-    """Principal axes [D, D] as columns, and which one each halving takes."""
-    some = rows[:: max(1, len(rows) // _LOOKED_AT)].astype(np.float64)
+    """Principal axes [D, D] as columns, and the index of the one that each halving uses."""
+    some = rows[:: max(1, len(rows) // _SAMPLED)].astype(np.float64)
     variances, axes = np.linalg.eigh(np.cov(some, rowvar=False))
     left, plan = variances.copy(), []
     for _ in range(groups.bit_length() - 1):
@@ -96,9 +96,9 @@ def _halvings(rows: np.ndarray, groups: int) -> tuple[np.ndarray, list[int]]:
 
 def _means(rows: np.ndarray, members: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Means of the groups [P, K] of rows, and the group of each row."""
-    found = np.empty((len(members), rows.shape[1]), np.float32)
+    means = np.empty((len(members), rows.shape[1]), np.float32)
     for column in range(rows.shape[1]):
-        found[:, column] = rows[:, column][members].mean(axis=1)
+        means[:, column] = rows[:, column][members].mean(axis=1)
     labels = np.empty(count, np.uint16)
     labels[members.ravel()] = np.repeat(np.arange(len(members), dtype=np.uint16), members.shape[1])
-    return found, labels
+    return means, labels

@@ -1,4 +1,4 @@
-"""Far splats, and extremes of other values, in formats that quantise over all splats."""
+"""Far splats and other extreme values, for formats that quantise over all splats."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,38 +10,37 @@ from ..splats import Splats
 from ..text_format import count_words
 
 _COARSE = 2.0**-10
-"""Step from which a note tells of it, in distances from the middle that half of all splats do not
-exceed: a camera at that distance with a focal length of 1,000 pixels sees one of them as it is."""
+"""Smallest reported step, in median distances of splats from their middle: a camera at that
+distance with a focal length of 1,000 pixels sees a step as one pixel."""
 FAR = 8.0
-"""Splats within so many of these distances are never moved,"""
+"""Splats within this many median distances are never moved."""
 _NEAR_SHARE = 90.0
-"""nor is this share of all splats, percent,"""
+"""Percentage of nearest splats that are never moved."""
 _FEW = 16
-"""nor any of fewer splats than this."""
+"""No splat of models with fewer splats is moved."""
 
 StepOf = Callable[[np.ndarray, np.ndarray, np.ndarray], float]
-"""The step of positions around the middle [3] where all lie between low [3] and high [3], units."""
+"""Returns the step of positions near the middle [3] if all are between low [3] and high [3], world
+units."""
 
 
 def without_far(
     splats: Splats, step_of: StepOf, fine: float, name: str
 ) -> tuple[Splats, list[str]]:
-    """The splats, those that would make the steps of all others coarse moved towards the middle.
+    """Move splats towards the middle that would make the position steps of all others coarse.
 
-    They are moved along straight lines and shrink as much as they come nearer, so that they look
-    nearly the same from the middle. None is moved where the steps are fine with all of them, or
-    coarse without them.
+    They are moved along straight lines and shrunk in proportion, so that they look nearly the same
+    from the middle. None is moved if the steps are fine with them, or coarse even without them.
 
     Args:
         splats: The model.
-        step_of: How fine a format's positions are.
-        fine: The step that is fine enough, in distances from the middle that half of all splats do
-            not exceed; where the format has none so fine, twice its finest is.
-        name: Of the format.
+        step_of: Step of the format's positions.
+        fine: Step that is fine enough, in median distances of splats from their middle; at least
+            twice the format's finest step is used.
+        name: Name of the format.
 
     Returns:
-        The splats, itself where none is moved, and sentences on what was moved and how coarse steps
-        are.
+        The splats (`splats` itself if none is moved), and notes on moved splats and coarse steps.
     """
     if not len(splats):
         return splats, []
@@ -54,8 +53,8 @@ def without_far(
     limit, notes = float(away.max()), []
     least = max(FAR * usual, float(np.percentile(away, _NEAR_SHARE, method="lower")))
     if len(splats) >= _FEW and limit > least:
-        wanted = max(fine * usual, 2 * step_within(least))
-        while step_within(limit) > wanted:
+        target = max(fine * usual, 2 * step_within(least))
+        while step_within(limit) > target:
             limit = max(limit / 2, least)
     moved = away > limit
     if moved.any():
@@ -69,7 +68,7 @@ def without_far(
     if len(splats) >= _FEW and step_within(limit) > _COARSE * usual:
         notes.append(
             f"{name} rounds the positions of these splats to {step_within(limit):.2g} units, which "
-            f"is coarse for splats {usual:.2g} units around their middle: they lie too far from "
+            f"is coarse for splats {usual:.2g} units around their middle: they are too far from "
             f"the origin or from each other. Move them to the origin, with gscore convert --move, "
             f"or write a PLY."
         )
@@ -77,13 +76,13 @@ def without_far(
 
 
 def moved_within(splats: Splats, moved: np.ndarray, away: np.ndarray, limit: float) -> Splats:
-    """Splats moved towards the middle and shrunk as much.
+    """Splats moved towards the middle and shrunk in proportion.
 
     Args:
         splats: The model.
-        moved: [N] bool, which are moved.
-        away: [N] as `distances_from_middle`.
-        limit: The distance at which they end, along their farthest axis.
+        moved: [N] bool, splats to move.
+        away: [N], as from `distances_from_middle`.
+        limit: New distance along their farthest axis, world units.
     """
     middle = middle_of(splats.means)
     share = limit / away[moved, None]
@@ -94,7 +93,8 @@ def moved_within(splats: Splats, moved: np.ndarray, away: np.ndarray, limit: flo
 
 
 def cut_extremes(splats: Splats, field: str, most: float) -> tuple[Splats, int]:
-    """The splats, one of their parameters cut to `most` and its negative, and of how many."""
+    """The splats with one parameter clipped to -`most` to `most`, and the number of changed
+    splats."""
     values = getattr(splats, field)
     if values.max(initial=0.0) <= most and values.min(initial=0.0) >= -most:
         return splats, 0

@@ -1,7 +1,7 @@
-"""glTF 2.0 files: JSON and buffers, as .glb or .gltf, and the numbers that accessors name.
+"""glTF 2.0 files: JSON and buffers, as .glb or .gltf, and the numbers of accessors.
 
-Source: the specification of the Khronos Group. Everything is checked against the bytes there are
-before it is used.
+Source: the specification of the Khronos Group. All offsets and sizes are checked against the bytes
+of the file before use.
 """
 
 import base64
@@ -23,7 +23,7 @@ from .parts import check_part
 
 GLB_MAGIC = b"glTF"
 CHECK = "crc32"
-"""In the extras of a buffer: of the file beside a .gltf that it was written with."""
+"""Key in the extras of a buffer: CRC-32 of its file, written with a .gltf."""
 FLOAT, UNSIGNED_BYTE = 5126, 5121
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -47,7 +47,7 @@ class Gltf:
         self.path = path
         raw = memoryview(read_bytes(path))
         self.bytes_read = len(raw)
-        """Of the file, and of the buffers beside it that were needed so far."""
+        """Bytes of the file and of the buffer files read so far."""
         text, self._binary = raw, None
         if raw[:4] == GLB_MAGIC:
             text, self._binary = self._chunks(raw)
@@ -67,7 +67,7 @@ class Gltf:
         self._buffers: dict[int, memoryview] = {}
 
     def damaged(self, why: str) -> FormatError:
-        """The error for invalid contents of the file."""
+        """Error for invalid contents of the file."""
         return FormatError(f"{self.path} is a damaged glTF file: {why}. {_ADVICE}")
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
@@ -81,7 +81,7 @@ class Gltf:
         return found
 
     def listed(self, place: dict[str, Any], key: str) -> list[Any]:
-        """A list that an object may have."""
+        """A list of an object; empty if missing."""
         value = place.get(key, [])
         if not isinstance(value, list):
             raise self.damaged(f"{key} is no list")
@@ -95,11 +95,11 @@ class Gltf:
         return value
 
     def view(self, index: Any) -> memoryview:
-        """The bytes of a bufferView."""
+        """Bytes of a bufferView."""
         view = self.entry("bufferViews", index)
         if "EXT_meshopt_compression" in as_object(view.get("extensions")):
             raise FormatError(
-                f"{self.path} packs its numbers with EXT_meshopt_compression, which is not read. "
+                f"{self.path} uses EXT_meshopt_compression, which is not supported. "
                 f"Export it without compression, or with that of SPZ."
             )
         buffer = self._buffer(self.whole(view, "buffer"))
@@ -111,7 +111,7 @@ class Gltf:
         return buffer[start : start + size]
 
     def numbers(self, index: Any, kind: str) -> np.ndarray:
-        """[N, width] float32 of an accessor of type `kind`, scaled where it is normalized."""
+        """[N, width] float32 of an accessor of type `kind`, scaled if it is normalized."""
         accessor = self.entry("accessors", index)
         stored = accessor.get("componentType")
         dtype = np.dtype(_TYPES[stored]) if type(stored) is int and stored in _TYPES else None
@@ -122,8 +122,8 @@ class Gltf:
             )
         if "sparse" in accessor or "bufferView" not in accessor:
             raise FormatError(
-                f"{self.path}: accessor {index} is sparse or holds nothing by itself, which is not "
-                f"read. {_ADVICE}"
+                f"{self.path}: accessor {index} is sparse or has no bufferView, which is not "
+                f"supported. {_ADVICE}"
             )
         count, width = self.whole(accessor, "count"), _WIDTHS[kind]
         data, start = self.view(accessor["bufferView"]), self.whole(accessor, "byteOffset", 0)
@@ -134,8 +134,8 @@ class Gltf:
             raise self.damaged(f"accessor {index} of {count} rows goes on beyond its bufferView")
         if not count:
             return np.zeros((0, width), np.float32)
-        found = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
-        values = found.astype(np.float32)
+        raw = np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize))
+        values = raw.astype(np.float32)
         if accessor.get("normalized") is True and dtype.kind in "iu":
             values = np.maximum(values / np.float32(np.iinfo(dtype).max), -1)
         return values
@@ -185,14 +185,14 @@ class Gltf:
         try:
             found = memoryview(read_bytes(self.path.parent / name))
         except DatasetError as error:
-            raise DatasetError(f"{self.path} needs {quoted(name)} beside it. {error}") from error
+            raise DatasetError(f"{self.path} needs {quoted(name)} next to it. {error}") from error
         check_part(self.path, name, found, check)
         self.bytes_read += len(found)
         return found
 
 
 class GltfBuffer:
-    """A buffer that is written piece by piece, and the JSON that describes it."""
+    """A buffer written in pieces, with its accessors and bufferViews."""
 
     def __init__(self) -> None:
         self.accessors: list[dict[str, Any]] = []
@@ -201,16 +201,16 @@ class GltfBuffer:
         self._pieces: list[np.ndarray | bytes] = []
 
     def add_bytes(self, raw: bytes) -> int:
-        """A bufferView of bytes."""
+        """Add bytes; returns the index of their bufferView."""
         return self._add(raw, len(raw))
 
     def add(self, array: np.ndarray, kind: str, **more: Any) -> int:
-        """An accessor of rows, which are copied when the file is written.
+        """Add rows, which are copied when the file is written; returns the index of their accessor.
 
         Args:
             array: [N, width] or [N], float32 or uint8.
             kind: Its type in glTF.
-            more: Of the accessor besides.
+            more: Further properties of the accessor.
         """
         stored = UNSIGNED_BYTE if array.dtype == np.uint8 else FLOAT
         self.accessors.append(
@@ -225,7 +225,7 @@ class GltfBuffer:
         return len(self.accessors) - 1
 
     def write_to(self, file: BinaryIO) -> None:
-        """All pieces, each padded to four bytes."""
+        """Write all pieces, each padded to four bytes."""
         for piece in self._pieces:
             raw = piece if isinstance(piece, bytes) else np.ascontiguousarray(piece).data
             file.write(raw)
@@ -240,7 +240,7 @@ class GltfBuffer:
 
 
 def write_glb(file: BinaryIO, content: dict[str, Any], buffer: GltfBuffer) -> None:
-    """A .glb of JSON and one buffer.
+    """Write a .glb with JSON and one buffer.
 
     Raises:
         ConfigError: it would be larger than a .glb can be.
@@ -257,14 +257,14 @@ def write_glb(file: BinaryIO, content: dict[str, Any], buffer: GltfBuffer) -> No
 
 
 def escaped(name: str) -> str:
-    """The name of a file as a URI (RFC 3986): bytes of UTF-8 that may not stand there as %20."""
+    """File name as a URI (RFC 3986), with percent-encoded UTF-8."""
     return "".join(
         chr(byte) if chr(byte) in _UNRESERVED else f"%{byte:02X}" for byte in os.fsencode(name)
     )
 
 
 def buffers_in(content: dict[str, Any]) -> list[str]:
-    """The files that the JSON of a .gltf names as its buffers."""
+    """Buffer files in the JSON of a .gltf."""
     uris = [buffer["uri"] for buffer in content["buffers"] if "uri" in buffer]
     return [_unescaped(uri) for uri in uris if not uri.startswith("data:")]
 
@@ -279,5 +279,5 @@ def _unescaped(uri: str) -> str:
 
 
 def as_object(value: Any) -> dict[str, Any]:
-    """An object of JSON; an empty one in the place of anything else."""
+    """`value` if it is a JSON object, else an empty one."""
     return value if isinstance(value, dict) else {}

@@ -1,7 +1,7 @@
 """glTF splat reader: KHR_gaussian_splatting, plain or packed as SPZ.
 
 Source: the extensions' texts in github.com/KhronosGroup/glTF. Sizes are linear and opacities from 0
-to 1; drafts had logarithms of sizes, which are told by their signs. Axes are left-up-front.
+to 1; drafts had log scales, which are detected by negative values. Axes are left-up-front.
 """
 
 from collections.abc import Container, Iterator
@@ -35,16 +35,16 @@ from .joined import joined_files
 from .splat_file import Decoded, SplatFormat, origin_in
 
 _DRAFTS = ("KHR_spz_gaussian_splats_compression", "KHR_spz_compression")
-"""SPZ in files of Cesium before July 2025 and in the first draft, directly in the primitive."""
+"""SPZ extensions of Cesium before July 2025 and of the first draft, directly in the primitive."""
 _RETILE = "Tile or export it again with a newer version of the program that wrote it, or as a PLY."
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
-"""Required extensions with which splats can be read nevertheless."""
+"""Prefixes of required extensions that do not affect splats."""
 _MOST_DEPTH = 256
 _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
-"""Of a file that has splats in several places, and how many more there may be. A splat takes 30
+"""Most splats per byte of a file with several nodes of splats, and the slack. A splat takes 30
 bytes as numbers and about ten in SPZ."""
 _NEAR_BOUNDS = 0.05
-"""How far from stated bounds, as a share of their largest number, positions still fit them."""
+"""Largest distance of positions from their stated bounds, as a share of the largest bound."""
 
 
 def _is_gltf(path: Path, sample: FileSample) -> bool:
@@ -75,24 +75,24 @@ def _read(path: Path) -> Decoded:
             f"{path} is a glTF file without splats: none of its {meshes} meshes has the extension "
             f"{EXTENSION}. Give the file of a trained model."
         )
-    said = {"layout": layouts[0], "antialiased": all(marks)}
+    facts = {"layout": layouts[0], "antialiased": all(marks)}
     pairs = zip(parts, origins, strict=True)
-    return joined_files([Decoded(splats=part, origin=origin, **said) for part, origin in pairs])
+    return joined_files([Decoded(splats=part, origin=origin, **facts) for part, origin in pairs])
 
 
 def _check_repeated(file: Gltf, count: int, times: int) -> None:
-    """FormatError where the same bytes stand for more and more splats: one mesh below many nodes,
+    """Raise FormatError if the same bytes are used for too many splats: one mesh in many nodes, or
     one accessor in many meshes."""
     if times > 1 and count > _MOST_SPLATS_A_BYTE * file.bytes_read + _SLACK:
         raise FormatError(
-            f"{file.path} repeats its splats: {number(times)} nodes make {number(count)} of them "
-            f"and more, of a file of {number(file.bytes_read)} bytes. Export it with each splat "
+            f"{file.path} repeats its splats: {number(times)} nodes have {number(count)} of them "
+            f"and more, from {number(file.bytes_read)} bytes. Export it with each splat "
             f"once, or as a 3DGS PLY."
         )
 
 
 def _check_drafts(file: Gltf, names: Container[Any]) -> None:
-    """FormatError if one of the names is that of an extension before `EXTENSION` was settled."""
+    """Raise FormatError if one of the names is an extension from before the final `EXTENSION`."""
     for name in _DRAFTS:
         if name in names:
             raise FormatError(
@@ -118,7 +118,8 @@ def _check_required(file: Gltf) -> None:
 
 
 def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
-    """Matrices and primitives of splats: of the nodes of the scene, or of all meshes without it."""
+    """Matrices [4, 4] and primitives of splats, of the scene's nodes, or of all meshes without a
+    scene."""
     scenes = file.listed(file.content, "scenes")
     if not scenes:
         for index in range(len(file.listed(file.content, "meshes"))):
@@ -126,13 +127,13 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
         return
     scene = file.entry("scenes", file.content.get("scene", 0))
     left = [(node, np.eye(4), 0) for node in file.listed(scene, "nodes")]
-    seen = set()
+    visited = set()
     while left:
         index, above, depth = left.pop()
         node = file.entry("nodes", index)
-        if index in seen or depth > _MOST_DEPTH:
-            raise file.damaged(f"node {index} stands below two nodes")
-        seen.add(index)
+        if index in visited or depth > _MOST_DEPTH:
+            raise file.damaged(f"node {index} is the child of two nodes")
+        visited.add(index)
         matrix = above @ _matrix(file, node)
         if "mesh" in node:
             yield from ((matrix, found) for found in _of_mesh(file, node["mesh"]))
@@ -150,7 +151,7 @@ def _of_mesh(file: Gltf, index: Any) -> Iterator[dict[str, Any]]:
 
 
 def _matrix(file: Gltf, node: dict[str, Any]) -> np.ndarray:
-    """[4, 4] of a node, that acts on column vectors."""
+    """Matrix [4, 4] of a node, for column vectors."""
     if "matrix" in node:
         return _numbers(file, node, "matrix", np.eye(4).ravel()).reshape(4, 4).T
     x, y, z, w = _numbers(file, node, "rotation", np.array([0.0, 0, 0, 1]))
@@ -189,8 +190,8 @@ def _placed(file: Gltf, splats: Splats, matrix: np.ndarray) -> Splats:
 
 
 def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
-    """The splats of a primitive in the axes of glTF, the layout's name, and whether what packs
-    them says that they are anti-aliased."""
+    """Splats of a primitive in glTF's axes, the name of the layout, and whether the compressed data
+    mark them as antialiased."""
     extension = as_object(primitive["extensions"][EXTENSION])
     inner = as_object(extension.get("extensions"))
     for name in PACKED:
@@ -214,9 +215,9 @@ def _splats(file: Gltf, primitive: dict[str, Any]) -> tuple[Splats, str, bool]:
 
 
 def _is_as_stored(file: Gltf, primitive: dict[str, Any], splats: Splats) -> bool:
-    """Whether the numbers of an SPZ, here in the axes of a 3DGS PLY, are those of glTF as they are,
-    as in tiles of Cesium: the stated bounds of positions fit these and not those after the turn
-    from right-up-back to left-up-front."""
+    """True if the numbers of an SPZ are in glTF's axes as stored, as in tiles of Cesium: the stated
+    bounds match the stored positions, not those rotated from right-up-back to left-up-front.
+    `splats` are in the axes of a 3DGS PLY."""
     accessor = file.entry("accessors", as_object(primitive.get("attributes")).get("POSITION"))
     ends = [accessor.get(key) for key in ("min", "max")]
     if not len(splats) or not all(
@@ -238,12 +239,12 @@ def _check_kind(file: Gltf, extension: dict[str, Any]) -> None:
     color = extension.get("colorSpace", "srgb_rec709_display")
     if kernel != "ellipse":
         raise FormatError(
-            f"{file.path} has splats of the kernel {quoted(kernel)}; ellipse is drawn. {_AGAIN}"
+            f"{file.path} has splats of the kernel {quoted(kernel)}; ellipse is supported. {_AGAIN}"
         )
     if color != "srgb_rec709_display":
         raise FormatError(
             f"{file.path} has splats in the colour space {quoted(color)}; srgb_rec709_display is "
-            f"drawn. {_AGAIN}"
+            f"supported. {_AGAIN}"
         )
 
 
@@ -251,7 +252,7 @@ _AGAIN = "Export it in that, or as a 3DGS PLY."
 
 
 def _plain(file: Gltf, attributes: dict[str, Any]) -> Splats:
-    """Splats of accessors."""
+    """Splats from accessors."""
     _check_attributes(file, attributes)
     means = file.numbers(attributes.get("POSITION"), "VEC3")
     quats = file.numbers(attributes.get(f"{EXTENSION}:ROTATION"), "VEC4")
@@ -280,7 +281,7 @@ def _plain(file: Gltf, attributes: dict[str, Any]) -> Splats:
 
 
 def _check_attributes(file: Gltf, attributes: dict[str, Any]) -> None:
-    """FormatError where some are missing, or are named as in drafts of the extension."""
+    """Raise FormatError for missing attributes, or those of drafts of the extension."""
     if "_ROTATION" in attributes or "_SCALE" in attributes:
         raise FormatError(
             f"{file.path} has splats of a draft of {EXTENSION} of early 2025, with the attributes "
@@ -295,7 +296,7 @@ def _check_attributes(file: Gltf, attributes: dict[str, Any]) -> None:
 
 
 def _harmonics(file: Gltf, attributes: dict[str, Any], count: int) -> np.ndarray:
-    """[N, K-1, 3] of the bands that are whole."""
+    """[N, K-1, 3] of the complete bands."""
     names = [harmonic(degree, index) for degree in (1, 2, 3) for index in range(2 * degree + 1)]
     there = next((k for k, name in enumerate(names) if name not in attributes), len(names))
     width = max(w for w in SH_REST_BY_DEGREE.values() if w <= there)

@@ -1,4 +1,4 @@
-"""glTF splat writer: KHR_gaussian_splatting, plain or packed as SPZ, with its names.
+"""glTF splat writer: KHR_gaussian_splatting, plain or packed as SPZ, and its property names.
 
 Source: see gltf_splats.py.
 """
@@ -23,7 +23,7 @@ from .splat_file import ORIGIN, WriteOptions
 EXTENSION = "KHR_gaussian_splatting"
 PACKED = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
 POINTS_MODE = 0
-"""The mode of primitives."""
+"""Mode of primitives."""
 _PROPERTIES = {
     "kernel": "ellipse",
     "colorSpace": "srgb_rec709_display",
@@ -31,18 +31,18 @@ _PROPERTIES = {
     "sortingMethod": "cameraDistance",
 }
 GLTF_MARK = "antialiased"
-"""In the extras of a primitive; the extension has no place for it."""
+"""Key in the extras of a primitive, because the extension has none for it."""
 _TURN = np.array([-1, -1, 1], np.float32)
-"""Of positions, between left-up-front and right-down-front."""
+"""Signs of positions between left-up-front and right-down-front."""
 
 
 def harmonic(degree: int, index: int) -> str:
-    """The attribute of a SH coefficient."""
+    """Attribute name of a SH coefficient."""
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{index}"
 
 
 def write_gltf(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    """Write a file with all numbers as float32."""
+    """Write a file with all parameters as float32."""
     buffer = GltfBuffer()
     content = _content(_attributes(buffer, half_turn(splats, Z)), {}, options, buffer)
     _write_file(path, content, buffer)
@@ -50,7 +50,7 @@ def write_gltf(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def write_packed_gltf(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
-    """Write a file that holds an SPZ."""
+    """Write a file with the splats as SPZ."""
     buffer = GltfBuffer()
     raw, notes, means = spz.encode_spz(splats, antialiased=options.antialiased, version=3)
     name = PACKED[0]
@@ -67,7 +67,7 @@ def write_packed_gltf(path: Path, splats: Splats, options: WriteOptions) -> list
         for index in range(2 * degree + 1)
     ]
     attributes = {}
-    for attribute, kind in kinds:  # without bufferViews: the bytes of SPZ stand for them
+    for attribute, kind in kinds:  # without bufferViews: the data are in the SPZ
         attributes[attribute] = len(buffer.accessors)
         buffer.accessors.append({"componentType": 5126, "count": len(splats), "type": kind})
     buffer.accessors[0] |= _bounds(means * _TURN)
@@ -112,7 +112,7 @@ def _content(
     options: WriteOptions,
     buffer: GltfBuffer,
 ) -> dict[str, Any]:
-    """The JSON of a file with one node, but for its buffer."""
+    """JSON of a file with one node, without the URI of its buffer."""
     primitive: dict[str, Any] = {
         "attributes": attributes,
         "mode": POINTS_MODE,
@@ -150,7 +150,7 @@ def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None
 
 
 def buffer_of(path: Path) -> tuple[Path, ...]:
-    """Where the buffer of a .gltf lies, or that of one that is written there."""
+    """Buffer files of a .gltf, or the default one for a new .gltf."""
     if path.suffix.lower() == ".glb":
         return ()
     return parts_of(path, buffers_in) or (path.with_suffix(".bin"),)

@@ -13,7 +13,7 @@ DecodedT = TypeVar("DecodedT", bound=Decoded)
 
 
 def joined(parts: Sequence[Splats]) -> Splats:
-    """One model of at least one; SH coefficients that a part lacks are zero."""
+    """Concatenate at least one model; SH coefficients that a part lacks are zero."""
     if len(parts) == 1:
         return parts[0]
     width = max(part.shN.shape[1] for part in parts)
@@ -28,7 +28,7 @@ def joined(parts: Sequence[Splats]) -> Splats:
 
 
 def joined_files(parts: Sequence[DecodedT]) -> DecodedT:
-    """One model of at least one, about the local origin of the first; what else it says is said by
-    the first."""
+    """Concatenate at least one decoded model; local origin and other metadata are those of the
+    first."""
     first = parts[0]
     return replace(first, splats=joined([part.about(first.origin).splats for part in parts]))

@@ -27,9 +27,9 @@ _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _SECTION = struct.Struct("<IIIIfHxxIIIIH")
 _CENTRE_BYTES = 12
 _LEVELS = (("<f4", "<f4"), ("<f2", "<f2"), ("<f2", "u1"))
-"""Types of sizes and quaternions, and of SH coefficients, by the level of compression."""
+"""Types of sizes and quaternions, and of SH coefficients, by compression level."""
 _REACH = 1.5
-"""Of SH coefficients in bytes, where the header states none."""
+"""Range of SH coefficients in bytes, if the header states none."""
 _COLOR = rgb_to_sh0(np.arange(256) / 255).astype(np.float32)
 _MOST_DEGREE = 3
 _BAND_STARTS = (0, 3, 8, 15)
@@ -49,16 +49,16 @@ class _File:
 class _Section:
     count: int
     room: int
-    """Splats that there are bytes for."""
+    """Number of splats with allocated bytes."""
     bucket_size: int
     buckets: int
     block: float
     """Side of a bucket, world units."""
     centre_bytes: int
     steps: int
-    """Of a position, from the centre of a bucket to its side."""
+    """Steps of a position, from the centre of a bucket to its side."""
     full: int
-    """Buckets that are full; the others follow."""
+    """Number of full buckets; the partial ones follow."""
     partial: int
     degree: int
 
@@ -69,7 +69,7 @@ class _Section:
 
 
 def _is_ksplat(path: Path, sample: FileSample) -> bool:
-    """By its ending, or by its sizes: it has no signature."""
+    """Detect by ending, or by plausible sizes, as the format has no signature."""
     if sample.ending == ".ksplat":
         return True
     if sample.size < _HEADER_BYTES + _SECTION_BYTES:
@@ -88,19 +88,19 @@ def _read(path: Path) -> Decoded:
     if len(raw) < _HEADER_BYTES:
         raise _damaged(path, f"it ends within its header of {_HEADER_BYTES} bytes")
     major, minor, room, stated, _, count, level, *_, low, high = _HEADER.unpack_from(raw)
-    sections = stated or room  # programs that write all of them may leave their number out
+    sections = stated or room  # the number may be 0 if all of them are used
     if (major, minor) != (0, 1):
         raise FormatError(
             f"{path} is a .ksplat file of version {major}.{minor}; version 0.1 is read. Write it "
-            f"again with GaussianSplats3D, or give the file it was made of."
+            f"again with GaussianSplats3D, or give the file it was made from."
         )
     if level >= len(_LEVELS):
-        raise _damaged(path, f"it states the level of compression {level}, expected 0 to 2")
+        raise _damaged(path, f"it states the compression level {level}, expected 0 to 2")
     at = _HEADER_BYTES + room * _SECTION_BYTES
     if sections > room or at > len(raw):
         raise _damaged(path, f"it states {sections} of {room} sections in {len(raw)} bytes")
     file = _File(path, raw, sections, level, low or -_REACH, high or _REACH)
-    parts, held = [], []
+    parts, counts = [], []
     for index in range(sections):
         section = _section(file, index)
         size = section.head + section.room * _row(level, section.degree).itemsize
@@ -108,11 +108,11 @@ def _read(path: Path) -> Decoded:
             words = count_words(section.count, "splat")
             raise _damaged(path, f"section {index + 1} of {words} goes on beyond its end")
         parts.append(_splats(file, section, at))
-        held.append(section.count)
+        counts.append(section.count)
         at += size
-    found = sum(held)
-    if found != count or not count:
-        raise _damaged(path, f"it states {count_words(count, 'splat')} and holds {number(found)}")
+    total = sum(counts)
+    if total != count or not count:
+        raise _damaged(path, f"it states {count_words(count, 'splat')} and has {number(total)}")
     return Decoded(splats=joined(parts), layout=f".ksplat, compression {level}")
 
 
@@ -122,7 +122,7 @@ def _section(file: _File, index: int) -> _Section:
     if degree > _MOST_DEGREE:
         raise _damaged(file.path, f"section {index + 1} states SH degree {degree}")
     if file.level and centre < _CENTRE_BYTES:
-        raise _damaged(file.path, f"section {index + 1} states {centre} bytes a bucket")
+        raise _damaged(file.path, f"section {index + 1} states {centre} bytes per bucket")
     return _Section(
         count=count,
         room=room,
@@ -169,19 +169,19 @@ def _means(file: _File, section: _Section, at: int, stored: np.ndarray) -> np.nd
     """[N, 3]: floats, or steps from the centre of the splat's bucket."""
     if not file.level:
         return stored.astype(np.float32)
-    held = np.frombuffer(file.raw, "<u4", section.partial, at).astype(np.int64)
+    sizes = np.frombuffer(file.raw, "<u4", section.partial, at).astype(np.int64)
     filled = section.full * section.bucket_size
     buckets = section.full + section.partial
-    if buckets > section.buckets or filled + held.sum() < section.count:
+    if buckets > section.buckets or filled + sizes.sum() < section.count:
         raise _damaged(
             file.path,
-            f"its buckets do not hold the {count_words(section.count, 'splat')} of a section",
+            f"its buckets are too small for the {count_words(section.count, 'splat')} of a section",
         )
-    # Sizes beyond the splats there are would only make `repeat` take memory.
-    held = np.minimum(held, section.count)
+    # Larger sizes have no effect.
+    sizes = np.minimum(sizes, section.count)
     full = np.arange(min(filled, section.count)) // max(section.bucket_size, 1)
     left = section.count - len(full)
-    partly = section.full + np.searchsorted(np.cumsum(held), np.arange(left), side="right")
+    partly = section.full + np.searchsorted(np.cumsum(sizes), np.arange(left), side="right")
     of = np.concatenate([full, partly])
     stride = (section.centre_bytes, 4)
     start = at + 4 * section.partial
@@ -191,7 +191,7 @@ def _means(file: _File, section: _Section, at: int, stored: np.ndarray) -> np.nd
 
 
 def _harmonics(file: _File, degree: int, stored: np.ndarray) -> np.ndarray:
-    """[N, K-1, 3]: in the file each band has its reds, then its greens, then its blues."""
+    """[N, K-1, 3] from the file's order: per band all reds, then greens, then blues."""
     values = stored.astype(np.float32)
     if _LEVELS[file.level][1] == "u1":
         values = np.float32(file.lowest) + values * np.float32((file.highest - file.lowest) / 255)

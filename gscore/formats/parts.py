@@ -1,8 +1,8 @@
-"""Parts of a model in several files: an index that names them, replaced under new names.
+"""Parts of a model in several files: an index that lists them, replaced under new names.
 
-An index is renamed into its place after its parts, whose names no file had: at every moment the
-index that is there finds its own parts, also where a disk is full or the program is killed between
-two of them. It holds a CRC-32 of each part, so that parts that were exchanged are noticed.
+Parts get unused names and are written before their index, so that the index on the disk always
+finds its own parts, even if the disk is full or the program is killed in between. It has a CRC-32
+of each part, to detect exchanged parts.
 """
 
 import contextlib
@@ -19,8 +19,7 @@ from ..quoting import quoted
 
 Content = bytes | Callable[[BinaryIO], None]
 NamesIn = Callable[[dict[str, Any]], Iterable[Any]]
-"""The parts that the JSON of an index names; raises LookupError or TypeError where there are none.
-"""
+"""Returns the part names in the JSON of an index; raises LookupError or TypeError without any."""
 _BLOCK = 1 << 22
 
 
@@ -30,13 +29,13 @@ def write_parts(
     text_of: Callable[[dict[str, str], dict[str, int]], bytes],
     names_in: NamesIn,
 ) -> None:
-    """Write the parts under names that are free, then the index; then remove the parts of the old
-    index, if gscore wrote it.
+    """Write the parts under unused names, then the index; then remove the parts of the old index,
+    if gscore wrote it.
 
     Args:
-        index: The file that names the others, which lie beside it.
-        parts: What they hold, by the names that they have where these are free.
-        text_of: The index, for the name and the CRC-32 of each part, by the keys of `parts`.
+        index: The file that lists the parts, which are written next to it.
+        parts: Contents of the parts by preferred name.
+        text_of: Returns the index, from the names and CRC-32s of the parts by key of `parts`.
         names_in: Finds the parts in an index.
 
     Raises:
@@ -62,8 +61,8 @@ def write_parts(
 
 
 def _is_named_like(path: Path, parts: Iterable[str]) -> bool:
-    """Whether a file has the name of a part, or one of the free names that stand in for it: an
-    index may name files of others, or those of the model that it was copied from."""
+    """True if a file has the name of a part or one of its numbered alternatives, because an index
+    may list unrelated files, or those of the model it was copied from."""
     names = ((Path(name).stem, Path(name).suffix) for name in parts)
     return any(
         re.fullmatch(rf"{re.escape(stem)}(\.\d+)?{re.escape(suffix)}", path.name)
@@ -72,21 +71,21 @@ def _is_named_like(path: Path, parts: Iterable[str]) -> bool:
 
 
 def parts_of(index: Path, names_in: NamesIn) -> tuple[Path, ...]:
-    """The files beside an index that it names; none where it is missing or damaged."""
+    """Part files of an index; empty if it is missing or damaged."""
     return _named(index, names_in)[0]
 
 
 def check_part(index: Path, name: str, content: bytes | memoryview, check: Any) -> None:
-    """Raise FormatError unless a part has the CRC-32 that its index states, if it states one."""
+    """Raise FormatError if a part differs from the CRC-32 in its index, if it has one."""
     if type(check) is int and zlib.crc32(content) != check:
         raise FormatError(
-            f"{index}: {quoted(name)} beside it is not the part that was written with it: it was "
+            f"{index}: {quoted(name)} next to it is not the part that was written with it: it was "
             f"exchanged or damaged. Copy all parts again, or export the model again."
         )
 
 
 def _named(index: Path, names_in: NamesIn) -> tuple[tuple[Path, ...], bool]:
-    """The parts that an index names, and whether gscore wrote it."""
+    """Parts of an index, and whether gscore wrote it."""
     try:
         content = parse_json(index.read_bytes())
         names = [name for name in names_in(content) if isinstance(name, str)]
@@ -98,12 +97,12 @@ def _named(index: Path, names_in: NamesIn) -> tuple[tuple[Path, ...], bool]:
 
 
 def _free_names(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Names that no file of the folder has: these, or all with one number before the ending."""
-    found, number = {name: name for name in names}, 1
-    while any((folder / name).exists() for name in found.values()):
+    """Unused names in the folder: these, or all with the same number before the ending."""
+    free, number = {name: name for name in names}, 1
+    while any((folder / name).exists() for name in free.values()):
         number += 1
-        found = {name: f"{Path(name).stem}.{number}{Path(name).suffix}" for name in found}
-    return found
+        free = {name: f"{Path(name).stem}.{number}{Path(name).suffix}" for name in free}
+    return free
 
 
 def _crc32(path: Path) -> int:

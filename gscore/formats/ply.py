@@ -22,12 +22,12 @@ from .splat_file import Decoded, SplatFormat, WriteOptions
 
 
 def is_ply(path: Path, sample: FileSample) -> bool:
-    """Whether a file begins as a PLY, after a byte order mark."""
+    """True if a file begins like a PLY, also after a byte order mark."""
     return sample.head.removeprefix(b"\xef\xbb\xbf").startswith((b"ply\n", b"ply\r"))
 
 
 def read(path: Path) -> Decoded:
-    """Read a PLY of any dialect, as `gscore.io.ply.splats.read_splats` does."""
+    """Read a PLY of any dialect, as `gscore.io.ply.splats.read_ply`, with its metadata."""
     splats, comments = read_ply(path), header_comments(path)
     return Decoded(
         splats=splats,
@@ -39,7 +39,7 @@ def read(path: Path) -> Decoded:
 
 
 def comments_of(options: WriteOptions) -> tuple[str, ...]:
-    """Lines for the header, with the mark of the compensation and the local origin."""
+    """Header comments, with the mark of the antialias compensation and the local origin."""
     marks = (MIP_COMMENT,) if options.antialiased else ()
     marks += () if options.origin is None else (origin_comment(options.origin),)
     others = (line for line in options.comments if not has_antialias_comment((line,)))
@@ -53,7 +53,7 @@ def write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def origin_of_ply(path: Path) -> np.ndarray | None:
-    """The local origin that a file states."""
+    """Local origin [3] in a file's header; None: none."""
     return stated_origin(path, header_comments(path))
 
 

@@ -1,8 +1,8 @@
-"""Compressed PLY of SuperSplat, reader and writer: 256 splats a chunk, 16 bytes each.
+"""Compressed PLY of SuperSplat, reader and writer: 256 splats per chunk, 16 bytes each.
 
-Source: the public layout, as `gscore.io.ply.compressed` reads it. A chunk holds the bounds of its
-splats, so they are written in the order of a space-filling curve: the closer they lie, the finer
-the steps.
+Source: the public layout, see `gscore.io.ply.compressed`. Splats are quantised within the bounds of
+their chunk, so they are written in the order of a space-filling curve: nearby splats get finer
+steps.
 """
 
 from pathlib import Path
@@ -34,14 +34,14 @@ _BOUNDS = [
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _LARGEST_LOG = 20.0
 _LARGEST_COLOR = 4.0 / SH_C0
-"""Of SH coefficients: the colours of a chunk have 256 values between its ends."""
+"""Largest sh0 coefficient: the colours of a chunk have 256 values between its bounds."""
 _REACH = 4.0
-"""SH coefficients lie between this and its negative."""
+"""Largest SH coefficient beyond degree 0."""
 _CHUNKS_A_BLOCK = 1 << 10
 _PLACE_BITS = (11, 10, 11)
 _MOST_MOVED = 1 / 100
-"""Of the distance from the middle, or of that of half of all splats where it is larger: above it a
-note states how far splats were moved. In a chunk across all that is near it is 1 / 128."""
+"""Largest displacement that is not reported, as a share of the distance from the middle, or of the
+median distance if that is larger. A chunk that spans all near splats has 1 / 128."""
 
 
 def _is_compressed(path: Path, sample: FileSample) -> bool:
@@ -54,7 +54,7 @@ def _read(path: Path) -> Decoded:
 
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     order, near = _order(splats)
-    splats, notes = _fitted(splats, order, near)
+    splats, notes = _limited(splats, order, near)
     chunks = -(-len(splats) // CHUNK)
     rest = 3 * splats.shN.shape[1]
     lines = [line for text in ply.comments_of(options) for line in text.splitlines()]
@@ -80,11 +80,10 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def _order(splats: Splats) -> tuple[np.ndarray, int]:
-    """[N] indices, and how many of them are near: along a Morton curve, but for splats far from all
-    others, which come last, the farthest at the end, so that the chunks of the others stay small.
+    """Indices [N] along a Morton curve, and the number of near splats. Splats far from all others
+    come last, in order of distance, so that the chunks of the near ones stay small.
 
-    One chunk holds splats of both kinds, unless their numbers happen to fit; the least visible of
-    the others go into it.
+    Usually one chunk has splats of both kinds; its near splats are the least visible ones.
     """
     order = morton_order(splats.means)
     away, usual = distances_from_middle(splats.means)
@@ -100,9 +99,9 @@ def _order(splats: Splats) -> tuple[np.ndarray, int]:
     return np.concatenate([near[~least], near[least], order[len(near) :]]), len(near)
 
 
-def _fitted(splats: Splats, order: np.ndarray, near: int) -> tuple[Splats, list[str]]:
-    """The splats, far ones moved nearer where they share a chunk with near ones, and colours within
-    `_LARGEST_COLOR`, so that no splat makes the others of its chunk coarse; and notes on both."""
+def _limited(splats: Splats, order: np.ndarray, near: int) -> tuple[Splats, list[str]]:
+    """The splats, with far ones in a chunk of near ones moved nearer, and colours clipped to
+    `_LARGEST_COLOR`, so that no splat coarsens the others of its chunk; and notes on both."""
     notes = []
     strays = order[near : -(-near // CHUNK) * CHUNK]
     if len(strays):
@@ -122,7 +121,7 @@ def _fitted(splats: Splats, order: np.ndarray, near: int) -> tuple[Splats, list[
 
 
 def _notes(splats: Splats, order: np.ndarray) -> list[str]:
-    """On splats that lie elsewhere than before, and on clamped coefficients."""
+    """Notes on displaced splats and clipped coefficients."""
     notes = []
     moved = _displacements(splats.means[order])
     away, usual = distances_from_middle(splats.means)
@@ -142,7 +141,7 @@ def _notes(splats: Splats, order: np.ndarray) -> list[str]:
 
 
 def _displacements(means: np.ndarray) -> np.ndarray:
-    """[N] float64, units: how far a place in its chunk may be from what it was, along one axis."""
+    """[N] float64, world units: largest rounding error of each position along one axis."""
     starts = np.arange(0, len(means), CHUNK)
     if not len(starts):
         return np.zeros(0)
@@ -153,7 +152,7 @@ def _displacements(means: np.ndarray) -> np.ndarray:
 
 
 def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
-    """Rows of the elements chunk, vertex and sh, for whole chunks but for the last."""
+    """Bytes of the elements chunk, vertex and sh; only the last chunk may be partial."""
     count = len(part)
     scales = np.clip(part.scales, -_LARGEST_LOG, _LARGEST_LOG)
     places, place_ends = _within_chunks(part.means)
@@ -171,7 +170,7 @@ def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
 
 
 def _within_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """[N, 3] from 0 to 1 between the ends of a chunk, and the ends [chunks, 6], lower first."""
+    """[N, 3] from 0 to 1 within the bounds of a chunk, and the bounds [chunks, 6], lower first."""
     count = len(values)
     padded = np.pad(values.astype(np.float64), ((0, -count % CHUNK), (0, 0)), mode="edge")
     grouped = padded.reshape(-1, CHUNK, 3)
@@ -183,7 +182,7 @@ def _within_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fields(values: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
-    """[N] uint32: numbers [N, 3] from 0 to 1 as fields, the first one highest."""
+    """[N] uint32: numbers [N, 3] from 0 to 1 as bit fields, the first one highest."""
     out = np.zeros(len(values), np.uint32)
     for k, width in enumerate(bits):
         field = np.rint(values[:, k] * ((1 << width) - 1)).astype(np.uint32)
@@ -192,7 +191,7 @@ def _fields(values: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
 
 
 def _pack_rotations(quats: np.ndarray) -> np.ndarray:
-    """[N] uint32: two bits name the largest of w, x, y, z, ten bits each hold the others."""
+    """[N] uint32: 2 bits for the index of the largest of w, x, y, z, 10 bits for each other."""
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     largest, three = smallest_three(unit)
     parts = three * np.sqrt(0.5) + 0.5

@@ -1,6 +1,6 @@
-"""Format registry: all splat formats, and the one place that reads and writes them.
+"""Format registry: all splat formats, and functions that read and write files of any of them.
 
-A format is a `SplatFormat` in a file of its own, and an entry of `FORMATS`.
+A format is a `SplatFormat` in its own module, listed in `FORMATS`.
 """
 
 from collections.abc import Iterator
@@ -34,23 +34,23 @@ FORMATS: tuple[SplatFormat, ...] = (
     ksplat.KSPLAT,
     splat.SPLAT,
 )
-"""In the order in which a file is asked for them: those without a signature come last."""
+"""Formats in order of detection: those without a signature are last."""
 SPLAT_ENDINGS = tuple(ending for one in FORMATS for ending in one.endings)
-"""Of names of files with splats, each with its dot."""
+"""Endings of splat files, with the dot."""
 
 
 def read_splat_file(path: str | Path) -> SplatFile:
-    """Read a model of any format, told apart by its content and not by its name.
+    """Read a model of any format, detected by content, not by name.
 
     Args:
         path: The file; or the folder or the meta.json of an unpacked SOG.
 
     Returns:
-        The model, in the axes of a 3DGS PLY whatever the format's are, and what the file says.
+        The model, always in the axes of a 3DGS PLY, and the metadata of the file.
 
     Raises:
         DatasetError: the file is missing or cannot be read.
-        FormatError: it is of no format of splats, holds none, or is damaged.
+        FormatError: it is in no supported format, has no splats, or is damaged.
         BackendError: a package that the format needs is not installed.
     """
     path = Path(path)
@@ -68,9 +68,9 @@ def read_splat_file(path: str | Path) -> SplatFile:
 
 
 def read_splats(path: str | Path) -> Splats:
-    """The model of `read_splat_file` alone; what would be its notes is logged as warnings.
+    """Read the splats of a file of any format; notes are logged as warnings.
 
-    Means are about the file's local origin, where it states one: see `read_splat_file`.
+    Means are relative to the file's local origin, if it states one: see `read_splat_file`.
     """
     return read_decoded(path).splats
 
@@ -82,9 +82,9 @@ def read_decoded(path: str | Path) -> Decoded:
 
 
 def read_splat_parts(path: str | Path, rows: int) -> Iterator[Splats]:
-    """The model of `read_splats`, about `rows` splats at a time, all of one SH degree.
+    """As `read_splats`, about `rows` splats at a time, all of one SH degree.
 
-    A PLY is never in memory whole; other formats are.
+    A PLY is never completely in memory; other formats are.
 
     Raises:
         GsError: as `read_splat_file`.
@@ -100,7 +100,7 @@ def read_splat_parts(path: str | Path, rows: int) -> Iterator[Splats]:
 
 
 def is_antialiased(path: str | Path) -> bool:
-    """Whether a file says that its splats want the anti-aliasing compensation.
+    """True if a file marks its splats as trained with the anti-aliasing compensation.
 
     Raises:
         GsError: as `read_splat_file`.
@@ -112,7 +112,7 @@ def is_antialiased(path: str | Path) -> bool:
 
 
 def says_origin(path: str | Path) -> np.ndarray | None:
-    """[3] float64, the local origin that a file states; None: none.
+    """[3] float64, local origin stated by a file; None: none.
 
     Raises:
         GsError: as `read_splat_file`.
@@ -132,24 +132,23 @@ def write_splat_file(
     comments: tuple[str, ...] = (),
     spz_version: int = 3,
 ) -> WrittenFile:
-    """Write a model in the format that the name asks for, completely or not at all.
+    """Write a model in the format of the file's ending, completely or not at all.
 
     Args:
         path: The file; its ending is one of `SPLAT_ENDINGS`, and its folder is made.
         splats: The model, raw parameters in the axes of a 3DGS PLY.
-        antialiased: Whether its splats want the anti-aliasing compensation.
-        origin: [3], the local origin that means are about, in the coordinates of the capture; None:
-            there is none.
-        sh_degree: The highest degree written; None: all that the model and the format hold.
-        comments: For headers that have room for them.
-        spz_version: Of SPZ: 3, which every reader knows, or 4, with zstd.
+        antialiased: Whether its splats need the anti-aliasing compensation.
+        origin: [3], local origin of the means, in the coordinates of the capture; None: none.
+        sh_degree: Highest SH degree to write; None: that of the model, limited by the format.
+        comments: Comments, for formats that support them.
+        spz_version: Version of SPZ: 3, which every reader supports, or 4, with zstd.
 
     Returns:
-        What was written, and sentences on what of the model it does not hold.
+        The written file, with notes on data that the format cannot store.
 
     Raises:
-        ConfigError: no format has this ending, or it is only read; there is no splat that can be
-            drawn; or an option cannot work.
+        ConfigError: no format has this ending, or it is read only; there is no valid splat; or an
+            option is invalid.
         GsError: the file cannot be written.
         BackendError: a package that the format needs is not installed.
     """
@@ -161,7 +160,7 @@ def write_splat_file(
     most = min(splats.sh_degree, found.most_degree)
     kept = _drawable(splats, notes)
     if not len(kept):
-        # A .splat of none has no bytes; programs that read the others refuse most of them.
+        # An empty .splat has no bytes, and other programs refuse most empty files.
         raise ConfigError(
             f"There is no splat to write into {brief(path)}"
             f"{': none of them can be drawn' if notes else ''}. Give a model with splats."
@@ -169,22 +168,20 @@ def write_splat_file(
     kept = kept if sh_degree is None else cut_degree(kept, sh_degree)
     if kept.sh_degree > most:
         notes.append(
-            f"{found.name} holds colours of SH degree {most} at most; what depends on the "
-            f"direction beyond it is lost."
+            f"{found.name} stores colours up to SH degree {most}; view dependence of higher "
+            f"degrees is lost."
         )
         kept = cut_degree(kept, most)
     if antialiased and not found.keeps_antialiased:
         notes.append(
-            f"{found.name} cannot say that splats were trained with antialiasing; who draws it has "
-            f"to know."
+            f"{found.name} cannot mark splats as trained with antialiasing; set it in the renderer."
         )
     if origin is not None:
         origin = checked_origin(origin)
         if not found.keeps_origin:
             notes.append(
-                f"{found.name} cannot state a local origin: positions are about "
-                f"{origin_words(origin)}, which has to be added to them for the coordinates of "
-                f"the capture."
+                f"{found.name} cannot store a local origin: add {origin_words(origin)} to "
+                f"positions to get the coordinates of the capture."
             )
     options = WriteOptions(
         antialiased=antialiased, origin=origin, comments=tuple(comments), spz_version=spz_version
@@ -197,36 +194,36 @@ def write_splat_file(
 
 
 def _drawable(splats: Splats, notes: list[str]) -> Splats:
-    """The splats that can be drawn: most formats keep blocks of splats by their extremes, so that
-    one number that is not finite would take its neighbours along."""
+    """The valid splats, because most formats quantise blocks of splats between their bounds, where
+    one non-finite number would spoil its neighbours."""
     good = drawable_rows(splats)
-    if left_out := len(splats) - len(good):
+    if dropped := len(splats) - len(good):
         notes.append(
-            f"{number(left_out)} of {count_words(len(splats), 'splat')} had numbers that are "
+            f"{number(dropped)} of {count_words(len(splats), 'splat')} had numbers that are "
             f"not finite or a zero quaternion; they are left out."
         )
     return good
 
 
 def format_to_write(path: Path) -> SplatFormat:
-    """The format that a name asks for, by its longest ending that fits.
+    """Format of a file name, by its longest matching ending.
 
     Raises:
-        ConfigError: there is none, or it is only read.
+        ConfigError: there is none, or it is read only.
     """
     name = path.name.lower()
-    fitting = [
+    matches = [
         (len(end), one)
         for one in FORMATS
         for end in one.endings
         if (name.endswith(end) if end.startswith(".") else name == end)
     ]
-    if not fitting:
+    if not matches:
         raise ConfigError(
             f"{brief(path)}: no format of splats has this ending. Choose one of "
             f"{', '.join(end for one in FORMATS if one.write for end in one.endings)}."
         )
-    found = max(fitting, key=lambda pair: pair[0])[1]
+    found = max(matches, key=lambda pair: pair[0])[1]
     if found.write is None:
         raise ConfigError(
             f"{brief(path)}: {found.name} is read, but not written. Choose one of "
@@ -236,7 +233,7 @@ def format_to_write(path: Path) -> SplatFormat:
 
 
 def files_of(path: Path) -> set[Path]:
-    """All files that are read for a model: its own and those beside it.
+    """All files of a model: the file itself and its parts.
 
     Raises:
         GsError: as `read_splat_file`.
@@ -246,7 +243,7 @@ def files_of(path: Path) -> set[Path]:
 
 
 def is_splat_file(path: Path) -> bool:
-    """Whether a file, or the folder of an unpacked SOG, looks like a model of splats."""
+    """True if a file, or the folder of an unpacked SOG, is recognised as a splat model."""
     file = _file_of(path)
     try:
         return _known(file, _sample(file)) is not None
@@ -255,7 +252,7 @@ def is_splat_file(path: Path) -> bool:
 
 
 def _file_of(path: Path) -> Path:
-    """The file to begin with: of a folder its meta.json, if it has one."""
+    """The file to read: for a folder its meta.json, if it has one."""
     inside = path / sog.META
     return inside if is_file(inside) else path
 
@@ -281,7 +278,7 @@ def _sample(path: Path) -> FileSample:
 def _refuse(path: Path) -> NoReturn:
     raise FormatError(
         describe_unsupported(path)
-        or f"{path} holds no splats in a format that is known: {', '.join(SPLAT_ENDINGS)}. Choose "
+        or f"{path} holds no splats in a supported format: {', '.join(SPLAT_ENDINGS)}. Choose "
         f"the point_cloud.ply that a 3D Gaussian Splatting trainer wrote, or export it again."
     )
 

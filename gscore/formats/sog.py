@@ -1,7 +1,7 @@
-"""PlayCanvas' SOG reader: textures of one byte a value and meta.json, in a ZIP or a folder.
+"""PlayCanvas' SOG reader: textures of one byte per value and meta.json, in a ZIP or a folder.
 
-Source: the published specification of version 2 (developer.playcanvas.com, "The SOG Format") and,
-for axes, the programs that write it: those of a 3DGS PLY.
+Source: the published specification of version 2 (developer.playcanvas.com, "The SOG Format"); axes
+are those of a 3DGS PLY, as in the programs that write it.
 """
 
 import io
@@ -31,11 +31,11 @@ from .splat_file import Decoded, SplatFormat, origin_in
 
 _MOST_META = 1 << 22
 _MOST_SPLATS_A_BYTE = 16
-"""Of all textures together, beyond the slack. Lower bits of positions are noise, so captures have
-less than one; four million on an even grid that are equal otherwise have 2.5."""
+"""Most splats per byte of all textures, plus the slack. Lower bits of positions are noise, so
+captures have less than one; four million equal splats on a regular grid have 2.5."""
 _SLACK = 1 << 16
 _MOST_RATIO = 64
-"""Of unpacked to packed bytes of a texture, which is packed already."""
+"""Largest ratio of unpacked to packed bytes of a texture, which is compressed already."""
 _GAP = "Copy or export it again."
 _BROKEN_ZIP = (
     zipfile.BadZipFile,
@@ -79,17 +79,17 @@ def _from_folder(path: Path) -> _Fetch:
             return read_bytes(path.parent / name)
         except DatasetError as error:
             raise DatasetError(
-                f"{path} needs the file {quoted(name)} beside it. {error}"
+                f"{path} needs the file {quoted(name)} next to it. {error}"
             ) from error
 
     return fetch
 
 
 def _from_zip(path: Path, archive: zipfile.ZipFile) -> _Fetch:
-    found = [info for info in archive.infolist() if info.filename.rpartition("/")[2] == META]
-    if not found:
+    metas = [info for info in archive.infolist() if info.filename.rpartition("/")[2] == META]
+    if not metas:
         raise _damaged(path, f"it holds no {META}")
-    folder = min(found, key=lambda info: len(info.filename)).filename[: -len(META)]
+    folder = min(metas, key=lambda info: len(info.filename)).filename[: -len(META)]
 
     def fetch(name: str) -> bytes:
         try:
@@ -167,7 +167,7 @@ class _Meta:
         return self._content.get("shN") is not None
 
     def checked(self, fetch: _Fetch) -> _Fetch:
-        """`fetch`, of which each file has the CRC-32 that is stated of it, if any is."""
+        """`fetch`, with a check of each file against its CRC-32, if one is stated."""
         asset = self._content.get("asset")
         stated = asset.get(CHECKS) if isinstance(asset, dict) else None
         checks = stated if isinstance(stated, dict) else {}
@@ -180,7 +180,7 @@ class _Meta:
         return fetched
 
     def file(self, section: str, index: int) -> str:
-        """The name of a texture."""
+        """File name of a texture."""
         names = self._section(section).get("files")
         name = names[index] if isinstance(names, list) and index < len(names) else None
         if not isinstance(name, str):
@@ -188,14 +188,14 @@ class _Meta:
         return name
 
     def codebook(self, section: str) -> np.ndarray:
-        """[256] float32; entries that it does not have are NaN."""
-        found = self.numbers(section, "codebook")
-        if not 0 < len(found) <= CODEBOOK_SIZE:
-            raise _damaged(self.path, f"the codebook of {section} has {len(found)} numbers")
-        return np.pad(found, (0, CODEBOOK_SIZE - len(found)), constant_values=np.nan)
+        """[256] float32; missing entries are NaN."""
+        book = self.numbers(section, "codebook")
+        if not 0 < len(book) <= CODEBOOK_SIZE:
+            raise _damaged(self.path, f"the codebook of {section} has {len(book)} numbers")
+        return np.pad(book, (0, CODEBOOK_SIZE - len(book)), constant_values=np.nan)
 
     def numbers(self, section: str, key: str) -> np.ndarray:
-        """[n] float32."""
+        """A list of numbers, [n] float32."""
         values = self._section(section).get(key)
         if not isinstance(values, list) or not all(
             isinstance(v, int | float) and not isinstance(v, bool) for v in values
@@ -205,7 +205,7 @@ class _Meta:
             return np.array(values, np.float64).astype(np.float32)
 
     def whole(self, section: str, key: str, low: int, high: int) -> int:
-        """A whole number from `low` to below `high`."""
+        """An integer from `low` to below `high`."""
         return self._whole(self._section(section), key, low, high)
 
     def _whole(self, place: dict[str, Any], key: str, low: int, high: int) -> int:
@@ -222,7 +222,7 @@ class _Meta:
 
 
 def _means(meta: _Meta, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[N, 3]: steps of 16 bits between bounds, of sign(v) ln(|v| + 1)."""
+    """[N, 3] float32, from 16-bit steps of sign(v) ln(|v| + 1) between bounds."""
     first, last = meta.numbers("means", "mins"), meta.numbers("means", "maxs")
     if len(first) != 3 or len(last) != 3:
         raise _damaged(meta.path, "means has no three mins and maxs")
@@ -233,8 +233,8 @@ def _means(meta: _Meta, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def _quats(pixels: np.ndarray) -> np.ndarray:
-    """[N, 4] wxyz: three bytes from -sqrt(1/2) to sqrt(1/2), the largest component named by the
-    fourth; the identity where that names none."""
+    """[N, 4] wxyz from three bytes, -sqrt(1/2) to sqrt(1/2), and the index of the largest component
+    in the fourth; the identity if that index is invalid."""
     three = (pixels[:, :3].astype(np.float32) / 255 - 0.5) * np.float32(np.sqrt(2))
     named = pixels[:, 3] >= FIRST_TAG
     three[~named] = 0
@@ -242,7 +242,7 @@ def _quats(pixels: np.ndarray) -> np.ndarray:
 
 
 def _harmonics(meta: _Meta, fetch: _Fetch) -> np.ndarray:
-    """[N, K-1, 3]: each splat names a row of a palette of codebook entries."""
+    """[N, K-1, 3]: each splat has the index of a row of a palette of codebook entries."""
     if not meta.has_harmonics:
         return np.zeros((meta.count, 0, 3), np.float32)
     bands = meta.whole("shN", "bands", 0, 4)
@@ -266,8 +266,8 @@ def _harmonics(meta: _Meta, fetch: _Fetch) -> np.ndarray:
     labels = labels[:, 0] | labels[:, 1] << 8
     if labels.max(initial=0) >= rows:
         raise _damaged(meta.path, f"a label names row {labels.max()} of a palette of {rows}")
-    found = meta.codebook("shN")[pixels.reshape(-1, width, 4)[:rows, :, :3]]
-    return found[labels]
+    colors = meta.codebook("shN")[pixels.reshape(-1, width, 4)[:rows, :, :3]]
+    return colors[labels]
 
 
 def _damaged(path: Path, why: str) -> FormatError:
@@ -275,7 +275,7 @@ def _damaged(path: Path, why: str) -> FormatError:
 
 
 def _textures_of(path: Path) -> Iterable[Path]:
-    """Of a meta.json those that it names, or whatever textures lie where one is written."""
+    """Textures listed in a meta.json, or all textures in the folder of a new one."""
     if path.name != META:
         return ()
     return parts_of(path, parts_in) or path.parent.glob("*.webp")

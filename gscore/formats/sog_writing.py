@@ -1,4 +1,4 @@
-"""SOG writer: textures of one byte a value, the meta.json that lists them, and its names.
+"""SOG writer: textures of one byte per value, and meta.json with its property names.
 
 Source: see sog.py.
 """
@@ -27,23 +27,24 @@ from .splat_file import ORIGIN, WriteOptions
 
 META = "meta.json"
 PALETTE_WIDTH = 64
-"""Rows of a palette beside each other in its texture."""
+"""Palette rows per line of its texture."""
 SECTIONS = ("means", "scales", "quats", "sh0", "shN")
-"""Of a meta.json that name files."""
+"""Sections of a meta.json with files."""
 CHECKS = "crc32"
-"""In the asset of a meta.json: of each file that lies beside it."""
+"""Key in the asset of a meta.json: CRC-32 of each texture file."""
 FIRST_TAG = 252
 ANTIALIASED = "antialiased"
-"""What splat-transform writes as the model's kind; before, a SOG had `antialias`."""
+"""Model kind written by splat-transform; older versions wrote `antialias`."""
 _FINE = 2.0**-11
 """Step of positions that is fine enough, for `without_far`."""
 _LARGEST = {"scales": 80.0, "sh0": 16.0, "shN": 4.0}
-"""Of log scales and SH coefficients: the codebooks of all splats grow coarse with their ends."""
+"""Largest log scales and SH coefficients, because extremes make the shared codebooks coarse."""
 
 
 def write_sog(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
+    """Write a .sog, or a meta.json with textures next to it; returns notes on changed splats."""
     if not textures.fits(len(splats)):
-        raise ConfigError(f"{path}: SOG holds 268 million splats at most.")
+        raise ConfigError(f"{path}: SOG stores 268 million splats at most.")
     meta, pictures, notes = _textures(splats)
     meta |= {"antialias": True, "model": ANTIALIASED} if options.antialiased else {}
     meta |= {} if options.origin is None else {ORIGIN: options.origin.tolist()}
@@ -52,7 +53,7 @@ def write_sog(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
         write_parts(path, files, lambda *found: _index(meta, *found), parts_in)
         return notes
     packed = io.BytesIO()
-    # Stored, not deflated: WebP is packed already, and some readers know nothing else.
+    # Stored, not deflated: WebP is compressed already, and some readers support only this.
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
         for name, raw in {META: json.dumps(meta).encode(), **files}.items():
             archive.writestr(zipfile.ZipInfo(name), raw)
@@ -61,13 +62,13 @@ def write_sog(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def parts_in(meta: dict[str, Any]) -> list[str]:
-    """The textures that a meta.json names."""
+    """Textures listed in a meta.json."""
     sections = (meta[name] for name in SECTIONS if name in meta)
     return [name for section in sections if section for name in section["files"]]
 
 
 def _index(meta: dict[str, Any], names: dict[str, str], checks: dict[str, int]) -> bytes:
-    """The meta.json for textures under other names in its folder."""
+    """Bytes of meta.json, for textures under other names in its folder."""
     for section in SECTIONS:
         if section in meta:
             meta[section]["files"] = [names[name] for name in meta[section]["files"]]
@@ -76,14 +77,14 @@ def _index(meta: dict[str, Any], names: dict[str, str], checks: dict[str, int]) 
 
 
 def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], list[str]]:
-    """The content of meta.json, pictures by name, and sentences on what they do not hold."""
+    """Content of meta.json, pictures by name, and notes on changed splats."""
     splats, notes = without_far(splats, _step, _FINE, "SOG")
     for field, most in _LARGEST.items():
         splats, cut = cut_extremes(splats, field, most)
         if cut:
             notes.append(
-                f"{count_words(cut, 'splat')} had {field} far beyond usual ones, which were cut: "
-                f"SOG has 256 values for those of all splats."
+                f"{count_words(cut, 'splat')} had extreme {field}, which were cut, because SOG has "
+                f"256 values for those of all splats."
             )
     order = morton_order(splats.means)
     scales, colors = codebook(splats.scales), codebook(splats.sh0)
@@ -120,7 +121,7 @@ def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], li
 
 
 def _pack_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, list[float]]]:
-    """Lower and upper bytes [N, 3], and the bounds between which they are steps."""
+    """Lower and upper bytes [N, 3] of 16-bit steps, and their bounds."""
     logs = _logs(means)
     ends = np.zeros((2, 3))
     if len(means):
@@ -137,12 +138,12 @@ def _logs(means: np.ndarray) -> np.ndarray:
 
 
 def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
-    """Step of positions in units, for `without_far`."""
+    """Step of positions in world units, for `without_far`."""
     return float(((_logs(high) - _logs(low)) / 65535 * (np.abs(middle) + 1)).max())
 
 
 def _pack_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Three bytes and a tag of each quaternion, as `_quats` reads them."""
+    """Three bytes [N, 3] and a tag [N] per quaternion, as `sog._quats` reads them."""
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     largest, three = smallest_three(unit)
     parts = three * np.sqrt(0.5) + 0.5
@@ -152,7 +153,7 @@ def _pack_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _texture(colors: np.ndarray, alphas: np.ndarray | int = 255) -> np.ndarray:
-    """[H, W, 4] of bytes [N, 3] and alphas [N]."""
+    """[H, W, 4] uint8 from bytes [N, 3] and alphas [N]."""
     width, height = textures.size_for(len(colors))
     pixels = np.zeros((height * width, 4), np.uint8)
     pixels[:, 3] = 255
@@ -162,7 +163,7 @@ def _texture(colors: np.ndarray, alphas: np.ndarray | int = 255) -> np.ndarray:
 
 
 def _palette_texture(indices: np.ndarray) -> np.ndarray:
-    """64 rows [D] beside each other, a pixel for the three channels of a coefficient."""
+    """[H, W, 4] uint8 from indices [P, D]: 64 rows per line, one pixel per coefficient."""
     width = indices.shape[1] // 3
     lines = -(-len(indices) // PALETTE_WIDTH)
     pixels = np.full((lines * PALETTE_WIDTH, width, 4), 255, np.uint8)

@@ -19,20 +19,20 @@ from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _COLOR = rgb_to_sh0(np.arange(256) / 255).astype(np.float32)
 _BLOCK = 1 << 18
-_LOOKED_AT = 64
+_SAMPLED = 64
 _LARGEST = 1e6
 
 
 def _is_splat(path: Path, sample: FileSample) -> bool:
-    """Detected by name or first rows, as the format has no signature."""
+    """Detect by name or first rows, as the format has no signature."""
     if sample.size % _ROW.itemsize or not sample.size:
         return sample.ending == ".splat"
     if sample.ending == ".splat":
         return True
-    rows = np.frombuffer(sample.head[: _LOOKED_AT * _ROW.itemsize], _ROW)
+    rows = np.frombuffer(sample.head[: _SAMPLED * _ROW.itemsize], _ROW)
     lengths = np.linalg.norm((rows["quat"].astype(np.float32) - 128) / 128, axis=1)
-    sizes, places = rows["scale"], rows["mean"]
-    plausible = np.isfinite(places).all() and np.abs(places).max() < _LARGEST
+    sizes, means = rows["scale"], rows["mean"]
+    plausible = np.isfinite(means).all() and np.abs(means).max() < _LARGEST
     plausible = plausible and np.isfinite(sizes).all() and (sizes > 0).all()
     return bool(plausible and sizes.max() < _LARGEST and (np.abs(lengths - 1) < 0.05).all())
 
@@ -42,7 +42,7 @@ def _read(path: Path) -> Decoded:
     if len(raw) % _ROW.itemsize or not raw:
         raise FormatError(
             f"{path} is no whole .splat file: it has {len(raw)} bytes, expected rows of "
-            f"{_ROW.itemsize} bytes and nothing else. Copy or export it again."
+            f"{_ROW.itemsize} bytes only. Copy or export it again."
         )
     rows = np.frombuffer(raw, _ROW)
     splats = drawable(

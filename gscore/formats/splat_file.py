@@ -1,4 +1,4 @@
-"""Splat file contents: a model and its metadata, as readers return them and writers take them."""
+"""Splat file contents: a model and its metadata, results of readers and inputs of writers."""
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,22 +20,21 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Decoded:
-    """A model as the reader of one format found it."""
+    """A decoded model with the metadata of its file."""
 
     splats: Splats
     """Raw parameters, in the axes of a 3DGS PLY: as COLMAP's, usually +Y down."""
     layout: str
-    """Which of the layouts of its format the file has, for people."""
+    """Layout of the file within its format, for display."""
     antialiased: bool = False
-    """Whether the file marks its splats as trained with antialias compensation."""
+    """True if the file marks its splats as trained with antialias compensation."""
     origin: np.ndarray | None = None
-    """[3] float64, the local origin that means are about, as `Cameras.origin`, where the file
-    states one."""
+    """[3] float64, local origin of the means, as `Cameras.origin`; None: not stated."""
     comments: tuple[str, ...] = ()
-    """Further header lines."""
+    """Header comments."""
 
     def about(self, origin: np.ndarray | None) -> Self:
-        """The same model with means about another local origin, [3]; computed in float64."""
+        """The same model with means relative to another local origin, [3]; computed in float64."""
         shift = offset_between(origin, self.origin)
         if not shift.any():
             return self
@@ -43,16 +42,16 @@ class Decoded:
         return replace(self, splats=replace(self.splats, means=means), origin=origin)
 
     def of_capture(self, origin: np.ndarray | None) -> Self:
-        """The model with its local origin made out, as splats of a capture that is about `origin`.
+        """The model with its local origin, as splats of a capture with the local origin `origin`.
 
-        Programs that edit splats lose what a file states. Those of a file that states nothing are
-        about `origin` where `lie_about` says so; a warning is logged.
+        Programs that edit splats lose the stated origin. If a file states none, `origin` is assumed
+        if `lie_about` is true, with a logged warning.
         """
         if self.origin is not None or origin is None or not lie_about(self.splats.means, origin):
             return self
         _log.warning(
-            "The splats state no local origin, but lie about that of the capture, %s; it is taken "
-            "for theirs.",
+            "The splats state no local origin, but are around that of the capture, %s; it is "
+            "assumed for them.",
             origin_words(origin),
         )
         return replace(self, origin=origin)
@@ -60,55 +59,55 @@ class Decoded:
 
 @dataclass(frozen=True, kw_only=True)
 class SplatFile(Decoded):
-    """A file that was read."""
+    """Result of reading a file."""
 
     path: Path
-    """The file; of an unpacked SOG, its folder."""
+    """The file; for an unpacked SOG, its folder."""
     format: str
-    """A key of `FORMATS`."""
+    """Key of the format in `FORMATS`."""
     storage_bytes: int
     """Bytes on the disk, of all files."""
     notes: tuple[str, ...]
-    """Sentences on contents of the file that the model lacks: splats or coefficients left out."""
+    """Messages about contents of the file that the model lacks: dropped splats or coefficients."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteOptions:
-    """How a model is written."""
+    """Options of writers."""
 
     antialiased: bool
-    """Whether its splats want the anti-aliasing compensation."""
+    """True if its splats need the anti-aliasing compensation."""
     comments: tuple[str, ...]
-    """For headers that have room for them."""
+    """Comments, for formats that support them."""
     spz_version: int
-    """Of SPZ: 3 or 4."""
+    """Version of SPZ: 3 or 4."""
     origin: np.ndarray | None = None
-    """[3] float64, the local origin that means are about; None: there is none."""
+    """[3] float64, local origin of the means; None: none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WrittenFile:
-    """A file that was written."""
+    """Result of writing a file."""
 
     path: Path
-    """As it was given."""
+    """The path as given."""
     format: str
-    """A key of `FORMATS`."""
+    """Key of the format in `FORMATS`."""
     storage_bytes: int
     """Bytes on the disk, of all files."""
     notes: tuple[str, ...]
-    """Sentences on contents of the model that the file lacks."""
+    """Messages about contents of the model that the file lacks."""
 
 
 ORIGIN = "origin"
-"""Key of a local origin, [3], in formats whose JSON has room for it."""
+"""Key of a local origin, [3], in formats with JSON metadata."""
 
 
 def origin_in(facts: Mapping[str, Any], damaged: Callable[[str], FormatError]) -> np.ndarray | None:
-    """[3] float64, the local origin among what a file says; None: none.
+    """[3] float64, local origin in the metadata of a file; None: none.
 
     Raises:
-        FormatError: what `damaged` makes of a sentence without a subject, where it is no place.
+        FormatError: it is invalid; made by `damaged` from the reason.
     """
     if ORIGIN not in facts:
         return None
@@ -119,13 +118,13 @@ def origin_in(facts: Mapping[str, Any], damaged: Callable[[str], FormatError]) -
 
 
 def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
-    """A sentence on colours that a format has no byte for; empty where there are none.
+    """Note on colours outside the range of a format; empty without any.
 
     Args:
         sh0: [N, 1, 3] coefficients.
-        low: What byte 0 stands for.
-        high: What byte 255 stands for.
-        name: Of the format.
+        low: Coefficient of byte 0.
+        high: Coefficient of byte 255.
+        name: Name of the format.
     """
     half = (high - low) / 510
     beyond = int(((sh0 < low - half) | (sh0 > high + half)).any(axis=(1, 2)).sum())
@@ -135,40 +134,40 @@ def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
         f"{round(float(end), 3) + 0:.2g}" for end in sh0_to_rgb(np.array([low, high]))
     )
     return (
-        f"Colours darker or brighter than {name} holds, {ends}, were cut to that: of "
-        f"{count_words(beyond, 'splat')}."
+        f"Colours of {count_words(beyond, 'splat')} outside the range of {name}, {ends}, were cut "
+        f"to it."
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplatFormat:
-    """A format: how its files are known, read and written."""
+    """A format: detection, reader and writer."""
 
     key: str
     """Its name in options and in JSON."""
     name: str
-    """Its name in sentences."""
+    """Its name in messages."""
     endings: tuple[str, ...]
-    """Of the names of its files, the usual one first; the longest that fits decides."""
+    """Endings of its files, the usual one first; the longest match among all formats decides."""
     holds: Callable[[Path, FileSample], bool]
-    """Whether a file is of this format, by its first bytes."""
+    """Returns whether a file is of this format, by its first bytes."""
     read: Callable[[Path], Decoded]
-    """Raises GsError."""
+    """Reads a file; raises GsError."""
     write: Callable[[Path, Splats, WriteOptions], list[str]] | None
-    """Returns the notes of `WrittenFile`; raises GsError; None: it is read only."""
+    """Writes a file, returns the notes of `WrittenFile`; raises GsError; None: read only."""
     says_antialiased: Callable[[Path], bool] | None = None
-    """Whether a file says that its splats want the compensation, where that takes no reading of all
-    of it; raises GsError."""
+    """Returns whether a file is marked as antialiased, without reading all of it; raises GsError;
+    None: needs `read`."""
     says_origin: Callable[[Path], np.ndarray | None] | None = None
-    """The local origin that a file states, where that takes no reading of all of it; raises
-    GsError."""
+    """Returns the local origin of a file, without reading all of it; raises GsError; None: needs
+    `read`."""
     read_parts: Callable[[Path, int], Iterator[Splats]] | None = None
-    """Reads so many splats at a time; raises GsError; None: a model is read whole."""
+    """Reads a given number of splats at a time; raises GsError; None: reads models whole."""
     beside: Callable[[Path], Iterable[Path]] = lambda path: ()
-    """Files that belong to one besides."""
+    """Returns the part files of a file."""
     most_degree: int = 3
-    """The highest SH degree that it holds."""
+    """Highest SH degree that it can store."""
     keeps_antialiased: bool = True
-    """Whether it can mark splats as trained with antialias compensation."""
+    """True if it can mark splats as trained with antialias compensation."""
     keeps_origin: bool = True
-    """Whether it can state the local origin that means are about."""
+    """True if it can store the local origin of the means."""

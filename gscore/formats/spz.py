@@ -1,8 +1,8 @@
-"""Niantic's SPZ: consecutive byte arrays within gzip (versions 2, 3) or zstd (version 4).
+"""Niantic's SPZ: consecutive byte arrays in gzip (versions 2, 3) or zstd (version 4).
 
-Source: the layout published with github.com/nianticlabs/spz. Positions are fixed-point numbers of
-24 bits, sizes log bytes, colours and SH coefficients bytes, rotations three bytes (2) or the three
-smallest components in 32 bits (3, 4). Its axes are right-up-back.
+Source: the layout published with github.com/nianticlabs/spz. Positions are 24-bit fixed point, log
+scales, colours and SH coefficients bytes, rotations three bytes (2) or the three smallest
+components in 32 bits (3, 4). Its axes are right-up-back.
 """
 
 import struct
@@ -33,26 +33,26 @@ from .spz_records import placement
 
 _MAGIC = b"NGSP"
 VERSIONS = (3, 4)
-"""That are written."""
+"""Versions that can be written."""
 _HEADER = struct.Struct("<4sIIBBBB")
 _HEADER_4 = struct.Struct("<4sIIBBBBI12x")
 _STREAM = struct.Struct("<QQ")
 _ANTIALIASED, _EXTENDED = 1, 2
 _MOST_BITS = 23
-"""Of the fraction of a position, of 24."""
+"""Most fraction bits of a position, of 24."""
 _MOST_PLACE = 2**23 - 1
-"""The largest whole number of a position."""
+"""Largest fixed-point number of a position."""
 _FINE = 2.0**-13
 """Step of positions that is fine enough, for `without_far`."""
 _MOST_EXTENSIONS = 1 << 20
-"""Maximum bytes of extensions that are read."""
+"""Most bytes of extensions that are read."""
 _COLOR_SCALE = 0.15
 _BYTES = np.arange(256, dtype=np.float64)
 _COLOR = ((_BYTES / 255 - 0.5) / _COLOR_SCALE).astype(np.float32)
 _SCALE = (_BYTES / 16 - 10).astype(np.float32)
 _HARMONIC = ((_BYTES - 128) / 128).astype(np.float32)
 _SIGNS = np.array([1, -1, -1], np.float32)
-"""Of positions and of quaternions' vectors, between right-up-back and right-down-front."""
+"""Signs of positions and quaternion vectors between right-up-back and right-down-front."""
 _ROTATION_STEPS = 511
 _BLOCK = 1 << 17
 
@@ -67,7 +67,7 @@ class _Header:
 
     @property
     def sizes(self) -> list[int]:
-        """Bytes of the arrays, in their order."""
+        """Bytes of the arrays, in order."""
         rotation = 3 if self.version == 2 else 4
         return [
             self.count * each for each in (9, 1, 3, 3, rotation, 3 * SH_REST_BY_DEGREE[self.degree])
@@ -75,7 +75,7 @@ class _Header:
 
 
 def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
-    """The model in the bytes of an SPZ file; `path` is named in errors.
+    """Decode the bytes of an SPZ file; `path` is for messages.
 
     Raises:
         FormatError: they are no SPZ, of an unknown version, or damaged.
@@ -100,21 +100,21 @@ def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
 def encode_spz(
     splats: Splats, *, antialiased: bool, version: int
 ) -> tuple[bytes, list[str], np.ndarray]:
-    """The bytes of an SPZ file, sentences on what they do not hold, and the positions [N, 3] in
-    them before they are rounded.
+    """Bytes of an SPZ file, notes on changed splats, and the stored positions [N, 3] before
+    rounding.
 
     Raises:
-        ConfigError: the version is not written, or there are too many splats.
+        ConfigError: the version cannot be written, or there are too many splats.
         BackendError: version 4 without the package zstandard.
     """
     if version not in VERSIONS:
         raise ConfigError(f"SPZ is written in version 3 or 4, got {version!r}.")
     if len(splats) >= 2**32:
-        raise ConfigError("SPZ holds 4,294,967,295 splats at most.")
+        raise ConfigError("SPZ stores 4,294,967,295 splats at most.")
     splats, notes = without_far(splats, _step, _FINE, "SPZ")
     bits, farthest = _fraction_bits(splats.means)
     if farthest > _MOST_PLACE:
-        notes.append("SPZ holds positions up to 8,388,607 units; those beyond were moved there.")
+        notes.append("SPZ stores positions up to 8,388,607 units; those beyond were moved there.")
     notes += _clamped(splats)
     arrays = _pack(splats, bits)
     flags = _ANTIALIASED if antialiased else 0
@@ -129,7 +129,7 @@ def encode_spz(
 
 
 def _header(path: Path, raw: bytes | memoryview) -> _Header:
-    """The fields that all versions share, checked."""
+    """Fields common to all versions, checked."""
     if len(raw) < _HEADER.size:
         raise _damaged(path, f"it ends within its header of {_HEADER.size} bytes")
     magic, version, count, degree, bits, flags, _ = _HEADER.unpack_from(raw)
@@ -148,7 +148,7 @@ def _header(path: Path, raw: bytes | memoryview) -> _Header:
 
 
 _Content = tuple[_Header, list[memoryview], np.ndarray | None]
-"""Header, arrays, and the matrix from the file's axes to right-down-front where it states any."""
+"""Header, arrays, and the matrix from the file's axes to right-down-front, if stated."""
 
 
 def _inflated(path: Path, raw: bytes | memoryview) -> _Content:
@@ -171,7 +171,7 @@ def _inflated(path: Path, raw: bytes | memoryview) -> _Content:
 
 
 def _streams(path: Path, raw: bytes | memoryview) -> _Content:
-    """Contents of version 4, and of unpacked versions 2 and 3."""
+    """Contents of version 4, and of uncompressed versions 2 and 3."""
     view = memoryview(raw)
     header = _header(path, view)
     if header.version < 4:
@@ -184,18 +184,18 @@ def _streams(path: Path, raw: bytes | memoryview) -> _Content:
         raise _damaged(path, "it ends within its header")
     streams, start = _HEADER_4.unpack_from(view)[6:]
     first = start + streams * _STREAM.size
-    wanted = [size for size in header.sizes if size]
-    # Blender's importer wants six streams, so some programs write an empty one too.
-    if streams not in (len(wanted), len(header.sizes)) or not _HEADER_4.size <= start:
-        raise _damaged(path, f"it has {streams} streams, expected {len(wanted)}")
+    sizes = [size for size in header.sizes if size]
+    # Blender's importer requires six streams, so some programs also write an empty one.
+    if streams not in (len(sizes), len(header.sizes)) or not _HEADER_4.size <= start:
+        raise _damaged(path, f"it has {streams} streams, expected {len(sizes)}")
     if first > len(view):
         raise _damaged(path, "it ends within the table of its streams")
-    check_ratio(f"{path} is a damaged SPZ file", len(view), sum(wanted))
+    check_ratio(f"{path} is a damaged SPZ file", len(view), sum(sizes))
     matrix = placement(path, view[_HEADER_4.size : start])
     arrays, at = [], first
     for index in range(streams):
         packed, size = _STREAM.unpack_from(view, start + index * _STREAM.size)
-        expected = wanted[index] if index < len(wanted) else 0
+        expected = sizes[index] if index < len(sizes) else 0
         if size != expected or packed > len(view) - at:
             raise _damaged(
                 path, f"stream {index + 1} states {size} bytes in {packed}, expected {expected}"
@@ -236,13 +236,13 @@ def _unpack(path: Path, header: _Header, arrays: list[memoryview]) -> Splats:
 
 
 def _fixed_point(parts: np.ndarray) -> np.ndarray:
-    """[N, 3] float32 of signed integers of three bytes each, the lowest first."""
+    """[N, 3] float32 from signed 3-byte integers, little endian."""
     high = parts[..., 2].view(np.int8).astype(np.int32) << 16
     return (high | parts[..., 1].astype(np.int32) << 8 | parts[..., 0]).astype(np.float32)
 
 
 def _first_three(packed: np.ndarray) -> np.ndarray:
-    """[N, 4] wxyz of bytes for x, y, z; w is positive."""
+    """[N, 4] wxyz from bytes for x, y, z; w is positive."""
     vector = packed.reshape(-1, 3).astype(np.float32) / 127.5 - 1
     quats = np.empty((len(vector), 4), np.float32)
     quats[:, 0] = np.sqrt(np.maximum(0, 1 - (vector**2).sum(axis=1)))
@@ -251,7 +251,8 @@ def _first_three(packed: np.ndarray) -> np.ndarray:
 
 
 def _smallest_three(packed: np.ndarray) -> np.ndarray:
-    """[N, 4] wxyz: two bits name the largest of x, y, z, w, the others follow as sign and size."""
+    """[N, 4] wxyz from 2 bits for the index of the largest of x, y, z, w, and sign and size of the
+    others."""
     words = np.frombuffer(packed, "<u4")
     parts = np.empty((len(words), 3), np.float32)
     for k in range(3):
@@ -265,7 +266,7 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
 
 
 def _fraction_bits(means: np.ndarray) -> tuple[int, float]:
-    """The finest fixed point in which positions [N, 3] fit, if any, and their largest number."""
+    """Most fraction bits with which positions [N, 3] fit, at least 0, and the largest position."""
     farthest = float(np.abs(means).max(initial=0))
     bits = _MOST_BITS
     while bits > 0 and farthest * 2.0**bits > _MOST_PLACE:
@@ -274,32 +275,32 @@ def _fraction_bits(means: np.ndarray) -> tuple[int, float]:
 
 
 def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
-    """Step of positions in units, for `without_far`."""
+    """Step of positions in world units, for `without_far`."""
     return 2.0 ** -_fraction_bits(np.stack([low, high]))[0]
 
 
 def _clamped(splats: Splats) -> list[str]:
-    """Notes on numbers that SPZ has no byte for."""
+    """Notes on numbers outside the ranges of SPZ."""
     notes = []
     if note := colors_note(splats.sh0, float(_COLOR[0]), float(_COLOR[-1]), "SPZ"):
         notes.append(note)
     beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
     if beyond:
         notes.append(
-            f"Sizes outside of SPZ's range, e^-10 to e^5.9, were cut to that: of "
-            f"{count_words(beyond, 'splat')}."
+            f"Sizes of {count_words(beyond, 'splat')} outside SPZ's range, e^-10 to e^5.9, were "
+            f"cut to it."
         )
     wide = int((np.abs(splats.shN) > 1.004).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
-            f"SH coefficients beyond -1 to 1, which SPZ holds, were cut to that: of "
-            f"{count_words(wide, 'splat')}."
+            f"SH coefficients of {count_words(wide, 'splat')} outside SPZ's range, -1 to 1, were "
+            f"cut to it."
         )
     return notes
 
 
 def _pack(splats: Splats, bits: int) -> list[bytes]:
-    """The arrays in their order, packed block by block."""
+    """The arrays in order, packed in blocks."""
     blocks = [slice(at, at + _BLOCK) for at in range(0, len(splats), _BLOCK)]
     signs = harmonic_signs(splats.sh_degree, X)[:, None]
     parts = [
@@ -318,7 +319,7 @@ def _to_bytes(values: np.ndarray) -> np.ndarray:
 
 
 def _pack_places(means: np.ndarray, bits: int) -> np.ndarray:
-    """[N, 3, 3] bytes."""
+    """[N, 3, 3] bytes of fixed-point positions."""
     fixed = np.rint(means.astype(np.float64) * _SIGNS * 2.0**bits)
     fixed = np.clip(fixed, -_MOST_PLACE - 1, _MOST_PLACE).astype("<i4")
     return fixed.view(np.uint8).reshape(-1, 3, 4)[..., :3]

@@ -1,4 +1,4 @@
-"""Textures of SOG: numbers as pixels of lossless WebP, by Pillow, one byte a splat and channel."""
+"""Textures of SOG: numbers as pixels of lossless WebP, one byte per splat and channel."""
 
 import io
 import struct
@@ -12,23 +12,23 @@ from ..extras import need
 from ..io.images.pillow_images import BROKEN, pillow
 
 _MOST_SIDE = 16383
-"""Pixels of a side of a WebP."""
+"""Most pixels of a side of a WebP."""
 _SLACK = 1 << 16
-"""Pixels that a texture may have beyond four times those that are used."""
+"""Pixels that a texture may have in addition to four times the used ones."""
 _EFFORT = {"lossless": True, "exact": True, "method": 1, "quality": 20}
 """`exact` keeps colours where alpha is zero."""
 
 
 def decode_texture(what: str, raw: bytes, least: int) -> np.ndarray:
-    """[H, W, 4] uint8 of a WebP or PNG that has at least `least` pixels and not many more.
+    """Decode a WebP or PNG of at least `least` pixels and not many more to [H, W, 4] uint8.
 
     Args:
-        what: The file's name in errors.
+        what: Name of the file for messages.
         raw: Its bytes.
-        least: Pixels that are used.
+        least: Number of used pixels.
 
     Raises:
-        FormatError: it is neither, damaged, or of another size.
+        FormatError: it is neither WebP nor PNG, damaged, or of another size.
         BackendError: Pillow is not installed.
     """
     width, height = _stated_size(what, raw)
@@ -52,7 +52,8 @@ def decode_texture(what: str, raw: bytes, least: int) -> np.ndarray:
 
 
 def encode_all(pictures: dict[str, np.ndarray]) -> dict[str, bytes]:
-    """Lossless WebPs of pictures [H, W, 4] uint8, two at a time: the encoder runs without the GIL.
+    """Encode pictures [H, W, 4] uint8 as lossless WebP, in two threads, because the encoder
+    releases the GIL.
 
     Raises:
         BackendError: Pillow is not installed.
@@ -63,13 +64,13 @@ def encode_all(pictures: dict[str, np.ndarray]) -> dict[str, bytes]:
 
 
 def size_for(count: int) -> tuple[int, int]:
-    """Width and height of a texture by number of splats: about square, multiples of four."""
+    """Width and height of a texture for `count` splats: about square, multiples of four."""
     width = max(4, -(-int(np.ceil(np.sqrt(count))) // 4) * 4)
     return width, max(4, -(-count // (width * 4)) * 4)
 
 
 def fits(count: int) -> bool:
-    """Whether a texture can hold this number of splats."""
+    """True if a texture can store this number of splats."""
     return max(size_for(count)) <= _MOST_SIDE
 
 
@@ -85,7 +86,7 @@ def _encode(pixels: np.ndarray) -> bytes:
 
 
 def _stated_size(what: str, raw: bytes) -> tuple[int, int]:
-    """Width and height by the header, before a decoder takes memory for them."""
+    """Width and height from the header, checked before a decoder allocates memory."""
     try:
         if raw.startswith(b"\x89PNG\r\n\x1a\n"):
             width, height = struct.unpack_from(">II", raw, 16)

@@ -32,7 +32,7 @@ from .usd_reading import MARK, TYPE, usd_library
 _REACH = 3.0
 """Standard deviations within the extent."""
 _SECONDS, _BYTES_A_SECOND = 30.0, 2e6
-"""After which a reading is given up: some, and more for large files."""
+"""Timeout of reading: a constant, plus time by file size."""
 
 _log = logging.getLogger(__name__)
 
@@ -42,20 +42,20 @@ def _is_usd(path: Path, sample: FileSample) -> bool:
 
 
 def _read(path: Path) -> Decoded:
-    """Read it in a process of its own: a damaged file can make Pixar's library end the process that
-    it runs in, or keep it busy for ever."""
+    """Read a file in a separate process, because a damaged file can crash Pixar's library or make
+    it loop for ever."""
     usd_library()
     check_readable(path)
     with tempfile.TemporaryDirectory(prefix="gscore-") as folder:
         made = Path(folder, "splats.ply")
-        told = _in_child(path, made)
-        for sentence in told["warnings"]:
-            _log.warning("%s", sentence)
-        if told["error"]:
-            raise FormatError(told["error"])
+        facts = _in_child(path, made)
+        for warning in facts["warnings"]:
+            _log.warning("%s", warning)
+        if facts["error"]:
+            raise FormatError(facts["error"])
         splats = read_ply(made)
-    origin = None if told["origin"] is None else np.array(told["origin"], np.float64)
-    return Decoded(splats=splats, layout="USD", antialiased=told["antialiased"], origin=origin)
+    origin = None if facts["origin"] is None else np.array(facts["origin"], np.float64)
+    return Decoded(splats=splats, layout="USD", antialiased=facts["antialiased"], origin=origin)
 
 
 def _in_child(path: Path, made: Path) -> dict[str, Any]:
@@ -73,9 +73,9 @@ def _in_child(path: Path, made: Path) -> dict[str, Any]:
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise _unreadable(path, f"took longer than {error.timeout:.0f} s over it") from error
+        raise _unreadable(path, f"took longer than {error.timeout:.0f} s") from error
     except OSError as error:
-        raise BackendError(f"USD is read by a process of its own, which fails: {error}") from error
+        raise BackendError(f"USD is read in a separate process, which failed: {error}") from error
     if done.returncode:
         raise _unreadable(path, f"ended with code {done.returncode}")
     return parse_json(done.stdout.splitlines()[-1])
@@ -113,7 +113,7 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
     prim = getattr(usd_library(), TYPE).Define(stage, "/Splats")
     stage.SetDefaultPrim(prim.GetPrim())
     vectors = Vt.Vec3fArray.FromNumpy
-    # The harmonics are most of it: turned first, and let go before anything else is copied.
+    # SH coefficients take the most memory: they are converted first and freed before other copies.
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
     prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(_turned_harmonics(splats)))
     splats = half_turn(cut_degree(splats, 0), X)
@@ -133,7 +133,7 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
 
 
 def _turned_harmonics(splats: Splats) -> np.ndarray:
-    """[N * K, 3] in the axes of the stage, the constant ones among them."""
+    """SH coefficients [N * K, 3] in the axes of the stage, including degree 0."""
     harmonics = np.empty((len(splats), sh_count(splats.sh_degree), 3), np.float32)
     harmonics[:, :1] = splats.sh0
     np.multiply(splats.shN, harmonic_signs(splats.sh_degree, X)[:, None], out=harmonics[:, 1:])
@@ -141,7 +141,7 @@ def _turned_harmonics(splats: Splats) -> np.ndarray:
 
 
 def _extent(means: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """[2, 3]: the corners of a box around all splats."""
+    """[2, 3]: corners of a box around all splats."""
     if not len(means):
         return np.zeros((2, 3), np.float32)
     reach = _REACH * scales.max(axis=1, keepdims=True)

@@ -1,6 +1,6 @@
 """USD reader process: `python -m gscore.formats.usd_reading FILE PLY`, started by usd.py.
 
-Writes them to PLY and one JSON object to stdout: error, antialiased, warnings.
+Writes the splats to PLY and one JSON object to stdout: error, antialiased, origin, warnings.
 """
 
 import json
@@ -27,47 +27,47 @@ from .splat_file import ORIGIN, Decoded
 
 TYPE = "ParticleField3DGaussianSplat"
 MARK = "antialiased"
-"""In the custom data of a prim, as is the origin; the schema has no place for them."""
+"""Key in the custom data of a prim, as is the origin, because the schema has neither."""
 _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
-"""Of all files of a scene, whose instances repeat splats, and how many more there may be."""
+"""Most splats per byte of a scene's files, since instances repeat splats, and the slack."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""From a stage with Z up to one with Y up."""
+"""Rotation from a stage with Z up to one with Y up."""
 
 
 def hand_over(file: Path, ply: Path) -> dict[str, Any]:
-    """Read, write, and say what there is to say."""
-    told: dict[str, Any] = {"error": "", "antialiased": False, "origin": None}
+    """Read a USD file, write its splats to a PLY, and return the JSON for stdout."""
+    facts: dict[str, Any] = {"error": "", "antialiased": False, "origin": None}
     with collected_warnings() as warnings:
         try:
-            found = read_usd(file)
-            told["antialiased"] = found.antialiased
-            told["origin"] = None if found.origin is None else found.origin.tolist()
-            write_splats(ply, found.splats)
+            decoded = read_usd(file)
+            facts["antialiased"] = decoded.antialiased
+            facts["origin"] = None if decoded.origin is None else decoded.origin.tolist()
+            write_splats(ply, decoded.splats)
         except GsError as error:
-            told["error"] = str(error)
-    return told | {"warnings": warnings}
+            facts["error"] = str(error)
+    return facts | {"warnings": warnings}
 
 
 def usd_library() -> Any:
-    """The schemas, of a release that knows splats.
+    """The module pxr.UsdVol, of a release with the schema for splats.
 
     Raises:
         BackendError: usd-core is not installed, or older than 26.03.
     """
-    found = need("pxr.UsdVol", "USD")
-    if not hasattr(found, TYPE):
+    library = need("pxr.UsdVol", "USD")
+    if not hasattr(library, TYPE):
         raise BackendError(
-            "This usd-core does not know Gaussian splats; version 26.3 does: "
+            "This usd-core does not support Gaussian splats; version 26.3 does: "
             'pip install --upgrade "usd-core>=26.3"'
         )
-    return found
+    return library
 
 
 def read_usd(path: Path) -> Decoded:
-    """The splats of a file, in the axes of a 3DGS PLY.
+    """Splats of a file, in the axes of a 3DGS PLY.
 
     Raises:
-        FormatError: it holds none, or is damaged.
+        FormatError: it has none, or is damaged.
         BackendError: usd-core is not installed, or older than 26.03.
     """
     usd_library()
@@ -111,7 +111,7 @@ def read_usd(path: Path) -> Decoded:
 
 
 def _origin(path: Path, prim: Any) -> np.ndarray | None:
-    """The local origin that a prim states, in the axes of a 3DGS PLY; None: none."""
+    """Local origin [3] of a prim, in the axes of a 3DGS PLY; None: none."""
     stated = prim.GetCustomDataByKey(ORIGIN)
     try:
         return None if stated is None else checked_origin([float(value) for value in stated])
@@ -122,20 +122,20 @@ def _origin(path: Path, prim: Any) -> np.ndarray | None:
 def _reason(error: Exception) -> str:
     """Message of the library, which may contain bytes of the file that are not text."""
     try:
-        said = str(error).strip()
+        text = str(error).strip()
     except UnicodeDecodeError:
-        return "it holds bytes that are no text."
-    return said.splitlines()[-1].strip() if said else type(error).__name__
+        return "it has bytes that are no text."
+    return text.splitlines()[-1].strip() if text else type(error).__name__
 
 
 def _placed(root: Any, outer: np.ndarray, above: Any) -> Iterator[tuple[Any, np.ndarray]]:
-    """Prims of splats at and below a prim, those of instances among them, each with its matrix
-    [4, 4] to the stage, that acts on column vectors.
+    """Splat prims at and below a prim, including instances, each with its matrix [4, 4] to the
+    stage, for column vectors.
 
     Args:
-        root: Where to begin.
+        root: First prim.
         outer: [4, 4] from `above` to the stage.
-        above: The prim to which matrices are taken; None: the stage.
+        above: The prim that matrices are relative to; None: the stage.
     """
     Usd, UsdGeom = need("pxr.Usd", "USD"), need("pxr.UsdGeom", "USD")
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
@@ -157,7 +157,7 @@ def _placed(root: Any, outer: np.ndarray, above: Any) -> Iterator[tuple[Any, np.
 
 
 def _of_points(instancer: Any, matrix: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """As `_placed`, of the prototypes that an instancer puts at its points."""
+    """As `_placed`, for the prototypes of a point instancer."""
     time = need("pxr.Usd", "USD").TimeCode.EarliestTime()
     prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
     which = instancer.GetProtoIndicesAttr().Get(time)
@@ -174,15 +174,15 @@ def _of_points(instancer: Any, matrix: np.ndarray) -> Iterator[tuple[Any, np.nda
 
 
 def _bytes_of(stage: Any) -> int:
-    """Of all files that a stage is made of."""
+    """Bytes of all files of a stage."""
     files = {layer.realPath for layer in stage.GetUsedLayers()}
     return sum(Path(file).stat().st_size for file in files if Path(file).is_file())
 
 
 def _repeated(path: Path, times: int) -> FormatError:
     return FormatError(
-        f"{path} repeats its splats: its instances make {number(times)} prims and more of a file "
-        f"of few bytes. Export it with each splat once, or as a 3DGS PLY."
+        f"{path} repeats its splats: its instances make {number(times)} prims and more from a "
+        f"small file. Export it with each splat once, or as a 3DGS PLY."
     )
 
 
@@ -191,7 +191,7 @@ def _splats(path: Path, prim: Any) -> Splats:
     if means is None:
         raise _damaged(path, prim, "has no positions")
     count = len(means)
-    # The schema's defaults for what is not there.
+    # Missing attributes have the schema's defaults.
     quats = _rows(path, prim, "orientations", 4, count)
     scales = _rows(path, prim, "scales", 3, count)
     opacities = _rows(path, prim, "opacities", 1, count)
@@ -210,7 +210,7 @@ def _splats(path: Path, prim: Any) -> Splats:
 
 
 def _harmonics(path: Path, prim: Any, count: int) -> np.ndarray:
-    """[N, K, 3], the constant one first; zero where there are none."""
+    """[N, K, 3] SH coefficients, degree 0 first; zero if missing."""
     degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get()
     if not isinstance(degree, int) or not 0 <= degree <= MAX_DEGREE:
         raise _damaged(path, prim, f"states SH degree {degree}")
@@ -226,7 +226,7 @@ def _harmonics(path: Path, prim: Any, count: int) -> np.ndarray:
 def _rows(
     path: Path, prim: Any, name: str, width: int, count: int | None = None
 ) -> np.ndarray | None:
-    """[N, width] float32 of an attribute in float or in half, at its first time."""
+    """[N, width] float32 of an attribute in float or half, at its first time."""
     Usd = need("pxr.Usd", "USD")
     for attribute in (prim.GetAttribute(name), prim.GetAttribute(f"{name}h")):
         values = attribute.Get(Usd.TimeCode.EarliestTime()) if attribute else None

@@ -123,7 +123,7 @@ CASES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "ksplat cut": ("a.ksplat", lambda: ksplat_bytes(1)[:-1], "beyond its end"),
     "ksplat head": ("a.ksplat", lambda: bytes(100), "ends within its header"),
     "ksplat version": ("a.ksplat", lambda: b"\7" + ksplat_bytes(1)[1:], "version 7.1"),
-    "ksplat level": ("a.ksplat", lambda: _patched(ksplat_bytes(1), 20, "<H", 7), "compression 7"),
+    "ksplat level": ("a.ksplat", lambda: _patched(ksplat_bytes(1), 20, "<H", 7), "level 7"),
     "ksplat count": ("a.ksplat", lambda: _patched(ksplat_bytes(1), 16, "<I", 9), "states 9"),
     "ksplat sections": (
         "a.ksplat", lambda: _patched(ksplat_bytes(1), 4, "<I", 2**32 - 1), "sections in",
@@ -132,7 +132,7 @@ CASES: dict[str, tuple[str, Callable[[], bytes], str]] = {
         "a.ksplat", lambda: _patched(ksplat_bytes(1), 4096, "<I", 2**32 - 1), "beyond its end",
     ),
     "ksplat buckets": (
-        "a.ksplat", lambda: _patched(ksplat_bytes(1), 4096 + 8, "<I", 0), "buckets do not hold",
+        "a.ksplat", lambda: _patched(ksplat_bytes(1), 4096 + 8, "<I", 0), "buckets are too small",
     ),
     "sog cut": ("a.sog", lambda: _sog()[:-30], "SOG|ZIP"),
     "sog version": ("a.sog", lambda: _sog(version=3), "SOG of version 3; version 2 is read"),
@@ -169,7 +169,7 @@ CASES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "gltf web": ("a.gltf", lambda: _json(buffers=[{"byteLength": 9, "uri": "http://a/b"}]),
                  "outside its folder"),
     "gltf loop": ("a.gltf", lambda: _json(scenes=[{"nodes": [0]}], nodes=[{"children": [0]}]),
-                  "below two nodes"),
+                  "the child of two nodes"),
     "gltf stretched": ("a.gltf", lambda: _json(scenes=[{"nodes": [0]}],
                        nodes=[{"mesh": 0, "scale": [1, 2, 3]}]), "stretches space unevenly"),
     "glb cut": ("a.glb", lambda: struct.pack("<4sII", b"glTF", 2, 999) + bytes(20), "states 999"),
@@ -350,7 +350,7 @@ def test_splats_that_are_repeated_without_end(
             content.setdefault("scenes", [])
             continue
         tracemalloc.start()
-        with pytest.raises(FormatError, match=r"repeats its splats: .* nodes make"):
+        with pytest.raises(FormatError, match=r"repeats its splats: .* nodes have"):
             read_splat_file(path)
         assert tracemalloc.get_traced_memory()[1] < 150e6
         tracemalloc.stop()

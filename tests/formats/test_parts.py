@@ -95,7 +95,7 @@ def test_exchanged_parts_are_refused(make_model: MakeModel, tmp_path: Path, name
         own = part.read_bytes()
         shutil.copy(tmp_path / "two" / part.name, part)
         if part.read_bytes() != own:
-            with pytest.raises(FormatError, match=f"'{part.name}' beside it is not the part"):
+            with pytest.raises(FormatError, match=f"'{part.name}' next to it is not the part"):
                 read_splats(index)
         part.write_bytes(own)
     content = json.loads(index.read_text())
