@@ -1,7 +1,7 @@
-"""Block cells: upright cells of the world with about equal training work in each.
+"""Block cells: vertical cells of the world with about equal training work.
 
-Cells are cut along the ground, as VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1)
-does; by recursive halving of the longer side, so that any number of cells comes out.
+Cells divide the ground plane, as in VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1),
+but by recursive halving of the longer side, which allows any number of cells.
 """
 
 from dataclasses import dataclass
@@ -12,28 +12,28 @@ from ..io.block_record import in_cells
 from ..upright import find_up
 
 _RIM = 0.01
-"""Share of the points beyond each end that does not count as the extent: strays lie far away."""
+"""Share of points at each end that is excluded from the extent, because of outliers."""
 _UPRIGHT = 0.5
-"""Length of the mean of the cameras' upward directions from which they agree on one."""
+"""Least length of the mean of the cameras' up vectors for a common up direction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cells:
-    """Upright prisms that fill the world without overlap."""
+    """Vertical prisms that fill the world without overlap."""
 
     axes: np.ndarray
-    """[2, 3] float64, two directions along the ground, of length 1, at right angles."""
+    """[2, 3] float64, orthonormal directions of the ground plane."""
     bounds: np.ndarray
-    """[N, 2, 2] float64: of each cell the lower ends and the upper ends along the axes, world
-    units; infinite at the rim."""
+    """[N, 2, 2] float64: lower and upper bounds of each cell along the axes, world units; infinite
+    at the rim."""
 
     def holding(self, points: np.ndarray) -> np.ndarray:
-        """[N, P] bool: which cell holds which of the points [P, 3]; each is in one alone."""
+        """Mask [N, P] bool of the points [P, 3] in each cell; each point is in exactly one."""
         return in_cells(points, self.axes, self.bounds)
 
     def around(self, points: np.ndarray, margin: float) -> np.ndarray:
-        """As `holding`, with cells that are larger on each side by `margin` of their extent,
-        which at the rim ends where the points do."""
+        """As `holding`, for cells widened on each side by `margin` of their extent; at the rim the
+        extent ends with the points."""
         ground = points @ self.axes.T
         low, high = np.quantile(ground, [_RIM, 1 - _RIM], axis=0)
         ends = np.clip(self.bounds, low, high)
@@ -50,14 +50,14 @@ def make_cells(
     *,
     up: np.ndarray | None = None,
 ) -> Cells:
-    """Cut the world.
+    """Divide the world into cells.
 
     Args:
         points: [P, 3] float64, at least one.
-        weights: [P] how much each point counts, not negative; points seen often are worth more.
+        weights: [P], weight of each point, not negative, such as its number of observations.
         viewmats: [C, 4, 4] float64, world to camera, OpenCV axes.
         count: Number of cells, at least 1.
-        up: [3], up in the world where the capture states it; None: the cameras say what is up.
+        up: [3], up direction stated by the capture; None: estimated from the cameras.
     """
     axes = _ground(points, viewmats, up)
     ground = points @ axes.T
@@ -68,11 +68,11 @@ def make_cells(
 
 
 def _ground(points: np.ndarray, viewmats: np.ndarray, stated: np.ndarray | None) -> np.ndarray:
-    """[2, 3]: the directions along the ground in which the points reach farthest and least far, the
-    first one so that the largest of its numbers is positive."""
+    """[2, 3]: principal directions of the points in the ground plane, the larger extent first, with
+    its largest component positive."""
     up = find_up(viewmats) if stated is None else stated
     agreed = stated is not None or np.linalg.norm(viewmats[:, 1, :3].mean(axis=0)) >= _UPRIGHT
-    if not agreed:  # cameras all around, or turned at will: what is flat is the ground
+    if not agreed:  # cameras in all orientations: the flattest plane is the ground
         up = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     low, high = np.quantile(points, [_RIM, 1 - _RIM], axis=0)
     flat = np.clip(points, low, high)
@@ -92,8 +92,8 @@ def _halve(
     count: int,
     out: list[np.ndarray],
 ) -> None:
-    """Add the bounds of `count` cells that `bounds` [2, 2] is cut into, of which `ground` [P, 2]
-    are the points inside."""
+    """Divide `bounds` [2, 2] into `count` cells and append them to `out`; `ground` [P, 2] are the
+    points inside."""
     if count == 1:
         out.append(bounds)
         return
@@ -107,7 +107,7 @@ def _halve(
 
 
 def _cut(ground: np.ndarray, weights: np.ndarray, share: float) -> tuple[int, float]:
-    """The axis along which points reach farther, and the place with `share` of them below it."""
+    """Axis of the larger extent, and the position on it with `share` of the weight below."""
     if not len(ground):
         return 0, 0.0
     low, high = np.quantile(ground, [_RIM, 1 - _RIM], axis=0)

@@ -1,4 +1,4 @@
-"""Merge of block splats: from each trained block the splats inside its own cell."""
+"""Merge of block splats: the splats of each trained block inside its own cell."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,31 +15,31 @@ from ..text_format import count_words, number
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedBlock:
-    """Result of a block."""
+    """Training result of a block."""
 
     path: Path
-    """Of the run, for messages."""
+    """Path of the run, for messages."""
     record: BlockRecord
     splats: Splats
-    """In COLMAP world."""
+    """Splats in COLMAP's world."""
     origin: np.ndarray | None = None
-    """[3] float64, the local origin that they are about, the same for all blocks."""
+    """[3] float64, local origin of the splats, the same for all blocks."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Merged:
-    """The blocks as one."""
+    """Merged blocks."""
 
     splats: Splats
     kept: tuple[int, ...]
-    """By block, how many of its splats lie in its cell."""
+    """Number of kept splats per block."""
 
 
 def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
     """Raise unless these are all blocks of one split, each once.
 
     Raises:
-        ConfigError: blocks of different splits, one twice, or some missing.
+        ConfigError: blocks are of different splits, duplicate or missing.
     """
     first_path, first = runs[0]
     found: dict[int, Path] = {}
@@ -60,8 +60,8 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
         listed = ", ".join(map(str, missing[:10])) + (", ..." if len(missing) > 10 else "")
         raise ConfigError(
             f"{number(len(missing))} of {count_words(first.count, 'block')} "
-            f"{'is' if len(missing) == 1 else 'are'} not there: {listed}. Train what is "
-            f"missing (gscore train BLOCKS --block {missing[0]} -o RUNS), or give its run too."
+            f"{'is' if len(missing) == 1 else 'are'} missing: {listed}. Train them "
+            f"(gscore train BLOCKS --block {missing[0]} -o RUNS), or give their runs too."
         )
 
 
@@ -70,13 +70,13 @@ def _same_cells(one: BlockRecord, other: BlockRecord) -> bool:
 
 
 def merge_blocks(blocks: Sequence[TrainedBlock]) -> Merged:
-    """Keep of each block the splats whose centres lie in its cell, in the order of the blocks.
+    """Keep the splats of each block whose centres are in its cell, in the order of the blocks.
 
-    Cells fill the world without overlap, so nothing is there twice and nothing is cut away at a
-    seam. Splats outside of all that a block's photos show go with the cell that they lie in.
+    Cells fill the world without overlap, so nothing is duplicated or lost at a seam. Splats outside
+    the view of a block's photos also belong to the cell they are in.
 
     Args:
-        blocks: All of one split, as `check_complete` wants them.
+        blocks: All blocks of one split, checked by `check_complete`.
     """
     parts = []
     for block in sorted(blocks, key=lambda block: block.record.index):

@@ -1,8 +1,8 @@
 """Capture split: assignment of photos and points of a capture to blocks.
 
-Blocks are chosen as VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1) does: a photo
-belongs to each block of which it shows enough, and a block has all points that its photos show,
-also those outside of its cell, because something must stand there in its photos.
+Blocks are selected as in VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1): a photo
+belongs to each block of which it shows enough, and a block has all points visible in its photos,
+also those outside its cell, because its photos need splats there.
 """
 
 import hashlib
@@ -33,52 +33,52 @@ from .block_photos import MARGIN, SHARE, photos_per_cell, visible_points
 
 MOST_BLOCKS = 10_000
 _FEWEST_PHOTOS = 3
-"""Of which a training can learn anything of a place."""
+"""Least number of photos for a training."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """One block, chosen and not yet written."""
+    """One block before it is written."""
 
     record: BlockRecord
-    """What is written beside it."""
+    """Record for its folder."""
     views: list[int]
-    """Rising indices of its photos among `Cut.views`."""
+    """Indices of its photos in `Cut.views`, ascending."""
     rows: np.ndarray
-    """[Q] int64, rising rows of its points."""
+    """[Q] int64, rows of its points, ascending."""
     own_points: int
-    """How many of these lie in its cell."""
+    """Number of these in its cell."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
-    """A capture and the blocks it falls into."""
+    """A capture and its blocks."""
 
     views: list[View]
-    """Of the capture, sorted by name."""
+    """Views of the capture, sorted by name."""
     masks: list[Path | None]
     """Their masks."""
     model: ColmapModel
     """Cameras and points; its images in the order of `views`."""
     blocks: list[Block]
     warnings: tuple[str, ...]
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
 def cut_capture(
     data: DataConfig, count: int, *, margin: float = MARGIN, share: float = SHARE
 ) -> Cut:
-    """Choose photos and points of each block.
+    """Select photos and points of each block.
 
     Args:
-        data: The capture, and which views it holds out.
+        data: The capture, and the rule for held-out views.
         count: Number of blocks.
-        margin: Share of a cell's extent by which it is widened to choose photos.
-        share: Least share of what a photo shows that must lie there.
+        margin: Share of a cell's extent by which it is widened to select photos.
+        share: Least share of a photo's visible points in the widened cell.
 
     Raises:
-        ConfigError: a number that cannot work.
-        DatasetError: the capture is not there, has no points, or too few photos for so many blocks.
+        ConfigError: a number is invalid.
+        DatasetError: the capture is missing, has no points, or too few photos for `count` blocks.
         FormatError: a file of it is corrupt.
     """
     _check(count, margin, share)
@@ -86,12 +86,12 @@ def cut_capture(
     views = sorted(capture.views, key=lambda view: view.name)
     if capture.up is None:
         capture = replace(capture, up=up_as_held(views))
-    masks, told = masks_of_views(data, capture.root, views)
+    masks, mask_warnings = masks_of_views(data, capture.root, views)
     model = _model(capture, views)
     if not len(model.points):
         raise DatasetError(
-            f"{data.source} has no points, by which blocks could be cut. Let COLMAP or gscore sfm "
-            "find some."
+            f"{data.source} has no points, which blocks are cut by. Compute some with COLMAP or "
+            "gscore sfm."
         )
     cells = make_cells(
         model.points.xyz,
@@ -102,13 +102,13 @@ def cut_capture(
     )
     names, stated = [view.name for view in views], capture.test_names
     by_rule = is_chosen(data, stated=stated)
-    _, test, same = warn_of_split_shots(
+    _, test, shot_warnings = warn_of_split_shots(
         views, *split_views(names, data, stated=stated), chosen=by_rule
     )
     held_out = {views[i].name for i in test}
     records = _records(cells, views, held_out, capture)
     blocks = _blocks(model, cells, records, margin, share)
-    warnings = [*capture.warnings, *told, *same]
+    warnings = [*capture.warnings, *mask_warnings, *shot_warnings]
     return Cut(views=views, masks=masks, model=model, blocks=blocks, warnings=tuple(warnings))
 
 
@@ -122,7 +122,7 @@ def _check(count: int, margin: float, share: float) -> None:
 
 
 def _model(capture: Capture, views: list[View]) -> ColmapModel:
-    """The capture's COLMAP model with tracks, or one made of what it states; images as `views`."""
+    """The capture's COLMAP model with tracks, or one built from the capture; images as `views`."""
     viewmats = {view.name: view.viewmat for view in views}
     found = model_with(capture.root, viewmats, origin=capture.origin)
     if found is None:
@@ -171,7 +171,7 @@ def _made(capture: Capture, views: list[View]) -> ColmapModel:
 def _records(
     cells: Cells, views: list[View], held_out: set[str], capture: Capture
 ) -> Callable[[int, list[int]], BlockRecord]:
-    """Makes the record of a block of its index and its views."""
+    """Function that makes the record of a block from its index and views."""
     digest = hashlib.sha256(cells.axes.tobytes() + cells.bounds.tobytes())
     for view in views:
         digest.update(view.name.encode("utf-8", "surrogateescape") + b"\0")
@@ -208,8 +208,8 @@ def _blocks(
         views = np.flatnonzero(photos).tolist()
         if len(views) < _FEWEST_PHOTOS:
             raise DatasetError(
-                f"Block {index} would have {count_words(len(views), 'photo')}, of which nothing "
-                f"can be learnt. Cut fewer than {len(chosen)} blocks."
+                f"Block {index} would have {count_words(len(views), 'photo')}, too few for a "
+                f"training. Cut fewer than {len(chosen)} blocks."
             )
         shown = np.zeros(len(model.points), bool)
         for i in views:
@@ -227,12 +227,12 @@ def _blocks(
 
 
 def points_at(points: ColmapPoints, rows: np.ndarray) -> ColmapPoints:
-    """The points at these rows [Q]."""
+    """Points at these rows [Q]."""
     return ColmapPoints(**{name: values[rows] for name, values in vars(points).items()})
 
 
 def file_name(view: View) -> str:
-    """The view's name with the ending that its file has."""
+    """Name of the view with the ending of its file."""
     pure = PurePosixPath(view.name.replace("\\", "/"))
     ending = view.image.suffix
     if pure.suffix.lower() == ending.lower():

@@ -17,17 +17,17 @@ from ..io.link_or_copy import link_or_copy
 from .split_capture import Block, Cut, file_name, points_at
 
 
-def write_blocks(cut: Cut, folder: Path, told: Callable[[int], object]) -> None:
+def write_blocks(cut: Cut, folder: Path, on_progress: Callable[[int], object]) -> None:
     """Write all blocks into a new folder, completely or not at all.
 
     Args:
-        cut: What `cut_capture` chose.
-        folder: New or empty; `block_0`, `block_1` and so on are made in it. Photos are linked, and
-            copied where the file system has no such links or is another one.
-        told: Is given how many photos have been linked, those that several blocks have as often.
+        cut: Result of `cut_capture`.
+        folder: New or empty; `block_0`, `block_1` and so on are made in it. Photos are hard-linked,
+            or copied if that is impossible.
+        on_progress: Receives the number of linked photos, counted per block.
 
     Raises:
-        ConfigError: the folder holds something.
+        ConfigError: the folder is not empty.
         GsError: it cannot be written.
     """
     check_empty(folder)
@@ -40,7 +40,7 @@ def write_blocks(cut: Cut, folder: Path, told: Callable[[int], object]) -> None:
             for i in block.views:
                 _fill(cut.views[i], cut.masks[i], place)
                 done += 1
-                told(done)
+                on_progress(done)
             (place / "sparse/0").mkdir(parents=True)
             write_model(_part(cut.model, block), place / "sparse/0")
             block.record.write(place)
@@ -61,7 +61,7 @@ def check_empty(folder: Path) -> None:
 
 
 def _part(model: ColmapModel, block: Block) -> ColmapModel:
-    """The model of a block; observations of points that are not in it become those of none."""
+    """Model of a block; `write_model` detaches observations of points that are not in it."""
     images = [model.images[i] for i in block.views]
     used = {image.camera_id for image in images}
     cameras = {key: camera for key, camera in model.cameras.items() if key in used}
@@ -71,7 +71,7 @@ def _part(model: ColmapModel, block: Block) -> ColmapModel:
 
 
 def _fill(view: View, mask: Path | None, place: Path) -> None:
-    """The photo and its mask, under names by which a COLMAP capture finds them."""
+    """Link a photo and its mask under the names of a COLMAP capture."""
     name = file_name(view)
     link_or_copy(view.image, place / "images" / name)
     if mask is not None:

@@ -97,7 +97,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
         request,
         views=views,
         bytes_of=lambda splats: _bytes_of(splats, args.output.name, write),
-        told=lambda step: status.show([step]),
+        on_step=lambda step: status.show([step]),
     )
     status.show(["Writing the splats"])
     written = write(args.output, edited.splats)

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             model,
             args.output,
             facts,
-            told=lambda what, share: status.show([what], share=share),
+            on_share=lambda what, share: status.show([what], share=share),
             measured=measured_levels,
         )
     result = lod_facts(args.output, index) | {"warnings": list(dict.fromkeys(warnings))}

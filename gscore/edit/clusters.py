@@ -1,4 +1,4 @@
-"""Clusters of connected splats: ellipsoids that touch without a gap, found by cells of space."""
+"""Clusters of connected splats: ellipsoids without a gap between them, found on a grid."""
 
 import math
 
@@ -8,38 +8,39 @@ from ..splats import Splats
 from ..transforms import quat_to_rotmat
 
 _REACH = 2.0
-"""Standard deviations as far as an ellipsoid goes; there it has an eighth of its opacity."""
+"""Extent of an ellipsoid in standard deviations; there it has an eighth of its opacity."""
 _STEPS = (-1.0, -0.5, 0.5, 1.0)
-"""Places along an axis of an ellipsoid, as shares of its reach, that it joins to its middle."""
+"""Sample points along each axis of an ellipsoid, as shares of its reach."""
 _FEW, _MOST = 4, 96
-"""Places that a large ellipsoid is filled with besides, the larger the more."""
+"""Least and largest number of sample points inside a large ellipsoid."""
 _PLACES = 0.3
-"""Of them, times the square of the reach in half cells: a disc of up to six cells' reach has three
-in each square of three by three cells. Of larger ones that overlap most still meet."""
+"""Their number per square of the reach in half cells: a disc with a reach of up to six cells has
+three in each square of three by three cells. Larger overlapping ones usually still meet."""
 _ALL = 4_000_000
-"""Of them for all splats, at most: beyond it only the largest are filled."""
+"""Most of them for all splats; beyond it only the largest splats are filled."""
 _EXPONENT = 88.0
-"""Of scales, at most: float32 holds no more, and squares stay finite."""
+"""Largest log scale, the limit of float32, so that squares stay finite."""
 _BITS = 20
-"""Of a cell's number along an axis."""
+"""Bits of a cell's number along an axis."""
 _TABLE = 1 << 24
-"""Cells of a box, at most, of which a table is kept."""
+"""Most cells of a box with a lookup table."""
 _BLOCK = 1 << 13
-"""Splats whose places are computed at once; they stay in the cache."""
+"""Splats whose sample points are computed at a time, to stay in cache."""
 
 
 def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
-    """How many splats belong to the cluster of each.
+    """Number of splats in the cluster of each splat.
 
-    Space is cut into cells. Splats in the same cell or in cells that touch, at corners too, belong
-    together, and a large splat counts in cells spread over its ellipsoid: those of a wall or of a
-    background lie far apart and yet without a gap. One that holds the middle of the model, as a
-    sky does, belongs to what is there. Beyond the middle cells grow with the distance.
+    Space is divided into cells. Splats in the same or adjacent cells, also at corners, are
+    connected. A large splat occupies cells spread over its ellipsoid, because centres of splats in
+    a wall or background are far apart although there is no gap. A splat around the middle of the
+    model, such as a sky, is connected to the splats there. Cells grow with the distance from the
+    middle.
 
     Args:
-        splats: Finite.
+        splats: Splats with finite parameters.
         gap: Side of a cell, as a share of the model's size: the median distance of its splats from
-            their median place.
+            their median position.
 
     Returns:
         [N] int64.
@@ -58,11 +59,11 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
     for at in range(0, len(means), _BLOCK):
         part = slice(at, at + _BLOCK)
         axes = splats.quats[part], reaches[part]
-        places, rows = _reached(means[part], *axes, shortest[part], counts[part], heart)
-        found = _keys(_near_and_far((places - middle) / size) / gap)
-        further = np.flatnonzero(found != found[rows])
-        middles.append(found[: len(shortest[part])])
-        ends.append(found[further])
+        points, rows = _sampled(means[part], *axes, shortest[part], counts[part], heart)
+        keys = _keys(_near_and_far((points - middle) / size) / gap)
+        further = np.flatnonzero(keys != keys[rows])
+        middles.append(keys[: len(shortest[part])])
+        ends.append(keys[further])
         owners.append(at + rows[further])
     cells, home = _numbered(np.concatenate(middles + ends))
     own, of_ends = home[: len(means)], home[len(means) :]
@@ -72,32 +73,32 @@ def cluster_sizes(splats: Splats, gap: float) -> np.ndarray:
 
 
 def reached_from(means: np.ndarray, seeds: np.ndarray, gap: float) -> np.ndarray:
-    """Which places can be reached from others without a gap.
+    """Mask of the positions connected to the seeds without a gap.
 
-    Space is cut into cells; places in the same cell or in cells that touch, at corners too, belong
-    together.
+    Space is divided into cells; positions in the same or adjacent cells, also at corners, are
+    connected.
 
     Args:
         means: [N, 3], finite.
-        seeds: [N] bool, where it begins.
+        seeds: [N] bool, start positions.
         gap: Side of a cell, units of `means`, above 0.
 
     Returns:
-        [N] bool, the seeds among them.
+        [N] bool, including the seeds.
     """
     if not seeds.any():
         return np.zeros(len(means), bool)
-    places = means.astype(np.float64)
-    cells, home = _numbered(_keys((places - np.median(places[seeds], axis=0)) / gap))
+    points = means.astype(np.float64)
+    cells, home = _numbered(_keys((points - np.median(points[seeds], axis=0)) / gap))
     labels = _merged(np.arange(len(cells)), *_touching(cells))[home]
-    found = np.zeros(len(cells), bool)
-    found[labels[seeds]] = True
-    return found[labels]
+    reached = np.zeros(len(cells), bool)
+    reached[labels[seeds]] = True
+    return reached[labels]
 
 
 def _fill(reaches: np.ndarray, shortest: np.ndarray) -> np.ndarray:
-    """[N] int: with how many places ellipsoids are filled that reach so far [N, 3] along their
-    axes, where an axis counts from a reach of `shortest` [N] on."""
+    """[N] int, number of inner sample points of ellipsoids by their `reaches` [N, 3] along the
+    axes; `shortest` [N] is the reach from which an axis is sampled."""
     ratios = reaches.max(axis=1) / shortest
     few = np.minimum(ratios, _MOST)
     counts = np.minimum((_PLACES * few * few).astype(int), _MOST)
@@ -108,7 +109,7 @@ def _fill(reaches: np.ndarray, shortest: np.ndarray) -> np.ndarray:
     return counts
 
 
-def _reached(
+def _sampled(
     means: np.ndarray,
     quats: np.ndarray,
     reaches: np.ndarray,
@@ -116,34 +117,33 @@ def _reached(
     counts: np.ndarray,
     heart: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places [M, 3] that some splats join: the middles of all; those along axes that reach farther
-    than `shortest` [B]; `counts` [B] all over ellipsoids, and `heart` [3] where a large one holds
-    it. And the row [M] in the part that each belongs to."""
+    """Sample points [M, 3] of some splats and the row [M] of each: all centres; points along axes
+    that reach farther than `shortest` [B]; `counts` [B] points inside ellipsoids; and `heart` [3]
+    for large ones that contain it."""
     rows = np.flatnonzero((reaches > shortest[:, None]).any(axis=1))
     axes = quat_to_rotmat(quats[rows].astype(np.float64)) * reaches[rows, None, :]
-    places, owners = [means], [np.arange(len(means))]
+    points, owners = [means], [np.arange(len(means))]
     for axis in range(3):
         long = reaches[rows, axis] > shortest[rows]
         arm, own = axes[long, :, axis], rows[long]
-        places += [means[own] + step * arm for step in _STEPS]
+        points += [means[own] + step * arm for step in _STEPS]
         owners += [own] * len(_STEPS)
     large = counts[rows] > 0
     axes, rows = axes[large], rows[large]
     counts = counts[rows]
     of = np.repeat(np.arange(len(rows)), counts)
     ball = _ball()[np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)]
-    places.append(means[rows[of]] + np.einsum("nij,nj->ni", axes[of], ball))
+    points.append(means[rows[of]] + np.einsum("nij,nj->ni", axes[of], ball))
     owners.append(rows[of])
     inside = _holds(axes, heart - means[rows])
-    places.append(np.tile(heart, (int(inside.sum()), 1)))
+    points.append(np.tile(heart, (int(inside.sum()), 1)))
     owners.append(rows[inside])
-    return np.concatenate(places), np.concatenate(owners)
+    return np.concatenate(points), np.concatenate(owners)
 
 
 def _ball() -> np.ndarray:
-    """[_MOST, 3] places in the unit ball, of which the first few are spread evenly too: always the
-    same ones, of a sequence of low discrepancy (steps of 1/g, 1/g^2, 1/g^3 with g^4 = g + 1;
-    Roberts 2018)."""
+    """[_MOST, 3] fixed points in the unit ball, a low-discrepancy sequence whose first few are also
+    evenly spread (steps of 1/g, 1/g^2, 1/g^3 with g^4 = g + 1; Roberts 2018)."""
     n = np.arange(_MOST)[:, None] + 0.5
     radius, height, turn = (n * [0.8191725134, 0.6710436067, 0.5497004779] % 1).T
     z, angle = 1 - 2 * height, 2 * np.pi * turn
@@ -153,33 +153,34 @@ def _ball() -> np.ndarray:
 
 
 def _holds(axes: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """[L] bool: ellipsoids around 0, by their axes [L, 3, 3] in columns, that offsets [L, 3] lie
-    in. The columns are orthogonal, so the shares along them are offset . axis / |axis|^2."""
+    """Mask [L] bool of the offsets [L, 3] inside ellipsoids around 0, axes [L, 3, 3] in columns.
+    The columns are orthogonal, so the shares along them are offset . axis / |axis|^2."""
     squares = np.maximum((axes * axes).sum(axis=1), np.finfo(float).tiny)
     shares = (axes * offsets[:, :, None]).sum(axis=1) / squares
     return (shares * shares).sum(axis=1) <= 1
 
 
-def _near_and_far(places: np.ndarray) -> np.ndarray:
-    """Places in units of the model's size; a distance beyond 1 becomes 1 + its logarithm."""
-    distances = _lengths(places)
-    shrink = np.ones(len(places))
+def _near_and_far(points: np.ndarray) -> np.ndarray:
+    """Contract points [M, 3], in units of the model's size: a distance beyond 1 becomes 1 + its
+    logarithm."""
+    distances = _lengths(points)
+    shrink = np.ones(len(points))
     far = distances > 1
     shrink[far] = (1 + np.log(distances[far])) / distances[far]
-    return places * shrink[:, None]
+    return points * shrink[:, None]
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    """[M] of vectors [M, 3], to the bit as np.linalg.norm has them, which sums rows one by one."""
+    """[M] lengths of vectors [M, 3], bit-identical to np.linalg.norm, but faster for many rows."""
     x, y, z = vectors.T
     return np.sqrt(x * x + y * y + z * z)
 
 
-def _keys(places: np.ndarray) -> np.ndarray:
-    """[M] int64, the cell of side 1 that each place [M, 3] lies in: a number by which neighbours
-    are a fixed step apart."""
+def _keys(points: np.ndarray) -> np.ndarray:
+    """[M] int64, key of the cell of side 1 of each point [M, 3]; keys of neighbours differ by a
+    fixed step."""
     half = 1 << (_BITS - 1)
-    cells = np.floor(np.clip(places, 2 - half, half - 2)).astype(np.int64)  # one to spare
+    cells = np.floor(np.clip(points, 2 - half, half - 2)).astype(np.int64)  # one to spare
     return _packed(*(cells + half).T)
 
 
@@ -188,8 +189,8 @@ def _packed(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _numbered(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The cells [C] that hold any of the places whose keys [M] are given, sorted, and the number
-    [M] of each place's own; by a table where they lie in a small box, else by sorting."""
+    """Sorted unique keys [C] of `keys` [M], and the index [M] of each; by a table if the cells are
+    in a small box, else by sorting."""
     mask = (1 << _BITS) - 1
     axes = [keys >> (2 * _BITS), keys >> _BITS & mask, keys & mask]
     low = [int(axis.min()) for axis in axes]
@@ -197,37 +198,37 @@ def _numbered(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if math.prod(sides) > _TABLE:
         return np.unique(keys, return_inverse=True)
     flat = np.ravel_multi_index([a - least for a, least in zip(axes, low, strict=True)], sides)
-    held = np.zeros(math.prod(sides), bool)
-    held[flat] = True
-    found = np.flatnonzero(held)
-    number = np.empty(len(held), np.int64)
-    number[found] = np.arange(len(found))
-    places = np.unravel_index(found, sides)
-    return _packed(*(p + least for p, least in zip(places, low, strict=True))), number[flat]
+    occupied = np.zeros(math.prod(sides), bool)
+    occupied[flat] = True
+    cells = np.flatnonzero(occupied)
+    number = np.empty(len(occupied), np.int64)
+    number[cells] = np.arange(len(cells))
+    xyz = np.unravel_index(cells, sides)
+    return _packed(*(p + least for p, least in zip(xyz, low, strict=True))), number[flat]
 
 
 def _touching(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of places in the sorted `cells` of which each touches the other; every pair once."""
+    """Pairs of indices of adjacent cells in the sorted `cells`, each pair once."""
     last = len(cells) - 1
-    beside = np.flatnonzero(np.diff(cells) == 1)
-    first, second = [beside], [beside + 1]
+    next_to = np.flatnonzero(np.diff(cells) == 1)
+    first, second = [next_to], [next_to + 1]
     for x, y in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        wanted = cells + ((x << (2 * _BITS)) + (y << _BITS))
-        at = np.searchsorted(cells, wanted - 1)
-        for further in range(3):  # the three of a column follow one another
+        target = cells + ((x << (2 * _BITS)) + (y << _BITS))
+        at = np.searchsorted(cells, target - 1)
+        for further in range(3):  # the three cells of a column are consecutive
             other = np.minimum(at + further, last)
-            there = np.flatnonzero((np.abs(cells[other] - wanted) <= 1) & (at + further <= last))
+            there = np.flatnonzero((np.abs(cells[other] - target) <= 1) & (at + further <= last))
             first.append(there)
             second.append(other[there])
     return np.concatenate(first), np.concatenate(second)
 
 
 def _merged(labels: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """[C] int64: labels [C] of nodes after pairs have connected some: the same for all that hang
-    together, the least of theirs. A label is a node that has it itself.
+    """Labels [C] int64 of nodes after connecting pairs: the least label of each component.
+    A label is a node whose own label it is.
 
-    Roots are hung under the least root beyond their pairs, then paths are shortened, until no pair
-    joins two trees any more: a few rounds, since trees grow like powers of two.
+    Union-find in rounds: roots are linked to the least root of their pairs, then paths are
+    compressed, until no pair connects two trees. Few rounds, because trees grow exponentially.
     """
     while True:
         one, other = labels[first], labels[second]

@@ -1,5 +1,5 @@
-"""Contribution of splats: their blending weights, summed over the pixels of some cameras (the
-measure of LightGaussian, Fan et al. 2024, and of pruning in trainings here)."""
+"""Contribution of splats: blending weights summed over the pixels of cameras (LightGaussian, Fan et
+al. 2024; also used for pruning in trainings)."""
 
 from collections.abc import Callable
 
@@ -20,24 +20,24 @@ def contributions(
     threads: int = 0,
     on_view: Callable[[int], None] | None = None,
 ) -> np.ndarray:
-    """What each splat adds to the view in which it adds most.
+    """Largest contribution of each splat to a view.
 
-    A splat that one view needs is needed; the sum over all views would favour the background, which
-    all show.
+    The maximum over views, because a splat that one view needs is needed; a sum over views would
+    favour the background, which is visible in all.
 
     Args:
         splats: Raw parameters.
-        cameras: In the same world.
+        cameras: Cameras in the same world.
         antialias: As the splats were trained.
         near: Splats with z at or below this are not drawn; world units.
         threads: 0: all cores; the result does not depend on it.
-        on_view: Called with the number of views that are done after each.
+        on_view: Called after each view with the number of views done.
 
     Returns:
-        [N] float32, px: the largest sum of its weights in a view; 0: no camera sees it.
+        [N] float32, px: largest sum of its weights in a view; 0: visible in none.
 
     Raises:
-        ShapeError: a camera cannot be used.
+        ShapeError: a camera is invalid.
         BackendError: the native library is missing or out of memory.
     """
     geometry = [np.require(getattr(splats, name), requirements=["C", "A"]) for name in GEOMETRY]

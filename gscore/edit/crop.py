@@ -4,7 +4,7 @@ import numpy as np
 
 
 def box_matrix(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[4, 4] float64 that takes a box from `low` [3] to `high` [3], which is larger, to the cube
+    """[4, 4] float64 that maps the box from `low` [3] to `high` [3], `low` < `high`, to the cube
     [-1, 1]^3."""
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
     half = (high - low) / 2
@@ -14,18 +14,18 @@ def box_matrix(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def sphere_matrix(center: np.ndarray, radius: float) -> np.ndarray:
-    """[4, 4] float64 that takes a sphere around `center` [3] to the unit sphere."""
+    """[4, 4] float64 that maps a sphere around `center` [3] to the unit sphere."""
     center = np.asarray(center, np.float64)
     return box_matrix(center - radius, center + radius)
 
 
 def in_unit_shape(points: np.ndarray, to_unit: np.ndarray, *, sphere: bool = False) -> np.ndarray:
-    """[N] bool: which points lie in a box or ellipsoid; what lies on its sides does.
+    """Mask [N] bool of the points inside a box or ellipsoid, including its surface.
 
     Args:
         points: [N, 3].
         to_unit: [4, 4] float64 from the points' space to one in which the box is [-1, 1]^3.
-        sphere: The ellipsoid that touches the sides of the box is meant.
+        sphere: Test the ellipsoid inscribed in the box.
     """
     local = points @ to_unit[:3, :3].T + to_unit[:3, 3]
     if sphere:
@@ -36,7 +36,7 @@ def in_unit_shape(points: np.ndarray, to_unit: np.ndarray, *, sphere: bool = Fal
 def in_frustum(
     points: np.ndarray, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float
 ) -> np.ndarray:
-    """[N] bool: which points a camera has in its picture.
+    """Mask [N] bool of the points in a camera's picture.
 
     Args:
         points: [N, 3] world.
@@ -44,10 +44,10 @@ def in_frustum(
         viewmat: [4, 4] world to camera, OpenCV axes.
         width: Pixels.
         height: Pixels.
-        near: Points with z at or below this are not seen; world units.
+        near: Points with z at or below this are excluded; world units.
     """
-    seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    z = seen[:, 2]
-    # Multiplied by z, so that nothing is divided by it.
-    x, y = (seen @ K[:2].T).T
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    z = local[:, 2]
+    # Multiplied by z, to avoid a division.
+    x, y = (local @ K[:2].T).T
     return (z > near) & (x >= 0) & (x <= width * z) & (y >= 0) & (y <= height * z)

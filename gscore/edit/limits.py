@@ -4,17 +4,17 @@ import numpy as np
 
 
 def at_least_opaque(opacities: np.ndarray, least: float) -> np.ndarray:
-    """[N] bool: opacities [N] in [0, 1] of at least `least`."""
+    """Mask [N] bool of the opacities [N], in [0, 1], of at least `least`."""
     return opacities >= np.float32(least)
 
 
 def of_size(scales: np.ndarray, least: float = 0.0, most: float = 0.0) -> np.ndarray:
-    """[N] bool: which splats have a size between two limits, which belong to it.
+    """Mask [N] bool of the splats with a size between two inclusive limits.
 
     Args:
         scales: [N, 3] standard deviations, not their logs; the largest of a splat is its size.
-        least: World units, as the scales.
-        most: The same; 0: no limit.
+        least: Least size, world units.
+        most: Largest size, world units; 0: no limit.
     """
     sizes = scales.max(axis=1, initial=-np.inf)
     keep = sizes >= np.float32(least)

@@ -22,22 +22,22 @@ from .request import GAP, EditRequest
 from .similarity import similarity_matrix
 
 _TRIES = 8
-"""Files that are written to find how many splats fit."""
+"""Most trial files to find the number of splats for a file size."""
 _EXPONENT = 88.0
-"""Whose exponential float32 still holds."""
+"""Largest exponent for float32."""
 _AIM, _ENOUGH = 0.998, 0.99
-"""Shares of a file size: what is aimed at, and from where on it is near enough."""
+"""Target, and least share of the file size that is accepted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EditViews:
-    """Cameras that look at the splats, and how these are drawn."""
+    """Cameras and render settings for edits that need views."""
 
     cameras: Cameras
-    """All from which the splats may be seen: what none of them shows adds nothing."""
+    """All relevant cameras: splats visible in none of them have no contribution."""
     antialias: bool = False
     near: float = 0.01
-    """World units."""
+    """Near plane, world units."""
     threads: int = 0
 
 
@@ -47,31 +47,31 @@ class Step:
 
     name: str
     removed: int
-    """Splats."""
+    """Number of removed splats."""
     left: int
-    """Splats."""
+    """Number of remaining splats."""
     seconds: float
 
 
 @dataclass(kw_only=True)
 class Edited:
-    """Splats on their way through the steps."""
+    """Results of the steps."""
 
     splats: Splats
-    """As the last step left them."""
+    """Final result."""
     joined: Splats
-    """Before anything was removed."""
+    """Splats before any removal."""
     cropped: Splats
-    """After the crop: what cleaning and thinning are measured against."""
+    """Splats after the crop: the reference for measuring cleaning and thinning."""
     kept: Splats
-    """After the last step that removes anything, in the world of the cameras."""
+    """Splats after the last step that removes any, in the world of the cameras."""
     steps: list[Step] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    """Sentences for the user."""
+    """Messages for the user."""
 
 
-Told = Callable[[str], None]
-"""Called with the name of a step before it."""
+OnStep = Callable[[str], None]
+"""Called with the name of each step before it starts."""
 
 
 def apply_edits(
@@ -80,23 +80,23 @@ def apply_edits(
     *,
     views: EditViews | None = None,
     bytes_of: Callable[[Splats], int] | None = None,
-    told: Told = lambda name: None,
+    on_step: OnStep = lambda name: None,
 ) -> Edited:
-    """Join, crop, clean up, thin out and place splats.
+    """Join, crop, clean, thin and transform splats.
 
     Args:
-        parts: Models of one world, one at least.
+        parts: Models of one world, at least one.
         request: The steps.
-        views: Needed by `frustum` and `min_contribution`; what matters most is found with them
-            where they are there.
-        bytes_of: How large the file of some splats is; needed by `size`.
-        told: Called before each step.
+        views: Needed by `frustum` and `min_contribution`; if given, `count` and `size` rank splats
+            by contribution.
+        bytes_of: Returns the file size of some splats; needed by `size`.
+        on_step: Called before each step.
 
     Raises:
-        ConfigError: a step that lacks its views, or leaves no splat.
-        ShapeError: a matrix that is no similarity.
+        ConfigError: a step lacks its views, or leaves no splat.
+        ShapeError: a matrix is no similarity.
     """
-    work = _Work(joined(parts), views, told)
+    work = _Work(joined(parts), views, on_step)
     work.crop(request)
     cropped = work.splats
     work.clean(request)
@@ -115,15 +115,15 @@ def apply_edits(
 
 
 class _Work:
-    """The splats as they are, and what was done to them."""
+    """Current splats and the steps so far."""
 
-    def __init__(self, splats: Splats, views: EditViews | None, told: Told) -> None:
+    def __init__(self, splats: Splats, views: EditViews | None, on_step: OnStep) -> None:
         self.splats = self.joined = splats
         self.steps: list[Step] = []
         self.notes: list[str] = []
-        self._views, self._told = views, told
+        self._views, self._on_step = views, on_step
         self._added: np.ndarray | None = None
-        """[N] contributions of `splats`, once they are known."""
+        """[N] contributions of `splats`; None: not yet computed."""
 
     def crop(self, request: EditRequest) -> None:
         """Keep the splats inside all shapes, or outside."""
@@ -142,14 +142,16 @@ class _Work:
         if (alone := r.max_isolation) is not None:
             self._keep(
                 "isolation",
-                lambda s: (isolation_of(s.means, threads=self._threads) <= alone) | self._seen(r),
+                lambda s: (
+                    (isolation_of(s.means, threads=self._threads) <= alone) | self._visible(r)
+                ),
             )
         if (few := r.min_cluster) is not None:
             gap = GAP if r.gap is None else r.gap
-            self._keep("clusters", lambda s: (cluster_sizes(s, gap) >= few) | self._seen(r))
+            self._keep("clusters", lambda s: (cluster_sizes(s, gap) >= few) | self._visible(r))
 
     def narrow(self, request: EditRequest) -> None:
-        """Take coefficients away, no splats."""
+        """Reduce the SH degree."""
         if (degree := request.sh_degree) is None:
             return
         if degree >= self.splats.sh_degree:
@@ -160,16 +162,16 @@ class _Work:
         self._change("sh degree", lambda s: cut_degree(s, degree))
 
     def thin(self, request: EditRequest, bytes_of: Callable[[Splats], int] | None) -> None:
-        """Keep as many splats as there may be, those that matter most."""
+        """Keep the most important splats, up to the requested number or file size."""
         if (count := request.count) is not None:
             self._keep("count", lambda _: most_important(self._importance(), count))
         if (size := request.size) is not None:
             if bytes_of is None:
-                raise ConfigError("Nobody knows how large a file of these splats is.")
+                raise ConfigError("The file size of these splats cannot be computed.")
             self._keep("file size", lambda s: self._fitting(s, size * 1e6, bytes_of))
 
     def place(self, request: EditRequest) -> None:
-        """Scale, turn and move."""
+        """Scale, rotate and translate."""
         if not request.moves:
             return
         matrix = request.matrix
@@ -200,13 +202,13 @@ class _Work:
             self._added = self._added[keep]
 
     def _change(self, name: str, change: Callable[[Splats], Splats]) -> None:
-        self._told(name)
+        self._on_step(name)
         began, before = time.perf_counter(), len(self.splats)
         after = change(self.splats)
         if not len(after):
             raise ConfigError(
                 f"The step {name!r} would leave none of {count_words(before, 'splat')}; nothing "
-                "was written. Ask for less."
+                "was written. Relax its limit."
             )
         seconds = time.perf_counter() - began
         removed = before - len(after)
@@ -214,24 +216,24 @@ class _Work:
         self.splats = after
 
     def _contributions(self) -> np.ndarray:
-        """Taken once: what is taken out afterwards showed little, or is not missed."""
+        """Contributions [N], computed once: later removals change them little."""
         if self._added is None:
-            views = needed_views(self._views, "What splats add to pictures")
+            views = needed_views(self._views, "The contribution of splats")
             self._added = contributions(
                 self.splats,
                 views.cameras,
                 antialias=views.antialias,
                 near=views.near,
                 threads=views.threads,
-                on_view=lambda n: self._told(f"contribution, view {n} of {len(views.cameras)}"),
+                on_view=lambda n: self._on_step(f"contribution, view {n} of {len(views.cameras)}"),
             )
         return self._added
 
-    def _seen(self, request: EditRequest) -> np.ndarray:
-        """[N] bool: what is seen too well to be taken out for where it lies."""
+    def _visible(self, request: EditRequest) -> np.ndarray:
+        """Mask [N] bool of splats too visible to be removed because of their position."""
         if request.seen_share is None:
             return np.zeros(len(self.splats), bool)
-        cameras = needed_views(self._views, "What is seen").cameras
+        cameras = needed_views(self._views, "The visibility of splats").cameras
         pixels = int((cameras.widths * cameras.heights).min())
         return self._contributions() >= request.seen_share * pixels
 
@@ -239,16 +241,16 @@ class _Work:
         if self._views is not None:
             return self._contributions()
         self.notes.append(
-            "No cameras are known, so the splats to keep were chosen by opacity and area, not by "
-            "what they add to pictures; give a capture or a run with -s."
+            "Without cameras, the splats to keep were chosen by opacity and area, not by their "
+            "contribution to pictures; give a capture or a run with -s."
         )
         return importance_of(self.splats)
 
     def _fitting(
         self, splats: Splats, most: float, bytes_of: Callable[[Splats], int]
     ) -> np.ndarray:
-        """[N] bool: as many of the most important splats as fit into `most` bytes, within one part
-        in a hundred: codings are not exactly proportional."""
+        """Mask [N] bool of the most important splats that fit into `most` bytes, within 1 %,
+        because compressed sizes are not proportional."""
         every = np.ones(len(splats), bool)
         low, high = (0, 0), (len(splats), bytes_of(splats))
         if high[1] <= most:
@@ -271,11 +273,11 @@ class _Work:
 
 
 def needed_views(views: EditViews | None, what: str) -> EditViews:
-    """The views; ConfigError where there are none. `what` begins the sentence."""
+    """Return the views; raise ConfigError without any. `what` is the subject of the message."""
     if views is None:
         raise ConfigError(
-            f"{what} is only known with cameras: say with -s where they are, a capture, the folder "
-            "of a run or a cameras.json."
+            f"{what} is only known with cameras: give them with -s, as a capture, the folder of a "
+            "run or a cameras.json."
         )
     return views
 
@@ -288,16 +290,16 @@ def _inside(means: np.ndarray, request: EditRequest, views: EditViews | None) ->
         unit = sphere_matrix(np.array(sphere[:3]), sphere[3])
         keep &= in_unit_shape(means, unit, sphere=True)
     if request.frustum:
-        keep &= _seen(means, request.frustum, needed_views(views, "What a view shows"))
+        keep &= _in_views(means, request.frustum, needed_views(views, "The content of a view"))
     return keep
 
 
-def _seen(means: np.ndarray, indices: Sequence[int], views: EditViews) -> np.ndarray:
-    cameras, seen = views.cameras, np.zeros(len(means), bool)
+def _in_views(means: np.ndarray, indices: Sequence[int], views: EditViews) -> np.ndarray:
+    cameras, inside = views.cameras, np.zeros(len(means), bool)
     for i in indices:
         width, height = int(cameras.widths[i]), int(cameras.heights[i])
-        seen |= in_frustum(means, cameras.Ks[i], cameras.viewmats[i], width, height, views.near)
-    return seen
+        inside |= in_frustum(means, cameras.Ks[i], cameras.viewmats[i], width, height, views.near)
+    return inside
 
 
 def _exp(logs: np.ndarray) -> np.ndarray:

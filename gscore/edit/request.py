@@ -12,10 +12,10 @@ _PLACING = ("scale", "rotate", "move")
 
 @dataclass(frozen=True, kw_only=True)
 class EditRequest:
-    """Steps from the first to the last; what is None or empty is left out.
+    """Steps in order; those that are None or empty are skipped.
 
     Raises:
-        ConfigError: values that there cannot be, or that contradict.
+        ConfigError: values are invalid or contradict each other.
     """
 
     box: Sequence[float] | None = None
@@ -23,7 +23,7 @@ class EditRequest:
     sphere: Sequence[float] | None = None
     """Keep splats inside a sphere: x y z radius, world units."""
     frustum: Sequence[int] = ()
-    """Keep splats visible in any of these cameras; indices."""
+    """Keep splats in the picture of any of these cameras; indices."""
     outside: bool = False
     """Keep the splats outside these shapes instead."""
     min_opacity: float | None = None
@@ -31,28 +31,28 @@ class EditRequest:
     max_size: float | None = None
     """Largest standard deviation, world units."""
     min_contribution: float | None = None
-    """Least of `contributions`, px."""
+    """Least value of `contributions`, px."""
     max_isolation: float | None = None
-    """Most of `isolation_of`."""
+    """Largest value of `isolation_of`."""
     min_cluster: int | None = None
-    """Least of `cluster_sizes`, splats."""
+    """Least value of `cluster_sizes`, splats."""
     gap: float | None = None
-    """Of `cluster_sizes`; None: `GAP`."""
+    """`gap` of `cluster_sizes`; None: `GAP`."""
     seen_share: float | None = None
-    """What adds at least this share of a picture's pixels to a view is neither isolated nor in too
-    small a cluster: a few huge splats may be a wall. Needs cameras."""
+    """Splats that contribute at least this share of a picture's pixels to a view are exempt from
+    isolation and clusters, because a few huge splats may be a wall. Needs cameras."""
     sh_degree: int | None = None
-    """SH degree at most."""
+    """Highest SH degree."""
     count: int | None = None
-    """Splats at most, those that matter most."""
+    """Most splats, the most important ones."""
     size: float | None = None
-    """Megabytes of the file at most."""
+    """Largest file size, MB."""
     scale: float | None = None
-    """Factor about the origin."""
+    """Scale factor about the origin."""
     rotate: Sequence[float] | None = None
-    """Degrees about the x, then y, then z axis."""
+    """Rotation about the x, then y, then z axis, degrees."""
     move: Sequence[float] | None = None
-    """World units."""
+    """Translation, world units."""
     matrix: np.ndarray | None = None
     """[4, 4] float64, new = matrix @ old, instead of these three."""
 
@@ -67,29 +67,29 @@ class EditRequest:
         if self.sphere is not None and not self.sphere[3] > 0:
             raise ConfigError(f"The radius of a sphere must be above 0, got {self.sphere[3]:g}.")
         if self.outside and not self.crops:
-            raise ConfigError("To keep what lies outside, say of what: a box, sphere or frustum.")
+            raise ConfigError("Outside needs a shape: give a box, sphere or frustum.")
         if self.gap is not None and self.min_cluster is None:
-            raise ConfigError("A gap is one between clusters: give the least size of these too.")
+            raise ConfigError("A gap is one between clusters: give their least size too.")
         if self.count is not None and self.size is not None:
             raise ConfigError("Give the splats to keep or the megabytes, not both.")
         given = [name for name in _PLACING if getattr(self, name) is not None]
         if self.matrix is not None and given:
-            raise ConfigError(f"A matrix says everything: leave out {', '.join(given)}.")
+            raise ConfigError(f"A matrix is complete: leave out {', '.join(given)}.")
 
     @property
     def crops(self) -> bool:
-        """Whether anything is cut off."""
+        """True if there is a crop."""
         return self.box is not None or self.sphere is not None or bool(self.frustum)
 
     @property
     def moves(self) -> bool:
-        """Whether the splats get another place."""
+        """True if the splats are transformed."""
         return self.matrix is not None or any(getattr(self, n) is not None for n in _PLACING)
 
     def cleaned(self, count: int, *, with_cameras: bool) -> "EditRequest":
-        """The same with the usual values of what cleans up `count` splats, where none is given."""
+        """The request with default values for cleaning `count` splats, where none is given."""
         usual = {name: getattr(USUAL, name) for name in ("min_opacity", "max_isolation")}
-        # In models of a few thousand a cluster of few is no dust.
+        # Small clusters are no dust in models of a few thousand splats.
         usual["min_cluster"] = min(USUAL.min_cluster or 0, count // _DUST) or None
         for name in ("min_contribution", "seen_share"):
             usual[name] = getattr(USUAL, name) if with_cameras else None
@@ -102,10 +102,10 @@ def _words(values: Sequence[float]) -> str:
 
 
 _DUST = 5000
-"""A cluster is usual from one part in so many of the splats on."""
+"""The default least cluster is at most the number of splats divided by this."""
 GAP = 0.05
-"""Between clusters, where none is given."""
+"""Default gap between clusters."""
 USUAL = EditRequest(
     min_opacity=0.005, min_contribution=0.1, max_isolation=8.0, min_cluster=20, seen_share=0.0005
 )
-"""What cleans up without being seen: see docs/convert.md."""
+"""Default values that clean without visible changes: see docs/convert.md."""

@@ -1,4 +1,4 @@
-"""Similarity matrix of a translation, a rotation and a scale, for `transform_splats`."""
+"""Similarity matrix from a translation, a rotation and a scale, for `transform_splats`."""
 
 import math
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ def similarity_matrix(
     degrees: Sequence[float] = (0.0, 0.0, 0.0),
     move: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """[4, 4] float64 that scales about the origin, then turns, then moves.
+    """[4, 4] float64 that scales about the origin, then rotates, then translates.
 
     Args:
-        scale: Factor.
-        degrees: Turns about the world's x, then y, then z axis, counter-clockwise as seen from the
-            end of the axis; multiples of 90 are exact.
-        move: World units.
+        scale: Scale factor.
+        degrees: Rotations about the world's x, then y, then z axis, counter-clockwise as seen from
+            the end of the axis; multiples of 90 are exact.
+        move: Translation, world units.
     """
     matrix = np.eye(4)
     for axis, angle in enumerate(degrees):

@@ -85,7 +85,7 @@ def _temporary_name(name: str) -> str:
 
 
 _remains: dict[Path, tuple[float, list[str]]] = {}
-"""By folder: the time of its last listing, and the temporary files in it."""
+"""Time of the last listing and the temporary files found, by folder."""
 
 
 def _temporary(path: Path) -> tuple[Path, BinaryIO]:

@@ -57,7 +57,7 @@ class LodIndex:
 
     sh_degree: int
     antialias: bool
-    """Whether the splats need the anti-aliasing compensation."""
+    """True if the splats need the anti-aliasing compensation."""
     near: float
     """Near plane of the training, world units."""
     background: tuple[float, float, float]

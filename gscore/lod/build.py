@@ -1,7 +1,7 @@
 """LOD build: levels of detail from a model on disk, a chunk at a time.
 
-The model is read twice, in parts: once for where its splats are, once to put each into its chunk of
-the finest level. Then chunk after chunk of the next level is made of four of the one below.
+The model is read twice, in parts: once for the positions of its splats, once to put each into its
+chunk of the finest level. Then each chunk of the next level is merged from four of the level below.
 """
 
 import zlib
@@ -34,19 +34,19 @@ from .groups import groups_of
 from .merge_moments import MergedSplats, median_sizes, merged_by, projected_area
 
 _PART = 1 << 17
-"""Splats of the model that are in memory at once while it is read."""
+"""Splats read at a time."""
 
-ToldShare = Callable[[str, float], object]
+OnShare = Callable[[str, float], object]
 """Progress callback: the phase, and its finished share, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LodFacts:
-    """Metadata of the model in the file."""
+    """Metadata for the file."""
 
     antialias: bool = False
     near: float | None = None
-    """Near plane, world units; None: one for these splats."""
+    """Near plane, world units; None: from the splats."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     cameras: Cameras | None = None
 
@@ -56,29 +56,29 @@ def build_lod(
     output: Path,
     facts: LodFacts,
     *,
-    told: ToldShare = lambda what, share: None,
+    on_share: OnShare = lambda what, share: None,
     measured: Callable[[Path, LodIndex], tuple[LodLevel, ...]] | None = None,
 ) -> LodIndex:
     """Write levels of detail of a model, completely or not at all.
 
     Args:
-        model: A file of splats of any format; a PLY is never in memory whole.
+        model: A splat file of any format; a PLY is never completely in memory.
         output: The file to write.
-        facts: What it says besides.
-        told: Is told how far the work is.
-        measured: Given the unfinished file and its index, its levels with errors of pictures.
+        facts: Metadata for the file.
+        on_share: Receives the progress.
+        measured: Returns the levels with measured PSNR, from the unfinished file and its index.
 
     Returns:
         The index of the file.
 
     Raises:
-        GsError: the model cannot be read, or the file not be written.
+        GsError: the model cannot be read, or the file cannot be written.
         ConfigError: the model has no splats.
     """
-    means, degree = _places(model, told)
+    means, degree = _means_of(model, on_share)
     if not len(means):
         raise ConfigError(f"{brief(model)} holds no splats that can be drawn. Give another model.")
-    told("Sorting splats by place", 0.0)
+    on_share("Sorting splats by position", 0.0)
     levels = levels_above(len(means))
     chunks = chunks_of(means, levels)
     near = splat_near(means) if facts.near is None else facts.near
@@ -88,8 +88,8 @@ def build_lod(
 
     def write(file: BinaryIO) -> None:
         work = _Building(file, degree)
-        work.finest(model, chunks, levels, told)
-        work.coarser(told)
+        work.finest(model, chunks, levels, on_share)
+        work.coarser(on_share)
         index = LodIndex(
             sh_degree=degree,
             antialias=facts.antialias,
@@ -99,21 +99,21 @@ def build_lod(
             origin=origin,
             levels=tuple(work.levels),
         )
-        told("Measuring pictures of the levels", 0.0)
+        on_share("Measuring pictures of the levels", 0.0)
         made.append(work.finish(index, measured))
 
     atomic_write(output, write)
     return made[0]
 
 
-def _places(model: Path, told: ToldShare) -> tuple[np.ndarray, int]:
-    """Means [N, 3] float32 of all splats, and the degree of their SH."""
-    found, degree = [np.zeros((0, 3), np.float32)], 0
-    told("Reading the splats", 0.0)
+def _means_of(model: Path, on_share: OnShare) -> tuple[np.ndarray, int]:
+    """Means [N, 3] float32 of all splats, and their SH degree."""
+    means, degree = [np.zeros((0, 3), np.float32)], 0
+    on_share("Reading the splats", 0.0)
     for part in read_splat_parts(model, _PART):
-        found.append(part.means)
+        means.append(part.means)
         degree = part.sh_degree
-    return np.concatenate(found), degree
+    return np.concatenate(means), degree
 
 
 class _Building:
@@ -125,13 +125,13 @@ class _Building:
         self._rows = 0
         self.levels: list[LodLevel] = []
         self._errors: list[np.ndarray] = []
-        """Of each splat of the last level."""
+        """Errors of the splats of the last level, by chunk."""
 
-    def finest(self, model: Path, chunks: np.ndarray, levels: int, told: ToldShare) -> None:
+    def finest(self, model: Path, chunks: np.ndarray, levels: int, on_share: OnShare) -> None:
         """Write the chunks of the finest level."""
         counts = np.bincount(chunks, minlength=CHILDREN**levels)
         starts = np.cumsum(counts) - counts
-        self._scatter(model, chunks, starts, told)
+        self._scatter(model, chunks, starts, on_share)
         stats = _Stats()
         self._file.flush()
         with Path(self._file.name).open("rb") as file:
@@ -145,9 +145,9 @@ class _Building:
         self._errors = [np.zeros(count) for count in counts.tolist()]
 
     def _scatter(
-        self, model: Path, chunks: np.ndarray, starts: np.ndarray, told: ToldShare
+        self, model: Path, chunks: np.ndarray, starts: np.ndarray, on_share: OnShare
     ) -> None:
-        """Put each splat among those of its chunk, as a row of numbers."""
+        """Write each splat as a row into the range of its chunk."""
         filled, done = starts.copy(), 0
         for part in read_splat_parts(model, _PART):
             if len(part) > len(chunks) - done or part.sh_degree != self._degree:
@@ -162,11 +162,11 @@ class _Building:
                 self._file.write(rows[first:end].tobytes())
                 filled[chunk] += end - first
             done += len(part)
-            told("Putting splats into chunks", done / len(chunks))
+            on_share("Putting splats into chunks", done / len(chunks))
         if done != len(chunks):
             raise _changed(model)
 
-    def coarser(self, told: ToldShare) -> None:
+    def coarser(self, on_share: OnShare) -> None:
         """Write all coarser levels."""
         total = sum(CHILDREN**k for k in range(len(self._errors).bit_length() // 2 + 1)) or 1
         total -= len(self._errors)
@@ -179,16 +179,16 @@ class _Building:
                 self._rows += len(merged.splats)
                 errors.append(merged.errors)
                 done += 1
-                told("Merging splats", done / total)
+                on_share("Merging splats", done / total)
             self.levels.append(stats.level())
             self._errors = errors
 
     def _parents(self, begins: np.ndarray, counts: np.ndarray) -> Iterator[MergedSplats]:
-        """The chunks of the next level, in their order, made on all cores.
+        """Chunks of the next level in order, merged on all cores.
 
         Args:
-            begins: [C] the first row of each chunk of the last level.
-            counts: [C] its rows.
+            begins: [C], first row of each chunk of the last level.
+            counts: [C], its number of rows.
         """
 
         def merged(parent: int) -> MergedSplats:
@@ -236,20 +236,20 @@ class _Building:
 
 
 def _coarser(splats: Splats, errors: np.ndarray) -> MergedSplats:
-    """A quarter as many splats."""
-    wanted = -(-len(splats) // CHILDREN)
+    """Merge to a quarter of the splats."""
+    count = -(-len(splats) // CHILDREN)
     group = groups_of(
         splats.means.astype(np.float64),
         projected_area(splats),
         median_sizes(splats),
         sh0_to_rgb(splats.sh0[:, 0].astype(np.float64)),
-        wanted,
+        count,
     )
-    return merged_by(splats, errors, group, wanted)
+    return merged_by(splats, errors, group, count)
 
 
 class _Stats:
-    """Index entries of the chunks of a level, as they are written."""
+    """Collects index entries of the chunks of a level."""
 
     def __init__(self) -> None:
         self._counts: list[int] = []
@@ -260,7 +260,7 @@ class _Stats:
         self._checks: list[int] = []
 
     def add(self, splats: Splats, errors: np.ndarray, check: int) -> None:
-        """A chunk, and how far off each of its splats is."""
+        """Add a chunk with the errors [N] of its splats, world units."""
         self._counts.append(len(splats))
         self._low.append(splats.means.min(axis=0))
         self._high.append(splats.means.max(axis=0))
@@ -269,7 +269,7 @@ class _Stats:
         self._checks.append(check)
 
     def level(self) -> LodLevel:
-        """All of them."""
+        """The collected level."""
         return LodLevel(
             counts=np.array(self._counts, np.int64),
             low=np.array(self._low, np.float64),
@@ -281,13 +281,12 @@ class _Stats:
 
 
 _MOST_LOG = 700.0
-"""Of a scale of which float64 holds the exponential."""
+"""Largest log scale whose exponential fits in float64."""
 
 
 def _mean_error(splats: Splats, errors: np.ndarray) -> float:
-    """The root of the mean square, weighted by what the splats cover; a tenth of them counts for
-    about half at most: a few giants that cover all the world would hide the errors of all others.
-    """
+    """RMS error, weighted by the covered area, limited so that the largest tenth of the splats
+    counts for about half: a few huge ones would hide the errors of all others."""
     weights = projected_area(splats)
     usual = np.sort(weights)[: -(-9 * len(weights) // 10)]
     weights = np.minimum(weights, 10 * usual.mean())
@@ -295,21 +294,21 @@ def _mean_error(splats: Splats, errors: np.ndarray) -> float:
 
 
 def _to_rows(splats: Splats) -> np.ndarray:
-    """[N, F] little-endian float32, a splat a row."""
+    """[N, F] little-endian float32, one splat per row."""
     parts = [getattr(splats, name).reshape(len(splats), -1) for name in PARAMETERS]
     return np.concatenate(parts, axis=1).astype("<f4")
 
 
 def _from_rows(rows: np.ndarray, degree: int) -> Splats:
-    """The splats of `_to_rows`."""
+    """Inverse of `_to_rows`."""
     shapes = {name: part.shape[1:] for name, part in chunk_parts(b"", degree).items()}
-    found, at = {}, 0
+    values, at = {}, 0
     for name, shape in shapes.items():
         size = int(np.prod(shape))
         part = rows[:, at : at + size].reshape(len(rows), *shape)
-        found[name] = np.ascontiguousarray(part, np.float32)
+        values[name] = np.ascontiguousarray(part, np.float32)
         at += size
-    return Splats(**found)
+    return Splats(**values)
 
 
 def _changed(model: Path) -> DatasetError:

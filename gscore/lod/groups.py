@@ -1,4 +1,4 @@
-"""Groups of splats that merge at a coarser level: neighbours whose merge changes the least."""
+"""Groups of splats that are merged at a coarser level: neighbours whose merge changes the least."""
 
 import numpy as np
 
@@ -7,12 +7,11 @@ from ..extras import need
 _NEIGHBOURS = 6
 """Number of neighbours among which each splat's partner is chosen."""
 _FEW = 30
-"""Where less than one of so many finds a pair in a round, others need not wait for one."""
+"""If less than one in this many rows is in a mutual pair, one-sided joins are allowed."""
 _A_ROUND = 8
-"""Of these one of so many rows is joined at most: costs change as groups grow."""
+"""Of these at most one in this many rows is joined, because costs change as groups grow."""
 _COLOR = 5.0
-"""How far apart, in standard deviations of the larger one, two splats of one place count that
-differ by 1 in all colours."""
+"""Distance for a difference of 1 in all colours, in standard deviations of the larger splat."""
 
 
 def groups_of(
@@ -20,17 +19,17 @@ def groups_of(
 ) -> np.ndarray:
     """[N] int64, the group of each splat, from 0 to `wanted` - 1.
 
-    Pairs whose joining changes least are joined first, as Ward (1963) does: two groups of weights a
-    and b at a distance d cost a b / (a + b) times d^2 / (d^2 + s^2), where s is the size of the
-    larger one. So specks go before what a picture shows large, and what overlaps before what lies
-    beside each other. A round joins those that are each other's best, cheapest first.
+    The cheapest pairs are joined first, as in Ward (1963): two groups of weights a and b at a
+    distance d cost a b / (a + b) times d^2 / (d^2 + s^2), where s is the size of the larger one.
+    So small splats are joined before large ones, and overlapping ones before separate ones. A round
+    joins mutually best pairs, cheapest first.
 
     Args:
         means: [N, 3] float64.
-        weights: [N] float64, above 0: what each covers.
+        weights: [N] float64, above 0: covered areas.
         sizes: [N] float64, standard deviations, world units.
-        colors: [N, 3] float64, from 0 to 1 or so.
-        wanted: How many groups, 1 to N.
+        colors: [N, 3] float64, about 0 to 1.
+        wanted: Number of groups, 1 to N.
 
     Raises:
         BackendError: scipy is not installed.
@@ -46,22 +45,22 @@ def groups_of(
 
 
 def _round(features: np.ndarray, weights: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows [P] that are joined to others [P] in this round, P at least 1 and at most `most`.
+    """Rows [P] to join and their targets [P] in this round, P at least 1 and at most `most`.
 
-    The heavier of two that are each other's best takes in the other. Where few are, because specks
-    wait for each other around something large, every second row takes in all whose best it is.
+    Of a mutually best pair the heavier row is the target. If there are few such pairs, because many
+    small splats surround a large one, every second row is the target of all whose best it is.
     """
     count = len(features)
     means, near = features[:, :3], min(_NEIGHBOURS + 1, count)
     tree = need("scipy.spatial", "Making levels of detail").cKDTree(means)
-    beside = tree.query(means, k=near)[1].reshape(count, near)
+    neighbours = tree.query(means, k=near)[1].reshape(count, near)
     rows = np.repeat(np.arange(count), near).reshape(count, near)
-    costs = np.where(beside == rows, np.inf, _costs(features, weights, rows, beside))
+    costs = np.where(neighbours == rows, np.inf, _costs(features, weights, rows, neighbours))
     best = costs.argmin(axis=1)
     all_rows = np.arange(count)
-    mine, partner = costs[all_rows, best], beside[all_rows, best]
+    mine, partner = costs[all_rows, best], neighbours[all_rows, best]
     mutual = np.flatnonzero((partner[partner] == all_rows) & (partner > all_rows))
-    if not len(mutual):  # rings of equal costs: the cheapest of all
+    if not len(mutual):  # cycles of equal costs: the cheapest pair
         row = int(mine.argmin())
         return np.array([row]), partner[[row]]
     heavier = weights[mutual] >= weights[partner[mutual]]
@@ -86,7 +85,7 @@ def _costs(features: np.ndarray, weights: np.ndarray, a: np.ndarray, b: np.ndarr
 def _joined(
     features: np.ndarray, weights: np.ndarray, joins: np.ndarray, takes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features and weights after rows were joined to others, and the new row of each old one."""
+    """Features and weights after joining rows, and the new row of each old one."""
     keep = np.ones(len(features), bool)
     keep[joins] = False
     step = np.cumsum(keep) - 1

@@ -1,4 +1,4 @@
-"""LOD renderer: pictures of a model with levels of detail, which stays on disk."""
+"""LOD renderer: pictures of a model with levels of detail, read from disk on demand."""
 
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,13 @@ from .chunk_selection import ChosenChunks, choose_chunks
 LOD_PX = 1.0
 """Allowed error of the picture, px."""
 _HIDDEN = np.float32(-100)
-"""Logit of splats that are not drawn: where a chunk has fewer than there is room for."""
+"""Opacity logit of invisible splats, which pad chunks to equal sizes."""
 
 
 class LodModel:
-    """A file of levels of detail to draw from; close it, or use it in a `with`.
+    """Renderer of an LOD file; close it, or use it in a `with`.
 
-    What one picture showed stays in memory for the next, and only chunks that are new are read.
+    Chunks of the last picture stay in memory, so that only new ones are read for the next.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -29,7 +29,7 @@ class LodModel:
 
         Raises:
             DatasetError: it is missing or cannot be read.
-            FormatError: it is none, truncated or damaged.
+            FormatError: it is no LOD file, truncated or damaged.
         """
         self._file = open_lod_file(path)
         self._room = max(int(level.counts.max()) for level in self.index.levels)
@@ -45,18 +45,18 @@ class LodModel:
         self.close()
 
     def close(self) -> None:
-        """Let the file and the memory go."""
+        """Close the file and free the memory."""
         self._file.close()
         self._slots, self._arrays = {}, empty_splats(0, self.index.sh_degree)
 
     @property
     def index(self) -> LodIndex:
-        """Contents of the file."""
+        """Index of the file."""
         return self._file.index
 
     @property
     def file(self) -> LodFile:
-        """The file itself."""
+        """The open file."""
         return self._file
 
     def render(
@@ -72,19 +72,19 @@ class LodModel:
         eps2d: float = 0.3,
         **how: Any,
     ) -> Rendered:
-        """`gscore.render` of what the camera may see, near splats exact, far ones coarser.
+        """Render as `gscore.render`, with coarser levels for distant splats.
 
         Args:
-            K: As there, and `viewmat`, `width`, `height`, `eps2d` and `how`.
+            K: [3, 3] pixels.
             viewmat: [4, 4] world to camera.
             width: Pixels.
             height: Pixels.
             lod_px: Allowed error of coarser levels, px; 0: the finest splats everywhere.
-            most: Splats that are drawn at most; where more would be, the error grows.
+            most: Most splats; more increase the allowed error.
             near: Splats with z at or below this are not drawn; None: as trained.
             eps2d: Added to the diagonal of the 2D covariance, px^2.
-            **how: background, sh_degree, antialias, depths, threads and others; antialias is as
-                the model was trained, unless it is given.
+            **how: Further arguments of `gscore.render`: background, sh_degree, antialias, depths,
+                threads and others; antialias defaults to that of the training.
 
         Raises:
             As `gscore.render`; FormatError: a chunk is damaged.
@@ -97,18 +97,18 @@ class LodModel:
         return render(splats, K, viewmat, width, height, near=near, eps2d=eps2d, **how)
 
     def _gather(self, chosen: ChosenChunks) -> Splats:
-        """The splats of these chunks; those of the last picture stay where they are."""
-        wanted = set(chosen.chunks)
-        kept = {chunk: slot for chunk, slot in self._slots.items() if chunk in wanted}
+        """Splats of these chunks; those of the last picture keep their slots if possible."""
+        needed = set(chosen.chunks)
+        kept = {chunk: slot for chunk, slot in self._slots.items() if chunk in needed}
         self._slots = kept
-        self._grow(len(wanted))
-        free = iter(sorted(set(range(len(wanted))) - set(kept.values())))
-        for chunk in [one for one, slot in kept.items() if slot >= len(wanted)]:
+        self._grow(len(needed))
+        free = iter(sorted(set(range(len(needed))) - set(kept.values())))
+        for chunk in [one for one, slot in kept.items() if slot >= len(needed)]:
             self._move(chunk, next(free))
         for chunk in chosen.chunks:
             if chunk not in kept:
                 self._read(chunk, next(free))
-        end = len(wanted) * self._room
+        end = len(needed) * self._room
         return Splats(**{name: array[:end] for name, array in self._arrays.items()})
 
     def _grow(self, slots: int) -> None:
@@ -117,12 +117,12 @@ class LodModel:
         if have >= slots * self._room:
             return
         rows = slots * self._room
-        if self._slots:  # a path: pictures to come need a little more, or a little less
+        if self._slots:  # camera paths: later pictures may need a little more
             rows += rows // 8
         larger = empty_splats(rows, self.index.sh_degree)
         for name, array in larger.items():
             array[:have] = self._arrays[name]
-            del self._arrays[name]  # at once, so that no two whole models are in memory
+            del self._arrays[name]  # immediately, so that two whole models are never in memory
         self._arrays = larger
 
     def _rows(self, slot: int) -> slice:
@@ -144,7 +144,7 @@ class LodModel:
         self._slots[chunk] = slot
 
     def _blank(self, begin: int, end: int) -> None:
-        """Splats that are not drawn."""
+        """Fill rows with invisible splats."""
         for array in self._arrays.values():
             array[begin:end] = 0
         self._arrays["quats"][begin:end, 0] = 1

@@ -1,4 +1,4 @@
-"""LOD error measurement: each level rendered against finer splats, at the distance of its use."""
+"""LOD error measurement: each level compared with finer splats at the distance of its use."""
 
 import math
 from collections.abc import Iterator
@@ -14,30 +14,30 @@ from ..raster.api import render
 from ..splats import Splats
 
 _CHUNKS = 4
-"""Of a level that are looked at, evenly chosen."""
+"""Evaluated chunks per level, evenly spaced."""
 _MOST = 1_000_000
-"""Splats that a chunk is compared with, at most: what a small machine has memory for."""
+"""Most splats that a chunk is compared with, for the memory of a small machine."""
 _SIDE = 256
-"""Of a picture, px."""
+"""Side of a picture, px."""
 _FOCAL = 2.0 * _SIDE
-"""Of its camera, px."""
+"""Focal length of its camera, px."""
 _COVERED = 0.02
-"""Opacity from which a pixel counts; the black around would make any error small."""
+"""Least opacity of a counted pixel, because black surroundings would make any error small."""
 
 
 def measured_levels(path: Path, index: LodIndex) -> tuple[LodLevel, ...]:
-    """The levels of an index with `psnr` and `against`, of a file whose chunks are written.
+    """Levels of an index with measured `psnr` and `against`; the file's chunks must be written.
 
-    Some chunks of each level are seen from six sides, from where their error is one pixel, over the
-    pixels that they cover.
+    Some chunks of each level are rendered from six sides, at the distance at which their error is
+    one pixel; the covered pixels are compared.
     """
-    found = [index.levels[0]]
+    levels = [index.levels[0]]
     with lod_chunks_of(path, index) as file:
         for level in range(1, len(index.levels)):
             against = _finest_that_fits(index, level)
             psnr = _level_psnr(file, level, against)
-            found.append(replace(index.levels[level], psnr=psnr, against=against))
-    return tuple(found)
+            levels.append(replace(index.levels[level], psnr=psnr, against=against))
+    return tuple(levels)
 
 
 def _finest_that_fits(index: LodIndex, level: int) -> int:
@@ -50,7 +50,7 @@ def _finest_that_fits(index: LodIndex, level: int) -> int:
 
 
 def _level_psnr(file: LodFile, level: int, against: int) -> float | None:
-    """Over some chunks; None where none of them is off or seen."""
+    """PSNR over some chunks, dB; None if none of them has an error or covers pixels."""
     total = pixels = 0.0
     count = len(file.index.levels[level].counts)
     for chunk in np.unique(np.linspace(0, count - 1, _CHUNKS).round().astype(int)).tolist():
@@ -66,7 +66,8 @@ def _level_psnr(file: LodFile, level: int, against: int) -> float | None:
 
 
 def _views(level: LodLevel, chunk: int) -> Iterator[np.ndarray]:
-    """Six cameras around a chunk, each where its error is a pixel; none where it has none."""
+    """Six cameras around a chunk, at the distance at which its error is a pixel; none without
+    error."""
     low, high, error = level.low[chunk], level.high[chunk], level.errors[chunk]
     if not error:
         return
@@ -84,7 +85,8 @@ def _views(level: LodLevel, chunk: int) -> Iterator[np.ndarray]:
 def _loss(
     coarse: Splats, exact: Splats, viewmat: np.ndarray, index: LodIndex
 ) -> tuple[float, float]:
-    """The sum of squared errors over covered pixels, means over colours, and how many these are."""
+    """Sum over covered pixels of squared errors, averaged over colours, and the number of
+    pixels."""
     K = np.array([[_FOCAL, 0, _SIDE / 2], [0, _FOCAL, _SIDE / 2], [0, 0, 1.0]])
     made = [
         render(

@@ -1,4 +1,4 @@
-"""Moment merge: one splat from several, with their mean, covariance, colour and coverage."""
+"""Moment merge: one splat from several, with their mean, covariance, colour and covered area."""
 
 from dataclasses import dataclass
 
@@ -8,57 +8,57 @@ from ..splats import Splats, sigmoid
 from ..transforms import quat_to_rotmat, rotmat_to_quat
 
 _POWER = 1.6075
-"""Of Thomsen's formula for the surface of an ellipsoid, right to 1.1 %."""
+"""Exponent of Thomsen's formula for the surface of an ellipsoid, accurate to 1.1 %."""
 _LEAST_WEIGHT = 1e-30
 _MOST_OPAQUE = 1 - 1e-6
 _LOG_RANGE = 80.0
-"""Of log scales, so that squares and products of sizes stay finite."""
+"""Largest absolute log scale, so that squares and products of sizes stay finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MergedSplats:
-    """Splats that stand for groups of others."""
+    """Merged splats of groups."""
 
     splats: Splats
     errors: np.ndarray
-    """[G] float64, how far what they stand for was moved, as `merged_by` says, world units."""
+    """[G] float64, displacement of the members, see `merged_by`, world units."""
 
 
 def projected_area(splats: Splats) -> np.ndarray:
-    """[N] float64, above 0: opacity times the mean area of the shadow, over all directions.
+    """[N] float64, above 0: opacity times the projected area, averaged over all directions.
 
-    A convex body's mean shadow is a quarter of its surface (Cauchy 1832), here that of the
+    The mean projected area of a convex body is a quarter of its surface (Cauchy 1832), here of the
     ellipsoid of one standard deviation, without the factor pi.
     """
     return np.maximum(sigmoid(splats.opacities) * _shadow(_sizes(splats)), _LEAST_WEIGHT)
 
 
 def median_sizes(splats: Splats) -> np.ndarray:
-    """[N] float64, the middle one of the three standard deviations: of a disc, its radius."""
+    """[N] float64, median of the three standard deviations, for a disc its radius, world units."""
     return np.sort(_sizes(splats), axis=1)[:, 1]
 
 
 def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int) -> MergedSplats:
-    """One splat for each group.
+    """Merge each group to one splat.
 
-    Mean, covariance and SH coefficients are means weighted by `projected_area`, the covariance with
-    that of the means among each other. The opacity keeps what all cover together, but is never more
-    than that of all in one place: the splat grows instead. The error is the root of the mean
-    square, by the same weights, of how far each was moved: of a distance d the part that a splat of
-    size s shows, d^2 / sqrt(d^2 + s^2), for a wide splat moved by little looks as before.
+    Mean, covariance and SH coefficients are averages weighted by `projected_area`; the covariance
+    includes that between the means. The opacity preserves the covered area, but is limited to that
+    of all splats stacked; beyond that the splat grows. The error is the RMS displacement, by the
+    same weights: a distance d counts as d^2 / sqrt(d^2 + s^2) for a splat of size s, because a
+    small shift of a wide splat is hardly visible.
 
     Args:
-        splats: [N].
-        errors: [N] float64, how far off they are themselves.
+        splats: [N] splats.
+        errors: [N] float64, errors of the splats themselves, world units.
         group: [N] int64, 0 to `count` - 1, each at least once.
-        count: How many groups.
+        count: Number of groups.
     """
     weights = projected_area(splats)
     total = _sums(weights, group, count)
     share = weights / total[group]
-    places = splats.means.astype(np.float64)
-    means = _sums(share[:, None] * places, group, count)
-    apart = places - means[group]
+    centers = splats.means.astype(np.float64)
+    means = _sums(share[:, None] * centers, group, count)
+    apart = centers - means[group]
     spread = _covariances(splats) + apart[:, :, None] * apart[:, None, :]
     covariances = _sums(share[:, None, None] * spread, group, count)
     quats, sizes = _axes(covariances)
@@ -66,7 +66,7 @@ def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int)
     spread_out = between / np.trace(covariances, axis1=1, axis2=2)
     opacities, widened = _opacities(splats, _shadow(sizes), total, spread_out, group)
     sizes = sizes * widened[:, None]
-    moved = errors**2 + _seen_squares((apart**2).sum(axis=1), median_sizes(splats) ** 2)
+    moved = errors**2 + _visible_squares((apart**2).sum(axis=1), median_sizes(splats) ** 2)
     colors = [
         _sums(share[:, None, None] * rest.astype(np.float64), group, count).astype(np.float32)
         for rest in (splats.sh0, splats.shN)
@@ -87,11 +87,11 @@ def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int)
 def _opacities(
     splats: Splats, shadow: np.ndarray, total: np.ndarray, spread_out: np.ndarray, group: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Opacities [G], strictly between 0 and 1, and by what sizes are multiplied [G], at least 1.
+    """Opacities [G], strictly between 0 and 1, and factors of the sizes [G], at least 1.
 
-    All in one place are together as opaque as one behind the other, over the shadow of one. Beside
-    each other they fill a shape evenly, which covers up to twice what a Gaussian of that covariance
-    does. Between both lies what the means add to the covariance, as a share of it: `spread_out`.
+    Splats in one place have the opacity of a stack over the area of one. Splats next to each other
+    fill a shape evenly, which covers up to twice the area of a Gaussian with that covariance.
+    `spread_out`, the share of the covariance that is between the means, interpolates.
     """
     clear = np.log1p(-np.minimum(sigmoid(splats.opacities), _MOST_OPAQUE))
     stacked = np.clip(-np.expm1(_sums(clear, group, len(total))), 1e-9, _MOST_OPAQUE)
@@ -100,7 +100,7 @@ def _opacities(
     return opacities, np.sqrt(np.maximum(covered / opacities, 1.0))
 
 
-def _seen_squares(squares: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _visible_squares(squares: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return squares * squares / np.maximum(squares + sizes, 1e-300)
 
 
@@ -109,9 +109,9 @@ def _sizes(splats: Splats) -> np.ndarray:
 
 
 def _shadow(sizes: np.ndarray) -> np.ndarray:
-    """[N] mean shadow of ellipsoids with these half-axes [N, 3]; Thomsen's formula."""
+    """[N] mean projected area of ellipsoids with these half-axes [N, 3]; Thomsen's formula."""
     a, b, c = sizes.T
-    # Divided by the largest of the products first, whose powers could leave float64.
+    # Divided by the largest product first, because powers of the products could overflow.
     products = np.stack([a * b, a * c, b * c])
     largest = np.maximum(products.max(axis=0), 1e-300)
     return largest * ((products / largest) ** _POWER).mean(axis=0) ** (1 / _POWER)
@@ -127,7 +127,7 @@ def _axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions [G, 4] and standard deviations [G, 3] of covariances [G, 3, 3]."""
     values, vectors = np.linalg.eigh(covariances)
     vectors[np.linalg.det(vectors) < 0, :, 0] *= -1
-    # What rounding takes from the thin side of a disc is a millionth of its wide side.
+    # Rounding errors of the thin side of a disc are a millionth of its wide side.
     least = np.maximum(values[:, 2:] * 1e-12, 1e-60)
     return rotmat_to_quat(vectors), np.sqrt(np.maximum(values, least))
 

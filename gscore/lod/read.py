@@ -1,4 +1,4 @@
-"""LOD reader: splats of one level as a model in memory, all of them or those in a box."""
+"""LOD reader: splats of one level, all of them or those in a box."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from ..splats import Splats
 from ..text_format import count_words
 
 LOD_FORMAT = "lod"
-"""What `SplatFile.format` is of splats of a level."""
+"""`SplatFile.format` of splats of a level."""
 
 
 def read_lod(
@@ -29,15 +29,15 @@ def read_lod(
 
     Args:
         path: The file.
-        level: Which, from 0, the finest; None: the finest that has no more than `most` splats, or
-            the coarsest.
-        most: Splats; None: any number.
-        to_unit: [4, 4] float64 from the file's world to one in which a box is [-1, 1]^3: only the
-            splats whose centres lie in it are read, and only their chunks.
+        level: Level, from 0, the finest; None: the finest with at most `most` splats, or the
+            coarsest.
+        most: Most splats; None: no limit.
+        to_unit: [4, 4] float64 from the file's world to one in which a box is [-1, 1]^3: only
+            splats with centres in the box, and only their chunks, are read.
 
     Raises:
         DatasetError: the file is missing or cannot be read.
-        FormatError: it is none, truncated or damaged.
+        FormatError: it is no LOD file, truncated or damaged.
         ConfigError: there is no such level.
     """
     with open_lod_file(path) as file:
@@ -71,7 +71,7 @@ def _fitting_level(levels: tuple[LodLevel, ...], most: int | None) -> int:
 
 
 def _whole(file: LodFile, parts: list[Splats]) -> Splats:
-    """All parts as one; a model without splats where there are none."""
+    """All parts joined; an empty model without parts."""
     parts = [part for part in parts if len(part)]
     return joined(parts) if parts else Splats(**empty_splats(0, file.index.sh_degree))
 
@@ -84,11 +84,11 @@ def _inside(splats: Splats, to_unit: np.ndarray | None) -> Splats:
 
 
 def _touched(level: LodLevel, to_unit: np.ndarray | None) -> list[int]:
-    """The chunks of which a splat may lie in the box."""
+    """Chunks that may have splats in the box."""
     if to_unit is None:
         return list(range(len(level.counts)))
     middle, half = (level.low + level.high) / 2, (level.high - level.low) / 2
     placed = middle @ to_unit[:3, :3].T + to_unit[:3, 3]
     reach = half @ np.abs(to_unit[:3, :3]).T
-    # A little more, for what rounding makes of the sides.
+    # A small margin for rounding of the sides.
     return np.flatnonzero((np.abs(placed) <= (1 + reach) * (1 + 1e-9)).all(axis=1)).tolist()

@@ -1,8 +1,8 @@
 """Camera motion since the start of a video, from the motion and change of its frames.
 
 Displacements of blocks are found by phase correlation (Kuglin and Hines 1975) with a picture some
-frames back, so that the trembling of a hand does not add up. Around a subject the camera goes far
-while little is displaced: the blocks become unlike, and their peaks lower.
+frames back, so that camera shake does not add up. A camera that circles a subject moves far with
+little displacement, but the blocks become less similar, which lowers their peaks.
 """
 
 from dataclasses import dataclass, replace
@@ -10,28 +10,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 BLOCK_SIDE = 64
-"""Pixels of a block."""
+"""Side of a block, pixels."""
 _STEP = 0.05
-"""Of the longer side: the displacement after which a new picture is compared with."""
+"""Displacement after which the reference picture is replaced, share of the longer side."""
 _TRUSTED = 0.25
 """Least height of a block's peak; 1 for equal pictures, up to 0.22 for unrelated ones."""
 _ENOUGH = 0.25
 """Share of the blocks with texture that must be trusted."""
 _SLACK = 0.05
-"""By which the height of peaks differs between pictures that show the same."""
+"""Variation of peak heights between pictures of the same view."""
 _TURN = 0.15
-"""Of the longer side: the way that wholly unlike blocks stand for. A sixth of a right angle around
-a person is then 5 %, as many pixels as it displaces before a wall."""
+"""Motion for completely dissimilar blocks, share of the longer side. A sixth of a right angle
+around a person is then 5 %, as much as it displaces a wall."""
 _TEXTURE = 3.0
-"""Standard deviation of a block that has some; less is noise."""
+"""Least standard deviation of a textured block; less is noise."""
 _FINEST = 0.30
-"""Cycles a pixel beyond which blurred pictures have nothing to compare."""
+"""Highest frequency that blurred pictures have in common, cycles per pixel."""
 _LOST = 0.05
-"""Of the longer side, taken where pictures cannot be compared: they have moved far, or are new."""
+"""Motion assumed for pictures that cannot be compared, share of the longer side."""
 _NOISE = 2300.0
-"""Squared strength of a frequency of a block in which noise deviates by two grey values."""
+"""Squared magnitude of a block's frequency for noise with a deviation of two grey values."""
 _STILL = 0.6
-"""Pixels: less is noise."""
+"""Displacement below which it is noise, pixels."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class _Picture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Likeness:
-    """How two pictures compare."""
+class _Match:
+    """Comparison of two pictures."""
 
     shift: float | None
     """Mean displacement of the trusted blocks, pixels; None: too few are."""
@@ -54,10 +54,10 @@ class _Likeness:
 
 
 class Travel:
-    """The way so far, in shares of the longer side of the picture."""
+    """Accumulated camera motion, in shares of the longer side of the picture."""
 
     def __init__(self, width: int, height: int) -> None:
-        """Begin with pictures of this size; both sides at least 64."""
+        """Start a video with pictures of this size, px; both sides at least 64."""
         self._corners = _corners(width, height)
         self._longer = max(width, height)
         window = np.hanning(BLOCK_SIDE + 2)[1:-1].astype(np.float32)
@@ -67,14 +67,14 @@ class Travel:
         weight[0, 0] = 0
         self._weight = weight.astype(np.float32)
         self._twice = np.full(weight.shape, 2, np.float32)
-        self._twice[:, [0, -1]] = 1  # the other columns stand for two halves of the spectrum
+        self._twice[:, [0, -1]] = 1  # the other columns count for both halves of the spectrum
         self._reference: _Picture | None = None
         self._before: _Picture | None = None
         self.so_far = 0.0
-        """Of the last picture; never falls."""
+        """Motion up to the last picture; never decreases."""
 
     def add(self, grey: np.ndarray) -> float:
-        """Go on with the next picture; the way up to it.
+        """Add the next picture and return the motion up to it.
 
         Args:
             grey: [H, W] uint8.
@@ -87,7 +87,7 @@ class Travel:
         base, far = self._reference, self._compare(self._reference, picture)
         if far.shift is None:
             base, far = self._before, near
-        moved = self._way(far, near)
+        moved = self._motion(far, near)
         followed = far.shift is not None and base is self._reference and moved <= _STEP
         self.so_far = max(base.travel + moved, self.so_far)
         self._before = replace(picture, travel=self.so_far)
@@ -104,35 +104,39 @@ class Travel:
             textured=blocks.std(axis=(1, 2)) > _TEXTURE,
         )
 
-    def _way(self, far: _Likeness, near: _Likeness) -> float:
-        """The way to a picture, in shares, of how it compares with one some frames back and with
-        the one before, which tells how unlike pictures are by noise."""
+    def _motion(self, far: _Match, near: _Match) -> float:
+        """Motion from the reference to a picture, in shares of the longer side.
+
+        Args:
+            far: Comparison with the reference.
+            near: Comparison with the previous picture, which measures the effect of noise.
+        """
         if far.shift is None:
             return _LOST
         turned = _TURN * max(near.height - far.height - _SLACK, 0.0)
         return max(far.shift / self._longer if far.shift >= _STILL else 0.0, turned)
 
-    def _compare(self, before: _Picture, after: _Picture) -> _Likeness:
+    def _compare(self, before: _Picture, after: _Picture) -> _Match:
         textured = before.textured | after.textured
         if not textured.any():
-            return _Likeness(shift=0.0, height=1.0)
+            return _Match(shift=0.0, height=1.0)
         one, other = before.spectra[textured], after.spectra[textured]
         cross = other * one.conj()
         strength = np.abs(cross)
-        # Only frequencies above the noise have a phase worth comparing.
+        # Only frequencies above the noise have a meaningful phase.
         cross *= self._weight / (strength + _NOISE)
         whole = (self._weight * self._twice * strength / (strength + _NOISE)).sum(axis=(1, 2))
         peaks = np.fft.irfft2(cross, s=(BLOCK_SIDE, BLOCK_SIDE)).reshape(len(one), -1)
         peaks *= (BLOCK_SIDE * BLOCK_SIDE / np.maximum(whole, 1e-9))[:, None]
-        places = peaks.argmax(axis=1)
-        heights = peaks[np.arange(len(one)), places]
+        positions = peaks.argmax(axis=1)
+        heights = peaks[np.arange(len(one)), positions]
         trusted = heights > _TRUSTED
         height = float(heights.mean())
         if trusted.mean() < _ENOUGH:
-            return _Likeness(shift=None, height=height)
-        y, x = np.divmod(places[trusted], BLOCK_SIDE)
+            return _Match(shift=None, height=height)
+        y, x = np.divmod(positions[trusted], BLOCK_SIDE)
         y, x = (np.where(v > BLOCK_SIDE // 2, v - BLOCK_SIDE, v) for v in (y, x))
-        return _Likeness(shift=float(np.hypot(x, y).mean()), height=height)
+        return _Match(shift=float(np.hypot(x, y).mean()), height=height)
 
 
 def _corners(width: int, height: int) -> list[tuple[int, int]]:

@@ -19,36 +19,36 @@ from .request import FEWEST_FRAMES, ExtractRequest
 from .source import VideoFacts, damage_words, opened_video
 
 _STILL = 0.02
-"""Of the longer side: a camera that goes less far has seen one view."""
+"""Least camera motion of a usable video, share of the longer side."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frames:
-    """Frames that were written, or found from a run before."""
+    """Extracted frames, written now or by an earlier run."""
 
     folder: Path
     names: tuple[str, ...]
-    """Of the files, in the order of time."""
+    """File names, in order of time."""
     seconds: tuple[float, ...]
-    """When each is, from the first frame of the video on."""
+    """Time of each frame since the first frame of the video, s."""
     width: int
     """Pixels of the pictures."""
     height: int
     """Pixels of the pictures."""
     total: int
-    """Frames of the video."""
+    """Number of frames in the video."""
     blurred: int
-    """Frames that were too blurred."""
+    """Number of frames that were too blurred."""
     repeated: int
-    """Frames that showed the picture before them again."""
+    """Number of frames equal to the one before."""
     found: bool
-    """Whether a run before had written them."""
+    """True if an earlier run had written them."""
     took: float
-    """Seconds."""
+    """Duration of the call, s."""
     warnings: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
-        """The outcome for JSON."""
+        """The result for JSON."""
         return {
             "folder": str(self.folder),
             "frames": len(self.names),
@@ -63,10 +63,10 @@ class Frames:
         }
 
     def lines(self) -> list[str]:
-        """The outcome for people."""
+        """The result as lines of text."""
         count = count_words(len(self.names), "frame")
         if self.found:
-            return [f"{brief(self.folder)} holds the {count} of this video already."]
+            return [f"{brief(self.folder)} already has the {count} of this video."]
         left = f"{number(self.blurred)} blurred and {number(self.repeated)} repeated left out"
         return [
             f"{count} of {number(self.total)} in {brief(self.folder)}, {self.width} x "
@@ -82,21 +82,21 @@ def extract_frames(
     control: Control | None = None,
     overwrite: bool = False,
 ) -> Frames:
-    """Choose frames of a video and write them into a folder, which appears when all is done.
+    """Select frames of a video and write them into a folder, which appears when it is complete.
 
-    A second call with the same video and options finds them there. The same file gives the same
-    frames everywhere.
+    A second call with the same video and options reuses them. The same file gives the same frames
+    on every machine.
 
     Args:
-        request: Which video, where to, and how many.
-        on_event: Told how far it is: `FramesProgress`, `Warn`, at the end `FramesDone`.
-        control: Asked whether to stop.
-        overwrite: Frames of another request are replaced when the new ones are complete.
+        request: Video, output folder and number of frames.
+        on_event: Receives `FramesProgress`, `Warn`, and `FramesDone` at the end.
+        control: Requests to stop.
+        overwrite: Replace frames of another request when the new ones are complete.
 
     Raises:
-        Cancelled: `control` said so; nothing is left behind.
-        DatasetError: there is no such file, no moving pictures in it, or no motion.
-        FormatError: it is no video, damaged, encrypted or of a codec that is not there.
+        Cancelled: stopped by `control`; nothing is left behind.
+        DatasetError: there is no such file, no video stream in it, or no camera motion.
+        FormatError: it is no video, damaged, encrypted or of an unsupported codec.
         ConfigError: the output is taken.
         BackendError: PyAV is not installed.
         GsError: the output cannot be written.
@@ -105,7 +105,7 @@ def extract_frames(
 
 
 class _Extraction:
-    """One extraction from its beginning to its end."""
+    """One extraction."""
 
     def __init__(self, request: ExtractRequest, show: Show, control: Control) -> None:
         self._request, self._show, self._control = request, show, control
@@ -113,7 +113,7 @@ class _Extraction:
         self._warnings: list[str] = []
 
     def run(self, overwrite: bool) -> Frames:
-        """The extraction itself."""
+        """Run the extraction, or return the frames of an earlier run."""
         folder = FrameFolder(self._request, overwrite=overwrite)
         if folder.found is not None:
             return self._done(folder.found, found=True)
@@ -125,44 +125,44 @@ class _Extraction:
         return self._done(record, found=False)
 
     def _record(self, folder: FrameFolder) -> dict[str, Any]:
-        """Look, choose and write; what is to be known of it."""
+        """Survey, select and write frames; returns the record."""
         with opened_video(self._request.video) as video:
             facts = video.facts
-            looked = survey(
+            surveyed = survey(
                 video,
                 on_frame=self._counted("looking at frames", facts.frames),
                 cancelled=self._stopping,
             )
-            if sentence := damage_words(video, float(looked.seconds[-1])):
-                self._warn(sentence)
-        choice = choose(looked, self._request.frames)
-        self._check(looked, choice)
+            if warning := damage_words(video, float(surveyed.seconds[-1])):
+                self._warn(warning)
+        choice = choose(surveyed, self._request.frames)
+        self._check(surveyed, choice)
         if facts.hdr:
-            self._warn(f"The video is {facts.hdr}; its frames are brought to a screen's range.")
-        written, size = self._write(folder, facts, choice, looked)
+            self._warn(f"The video is {facts.hdr}; its frames are tone-mapped to display range.")
+        written, size = self._write(folder, facts, choice, surveyed)
         return {
             "width": size[0],
             "height": size[1],
-            "total": len(looked.seconds),
+            "total": len(surveyed.seconds),
             "blurred": choice.blurred,
             "repeated": choice.repeated,
             "warnings": self._warnings,
             "frames": written,
         }
 
-    def _check(self, looked: Survey, choice: Choice) -> None:
-        """Raise where no cameras could be found, warn where it will be hard."""
+    def _check(self, surveyed: Survey, choice: Choice) -> None:
+        """Raise if SfM is impossible with the frames, warn if it will be hard."""
         name = brief(self._request.video)
-        way = float(looked.travel[-1])
-        if way < _STILL:
+        motion = float(surveyed.travel[-1])
+        if motion < _STILL:
             raise DatasetError(
-                f"The camera stands still in {name}: all frames show the same view. Walk around "
+                f"The camera does not move in {name}: all frames show the same view. Walk around "
                 "the subject while filming."
             )
         if len(choice.frames) < FEWEST_FRAMES:
             raise DatasetError(
                 f"Only {count_words(len(choice.frames), 'frame')} of {name} can be used: "
-                f"{number(choice.blurred)} of {number(len(looked.seconds))} are blurred. Film "
+                f"{number(choice.blurred)} of {number(len(surveyed.seconds))} are blurred. Film "
                 "again, slower and with more light."
             )
         for begin, end in choice.gaps:
@@ -172,32 +172,32 @@ class _Extraction:
             )
 
     def _write(
-        self, folder: FrameFolder, facts: VideoFacts, choice: Choice, looked: Survey
+        self, folder: FrameFolder, facts: VideoFacts, choice: Choice, surveyed: Survey
     ) -> tuple[list[dict[str, Any]], tuple[int, int]]:
-        """Decode again and write the chosen frames: rows for the record, width and height."""
-        wanted = set(choice.frames.tolist())
+        """Decode again and write the selected frames; returns rows for the record and the size."""
+        selected = set(choice.frames.tolist())
         last, rows, size = int(choice.frames[-1]), [], (0, 0)
-        tell = self._counted("writing frames", len(wanted))
+        report = self._counted("writing frames", len(selected))
         with opened_video(self._request.video) as video:
             for index, frame in enumerate(video.frames()):
                 if self._stopping():
                     raise Cancelled("Writing frames was stopped.")
-                if index not in wanted:
+                if index not in selected:
                     continue
                 pixels = upright_rgb(frame, facts)
                 size = (pixels.shape[1], pixels.shape[0])
                 rows.append(
                     {
                         "name": folder.put(index, pixels),
-                        "seconds": round(float(looked.seconds[index]), 4),
+                        "seconds": round(float(surveyed.seconds[index]), 4),
                         "sharpness": round(float(choice.sharpness[index]), 4),
-                        "travel": round(float(looked.travel[index]), 4),
+                        "travel": round(float(surveyed.travel[index]), 4),
                     }
                 )
-                tell(len(rows))
+                report(len(rows))
                 if index == last:
                     break
-        if len(rows) != len(wanted):
+        if len(rows) != len(selected):
             raise FormatError(
                 f"{brief(self._request.video)} changed while it was read. Try again when nothing "
                 "writes to it."
@@ -232,19 +232,19 @@ class _Extraction:
         return frames
 
     def _counted(self, phase: str, total: int) -> Callable[[int], None]:
-        began, told = time.monotonic(), 0.0
+        began, reported = time.monotonic(), 0.0
         self._show(FramesProgress(phase=phase, done=0, total=total, eta_s=float("nan")))
 
-        def tell(done: int) -> None:
-            nonlocal told
+        def report(done: int) -> None:
+            nonlocal reported
             spent = time.monotonic() - began
-            if spent - told < 0.2 and done != total:
+            if spent - reported < 0.2 and done != total:
                 return
-            told = spent
+            reported = spent
             left = spent / done * (total - done) if total >= done else float("nan")
             self._show(FramesProgress(phase=phase, done=done, total=total, eta_s=left))
 
-        return tell
+        return report
 
     def _warn(self, sentence: str) -> None:
         self._warnings.append(sentence)

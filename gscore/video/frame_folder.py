@@ -22,30 +22,30 @@ from ..quoting import brief
 from .request import ExtractRequest
 
 FRAMES_FILE = "frames.json"
-"""File among the frames that says of which video they are, and when each was."""
+"""Record next to the frames, with their video and times."""
 _QUALITY = 97
-"""Of JPEG, with full colour resolution: see docs/video.md for what that costs."""
+"""JPEG quality, with full colour resolution: see docs/video.md for its cost."""
 _LOCK, _FRAMES = "lock", "frames"
-"""What the folder holds in which frames are written: whoever works there, and the frames."""
+"""Content of the hidden folder in which frames are written: lock file and frames."""
 _FRAME = re.compile(r"frame_\d{6,}\.(jpg|png)")
 _COUNTS = ("width", "height", "total", "blurred", "repeated")
-"""Whole numbers of the record."""
+"""Integers of the record."""
 _METHOD = 1
-"""Changes where the same video would give other frames."""
+"""Version of the selection; increase it when the same video would give other frames."""
 
 
 class FrameFolder:
-    """Where the frames of a request go."""
+    """Output folder of a request."""
 
     def __init__(self, request: ExtractRequest, *, overwrite: bool = False) -> None:
-        """Look at what is there.
+        """Check the content of the folder.
 
         Args:
-            request: What is asked for.
-            overwrite: Frames of another request may be replaced, and nothing else.
+            request: The request.
+            overwrite: Frames of another request, but no other files, may be replaced.
 
         Raises:
-            ConfigError: the folder holds something else.
+            ConfigError: the folder has other content.
         """
         self._request, self._place = request, request.output
         whole = request.output.absolute()
@@ -57,31 +57,31 @@ class FrameFolder:
         self._look()
 
     def _look(self) -> None:
-        """Find the frames of this request, or what makes room for them."""
-        there = _record(self._place / FRAMES_FILE)
+        """Find the frames of this request, or the files to replace."""
+        record = _record(self._place / FRAMES_FILE)
         self._replaced: list[str] = []
-        """Files of another run that make room, the record last: without it nobody knows them."""
+        """Files of another run to remove, the record last, because it identifies them."""
         self.found: dict[str, Any] | None = None
-        """The record of a run before this one that wrote the same frames; None: there are none."""
-        if there is not None and self._is_same(there) and self._is_whole(there):
-            self.found = there
+        """Record of an earlier run that wrote the same frames; None: none."""
+        if record is not None and self._is_same(record) and self._is_whole(record):
+            self.found = record
         elif self._place.exists() and not _is_empty_folder(self._place):
-            self._check_replaceable(there)
+            self._check_replaceable(record)
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """A block in which `put` may be called, by one process at a time; nothing is left where it
-        fails. `found` is looked up again: another process may have written the frames meanwhile.
+        """Lock the folder for a block that calls `put`; after an error nothing is left. `found` is
+        updated, because another process may have written the frames meanwhile.
 
         Raises:
-            ConfigError: what is there now, or in the hidden folder beside it, is somebody else's.
-            GsError: the folder cannot be written, or another process does so.
+            ConfigError: the folder, or the hidden folder next to it, has other content.
+            GsError: the folder cannot be written, or another process is writing it.
         """
         self._check_aside()
         self._lock.take()
         try:
             self._look()
-            # What a killed run left behind: its frames are soon made again.
+            # Remove frames of a killed run.
             shutil.rmtree(self._work, ignore_errors=True)
             self._work.mkdir()
             yield
@@ -95,19 +95,19 @@ class FrameFolder:
                     folder.rmdir()  # only an empty one can be removed
 
     def _check_aside(self) -> None:
-        """ConfigError where the hidden folder was made by somebody else: ours has a lock."""
+        """Raise ConfigError if the hidden folder is not by gscore, which always has a lock file."""
         names = {path.name for path in self._aside.iterdir()} if self._aside.is_dir() else set()
         if names and (_LOCK not in names or names - {_LOCK, _FRAMES}):
             raise ConfigError(
-                f"{brief(self._aside)} is where frames are written before they are complete, but "
-                "holds something else. Move it away, or choose another output with -o."
+                f"{brief(self._aside)} is the temporary folder for unfinished frames, but holds "
+                "something else. Move it away, or choose another output with -o."
             )
 
     def put(self, number: int, pixels: np.ndarray) -> str:
-        """Write one frame; its name.
+        """Write one frame and return its file name.
 
         Args:
-            number: Of the frame in the video, from 0.
+            number: Number of the frame in the video, from 0.
             pixels: [H, W, 3] uint8.
         """
         name = f"frame_{number:06}.{self._request.format}"
@@ -121,10 +121,10 @@ class FrameFolder:
         return name
 
     def publish(self, facts: dict[str, Any]) -> None:
-        """Put the folder in its place with one rename.
+        """Write the record and rename the folder to its final name.
 
         Args:
-            facts: For the record, with `frames`: rows with a `name` each.
+            facts: Content of the record, with `frames`: rows with a `name` each.
         """
         record = {"gscore": __version__, "request": self._stamp(), **facts}
         atomic_write(self._work / FRAMES_FILE, (json.dumps(record, indent=1) + "\n").encode())
@@ -135,7 +135,7 @@ class FrameFolder:
         self._work.replace(self._place)
 
     def _stamp(self) -> dict[str, Any]:
-        """What frames must have in common to be the same."""
+        """Properties that identify frames of the same request."""
         request, stat = self._request, self._request.video.stat()
         return {
             "method": _METHOD,
@@ -146,10 +146,10 @@ class FrameFolder:
             "format": request.format,
         }
 
-    def _check_replaceable(self, there: dict[str, Any] | None) -> None:
-        """Take note of what makes room, or raise ConfigError."""
+    def _check_replaceable(self, record: dict[str, Any] | None) -> None:
+        """Set the files to replace, or raise ConfigError."""
         place = brief(self._place)
-        if there is None:
+        if record is None:
             raise ConfigError(
                 f"{place} holds something else. Choose a new folder with -o, or remove it."
             )
@@ -158,7 +158,7 @@ class FrameFolder:
                 f"{place} holds frames of another video, of other options, or not all of them. "
                 "Choose a new folder with -o, or replace them with --overwrite."
             )
-        rows = there.get("frames")
+        rows = record.get("frames")
         listed = rows if isinstance(rows, list) else []
         names = [str(row.get("name")) for row in listed if isinstance(row, dict)]
         ours = [name for name in names if _FRAME.fullmatch(name)] + [FRAMES_FILE]
@@ -174,7 +174,7 @@ class FrameFolder:
         return self._request.video.is_file() and record.get("request") == self._stamp()
 
     def _is_whole(self, record: dict[str, Any]) -> bool:
-        """Whether a record states what `publish` wrote, and its frames are there."""
+        """True if a record is complete and its frames exist."""
         rows, warnings = record.get("frames"), record.get("warnings")
         return (
             all(type(record.get(name)) is int for name in _COUNTS)

@@ -8,23 +8,23 @@ from .source import VideoFacts
 from .tone_mapping import to_screen
 
 _UNSPECIFIED = 2
-"""Of H.273: no colour matrix is stated."""
+"""Code of H.273: no colour matrix is stated."""
 _HD = 720
-"""Lines from which on such video is BT.709's, as players take it."""
+"""Lines from which such video is BT.709, as players assume."""
 
 
 def upright_rgb(frame: Any, facts: VideoFacts) -> np.ndarray:
-    """[H, W, 3] uint8 of a frame as a player shows it.
+    """Frame as [H, W, 3] uint8 sRGB, as a player shows it.
 
-    HDR is brought to a screen's range by `to_screen`; 10-bit video of the usual range is rounded.
+    HDR is tone-mapped by `to_screen`; 10-bit SDR is rounded.
 
     Args:
         frame: av.VideoFrame.
-        facts: Of its video.
+        facts: Facts of its video.
     """
     from av.video.reformatter import Colorspace, Interpolation
 
-    # Colours are stored at half the resolution; the flags say to interpolate and round well.
+    # Colours are stored at half the resolution; the flags interpolate and round them accurately.
     how = Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND
     width, height = square_size(frame.width, frame.height, facts.aspect)
     matrix = None
@@ -42,7 +42,7 @@ def upright_rgb(frame: Any, facts: VideoFacts) -> np.ndarray:
 
 
 def _turned(pixels: np.ndarray, a: int, b: int, c: int, d: int) -> np.ndarray:
-    """[H, W, 3] or [W, H, 3] turned and mirrored as `VideoFacts.orientation` says."""
+    """[H, W, 3] or [W, H, 3], rotated and mirrored by `VideoFacts.orientation`."""
     if b:
         pixels = pixels.transpose(1, 0, 2)
     across, down = a + c, b + d

@@ -1,4 +1,4 @@
-"""Frame selection: the sharpest frame of each section of the camera motion; numbers only."""
+"""Frame selection: the sharpest frame of each section of the camera motion."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -8,43 +8,43 @@ import numpy as np
 from .frame_survey import Survey
 
 SPACING = 0.05
-"""Of the longer side: the way between two frames where no number is asked for."""
+"""Default camera motion between two frames, share of the longer side."""
 FEWEST, MOST = 30, 300
-"""Frames where no number is asked for."""
+"""Range of the default number of frames."""
 _BLURRED = 0.45
-"""Share of the detail of sharp frames nearby below which a frame is blurred."""
+"""Frames with less than this share of the detail of sharp frames nearby are blurred."""
 _NEARBY = 3.0
-"""Seconds to either side that are nearby."""
+"""Window of nearby frames to each side, seconds."""
 _SHARP = 75
 """Percentile of the detail nearby that counts as sharp."""
 _APART = 0.35
-"""Least way between two frames, in shares of a piece."""
+"""Least motion between two frames, in sections."""
 _CENTRE = 0.5
-"""How much less a frame at the end of its piece counts than one in the middle."""
+"""Reduction of the weight of a frame at the end of its section, relative to the middle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Which frames, and why not others."""
+    """Selected frames, and statistics of the others."""
 
     frames: np.ndarray
     """[k] int64, numbers of the frames from 0, ascending."""
     sharpness: np.ndarray
     """[n] float64: detail as a share of that of sharp frames nearby."""
     blurred: int
-    """Frames that were too blurred."""
+    """Number of frames that were too blurred."""
     repeated: int
-    """Frames that show the picture before them again."""
+    """Number of frames equal to the one before."""
     gaps: list[tuple[float, float]]
-    """Seconds from and to, where the camera moves and no frame is sharp."""
+    """Start and end in seconds of parts with camera motion but without sharp frames."""
 
 
 def choose(survey: Survey, count: int) -> Choice:
-    """Choose frames evenly along the way of the camera, of each piece the sharpest.
+    """Select the sharpest frame of each section of equal camera motion.
 
     Args:
-        survey: Of all frames.
-        count: How many at most; 0: one each 5 % of the picture's longer side, 30 to 300.
+        survey: Survey of all frames.
+        count: Most frames; 0: one per 5 % of the picture's longer side, 30 to 300.
     """
     sharpness = relative_sharpness(survey)
     blurred = sharpness < _BLURRED
@@ -63,11 +63,11 @@ def choose(survey: Survey, count: int) -> Choice:
 
 
 def relative_sharpness(survey: Survey) -> np.ndarray:
-    """[n]: detail as a share of the sharp frames' within three seconds.
+    """[n]: detail as a share of that of sharp frames within three seconds.
 
     Detail is the variance of the Laplacian over the root of that at a quarter of the size: slight
-    blur leaves the latter as it is, and what is in view changes both. Where a long stretch is
-    blurred as a whole, half of what is usual in the video counts as sharp.
+    blur changes only the former, the content of the view both. If a long part is blurred
+    completely, half of the video's usual detail counts as sharp.
     """
     detail = survey.fine / np.sqrt(survey.coarse + 1.0)
     usual = np.percentile(detail, _SHARP)
@@ -78,8 +78,8 @@ def relative_sharpness(survey: Survey) -> np.ndarray:
 
 
 def _way(survey: Survey, blurred: np.ndarray) -> np.ndarray:
-    """[n]: how far the camera went, in blurred frames no faster than it usually does: a shake goes
-    far and shows nothing, and would take the frames from where there is something to see."""
+    """[n]: camera motion, limited in blurred frames to its usual speed, because a shake moves far
+    without useful frames, and would take sections away from useful parts."""
     steps = np.diff(survey.travel, prepend=survey.travel[0])
     sharp = ~blurred & ~survey.repeated
     usual = float(steps[sharp].mean()) if sharp.any() else 0.0
@@ -89,7 +89,7 @@ def _way(survey: Survey, blurred: np.ndarray) -> np.ndarray:
 def _most_pieces(
     way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, count: int
 ) -> np.ndarray:
-    """The frames of as many pieces as give no more than `count`; some pieces have none."""
+    """Frames of the largest number of sections that gives at most `count`; some have none."""
     best = _taken(way, sharpness, usable, count)
     low, high = count, max(4 * count, count + 1)
     while low + 1 < high and len(best) < count:
@@ -122,7 +122,8 @@ def _taken(way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, pieces: i
 
 
 def _gaps(survey: Survey, taken: np.ndarray, blurred: np.ndarray) -> list[tuple[float, float]]:
-    """Where two taken frames lie more than three usual distances apart, with blur between."""
+    """Parts between two selected frames with more than three times the median motion, and with
+    blur."""
     if len(taken) < 3:
         return []
     ways = np.diff(survey.travel[taken])

@@ -11,41 +11,42 @@ from .camera_motion import BLOCK_SIDE, Travel
 from .source import Video
 
 _SHARP_SIDE = 1280
-"""Pixels of the longer side at which sharpness is looked at: blur of a pixel there is seen."""
+"""Longer side in pixels at which sharpness is measured, fine enough for blur of a pixel."""
 _REDUCED = 4
-"""How many times smaller pictures are compared for motion."""
+"""Downscaling of pictures that are compared for motion."""
 _ALIKE = 0.2
-"""Mean difference of pixels below which two frames are one that is shown twice."""
+"""Mean pixel difference below which a frame is a repetition."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """One entry a frame, in the order of display."""
+    """Measurements of all n frames, in display order."""
 
     seconds: np.ndarray
-    """[n] float64, from the first frame on."""
+    """[n] float64, time since the first frame."""
     travel: np.ndarray
-    """[n] float64, in shares of the longer side; never falls."""
+    """[n] float64, camera motion since the first frame, in shares of the longer side; never
+    decreases."""
     fine: np.ndarray
     """[n] float64, variance of the Laplacian at 1280 px."""
     coarse: np.ndarray
     """[n] float64, variance of the Laplacian at 320 px, which slight blur does not change."""
     repeated: np.ndarray
-    """[n] bool, the same picture as the frame before."""
+    """[n] bool, equal to the frame before."""
 
 
 def survey(
     video: Video, *, on_frame: Callable[[int], None], cancelled: Callable[[], bool]
 ) -> Survey:
-    """Look at every frame once; memory does not grow with the length but by 33 bytes a frame.
+    """Measure every frame in one pass; memory grows by only 33 bytes per frame.
 
     Args:
-        video: Its frames are used up.
-        on_frame: Told how many are done.
-        cancelled: Asked at every frame.
+        video: The video; its frames are consumed.
+        on_frame: Receives the number of frames done.
+        cancelled: Called at every frame; True stops the call.
 
     Raises:
-        Cancelled: `cancelled` said so.
+        Cancelled: `cancelled` returned True.
     """
     size = _look_size(video.facts.width, video.facts.height)
     travel = Travel(size[0] // _REDUCED, size[1] // _REDUCED)
@@ -53,11 +54,11 @@ def survey(
     before: np.ndarray | None = None
     for count, frame in enumerate(video.frames(), 1):
         if cancelled():
-            raise Cancelled("Looking at the video was stopped.")
+            raise Cancelled("Analysing the video was stopped.")
         grey = _grey(frame, size)
         small = _reduced(grey)
         repeated = before is not None and _alike(grey, before)
-        # One that stands still takes no part, or its reference would be compared with itself.
+        # Repeated frames are skipped, because their reference would be compared with itself.
         way = travel.so_far if repeated else travel.add(small)
         rows.append((_seconds(frame, count), way, _edges(grey), _edges(small), repeated))
         before = grey
@@ -73,8 +74,8 @@ def survey(
 
 
 def _continuous(seconds: np.ndarray) -> np.ndarray:
-    """[n] from 0 on. Where recordings were joined the time begins anew: it goes on with the usual
-    distance of two frames."""
+    """[n] times from 0, ascending. Joined recordings restart the time; there the median frame
+    interval is used."""
     steps = np.diff(seconds)
     if (steps >= 0).all():
         return seconds - seconds[0]
@@ -88,7 +89,7 @@ def _seconds(frame: Any, count: int) -> float:
 
 
 def _look_size(width: int, height: int) -> tuple[int, int]:
-    """The longer side at most 1280 px, both a multiple of 4 and at least 256."""
+    """Size for measurements: longer side at most 1280 px, both a multiple of 4 and at least 256."""
     scale = min(1.0, _SHARP_SIDE / max(width, height))
     least = BLOCK_SIDE * _REDUCED
     wide, high = (
@@ -98,7 +99,7 @@ def _look_size(width: int, height: int) -> tuple[int, int]:
 
 
 def _grey(frame: Any, size: tuple[int, int]) -> np.ndarray:
-    """[h, w] uint8 of this width and height."""
+    """Grey frame [h, w] uint8, downscaled to `size` (width, height)."""
     from av.video.reformatter import Interpolation
 
     made = frame.reformat(

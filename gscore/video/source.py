@@ -14,28 +14,28 @@ from ..quoting import brief
 from ..text_format import count_words, number
 
 _ENCRYPTED = ("encv", "drmi", "p608")
-"""Four letters in the place of the codec's where the stream is encrypted."""
+"""FourCC codes of encrypted streams, in place of the codec's."""
 _CONTAINERS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpegtsraw,mpeg,mpegvideo,asf,flv,live_flv,mxf,"
     "ogg,gif,dv,h264,hevc,av1,ivf,obu,rm,nut,swf,vob,gxf,wtv,yuv4mpegpipe,wav,mp3,aac,flac,w64"
 )
-"""Of FFmpeg's formats those that are files of their own. Playlists, which it reads too, name other
-files and addresses; it also takes text and photos for videos."""
+"""FFmpeg's formats that are self-contained files. Others are excluded, because playlists refer to
+other files and addresses, and FFmpeg also reads text and photos as videos."""
 _HDR = {16: "HDR (PQ)", 18: "HDR (HLG)"}
-"""Transfer functions of ITU-T H.273 whose white is brighter than a screen's."""
+"""HDR transfer functions of ITU-T H.273."""
 _LOOK = 12
-"""Frames that are looked at before the first is given: fields may begin late."""
+"""Frames that are decoded to detect interlacing, which may start late."""
 _DEINTERLACE = "bwdif"
 _STRICT = ("h264", "hevc")
-"""Decoders that would fill damaged places in with something, unless they are told to refuse."""
+"""Decoders that must be configured to refuse damaged frames instead of concealing errors."""
 _ODD = 0.05
-"""Share of frames of another size that may be damage; more are another video."""
-_HOW = "Save it anew with a program that plays it, as MP4 with H.264"
+"""Largest share of frames of another size that counts as damage; more are another video."""
+_HOW = "Save it again with a program that plays it, as MP4 with H.264"
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoFacts:
-    """What a video says of itself."""
+    """Properties of a video from its metadata and first frames."""
 
     width: int
     """Pixels as stored."""
@@ -44,21 +44,21 @@ class VideoFacts:
     aspect: float
     """Width of a pixel over its height."""
     frames: int
-    """As stated, or by length and rate; 0: not known."""
+    """Number of frames, stated or from length and rate; 0: unknown."""
     seconds: float
-    """As stated; 0: not known."""
+    """Stated duration; 0: unknown."""
     codec: str
     hdr: str
-    """Which kind; empty: none."""
+    """Kind of HDR; empty: none."""
     interlaced: bool
     orientation: tuple[int, int, int, int] = (1, 0, 0, 1)
-    """How frames are turned and mirrored to be shown: a, b, c, d of -1, 0 or 1, by which the pixel
-    at x, y from the middle comes to a x + c y, b x + d y."""
+    """Rotation and mirroring for display: a, b, c, d of -1, 0 or 1; the pixel at x, y from the
+    middle moves to a x + c y, b x + d y."""
 
     @property
     def rotation(self) -> int:
-        """Degrees counter-clockwise by which frames are turned to stand upright: 0, 90, 180, 270;
-        of mirrored ones, after they were mirrored left to right."""
+        """Rotation to upright, degrees counter-clockwise: 0, 90, 180, 270; for mirrored frames,
+        after mirroring left to right."""
         a, b, c, d = self.orientation
         mirror = a * d - b * c
         return {(1, 0): 0, (0, -1): 90, (-1, 0): 180, (0, 1): 270}[mirror * a, mirror * b]
@@ -71,20 +71,20 @@ class Video:
         self._path, self._av, self._container, self._stream = path, av, container, stream
         self._encrypted = False
         self.damaged = 0
-        """Packets and frames so far that could not be decoded whole."""
+        """Number of packets and frames so far that could not be decoded completely."""
         self._decoded = self._decode()
         self._first = self._look()
         self.facts = self._facts()
-        """What it says of itself."""
+        """Properties of the video."""
 
     def frames(self) -> Iterator[Any]:
-        """Whole frames as av.VideoFrame, once, in the order in which they are shown.
+        """Undamaged frames as av.VideoFrame, in display order; can be iterated once.
 
-        Of interlaced video each is made of the first field's moment. Single frames of another size
-        than the first count as damaged.
+        Interlaced frames are deinterlaced to the time of the first field. Single frames of another
+        size than the first count as damaged.
 
         Raises:
-            DatasetError: after the last one: many are of another size.
+            DatasetError: after the last frame: many have another size.
         """
         frames = self._all()
         return _deinterlaced(self._av, frames) if self.facts.interlaced else frames
@@ -106,8 +106,8 @@ class Video:
         facts = self.facts
         return DatasetError(
             f"{brief(self._path)} joins videos of two sizes: {count_words(before, 'frame')} of "
-            f"{facts.width} x {facts.height} px, others of {size[0]} x {size[1]} px. Cut it apart "
-            "into files of one size, take the frames of each, and give gscore sfm their folders."
+            f"{facts.width} x {facts.height} px, others of {size[0]} x {size[1]} px. Split it "
+            "into files of one size, extract the frames of each, and give gscore sfm their folders."
         )
 
     def _look(self) -> list[Any]:
@@ -125,18 +125,18 @@ class Video:
             )
         if len(first) == 1 and self._stream.frames > 1:
             raise FormatError(
-                f"{brief(self._path)} states {number(self._stream.frames)} frames, but by its "
-                f"times one of them is shown: its time base or edit list is damaged. {_HOW}."
+                f"{brief(self._path)} states {number(self._stream.frames)} frames, but only one is "
+                f"displayed: its time base or edit list is damaged. {_HOW}."
             )
         if len(first) == 1:
             raise DatasetError(
-                f"{brief(self._path)} holds one picture only, a video was expected. Photos go into "
-                "a folder of their own."
+                f"{brief(self._path)} has only one picture, a video was expected. Put photos into "
+                "a separate folder."
             )
         return first
 
     def _decode(self) -> Iterator[Any]:
-        """Frames without those that a damage reaches: up to the next one that needs no other."""
+        """Frames without damaged ones, which last up to the next key frame."""
         waiting = False
         for packet in self._packets():
             try:
@@ -160,10 +160,10 @@ class Video:
                 packet = next(packets)
             except StopIteration:
                 return
-            except self._av.error.FFmpegError:  # the file ends in the middle of something
+            except self._av.error.FFmpegError:  # the file is truncated
                 self.damaged += 1
                 return
-            except IndexError:  # PyAV's, of a stream that damage made; what follows is read anew
+            except IndexError:  # from PyAV, for a bogus stream due to damage; reading is restarted
                 self.damaged += 1
                 packets = self._container.demux(self._stream)
                 continue
@@ -190,8 +190,8 @@ class Video:
 
 
 def _orientation(frame: Any) -> tuple[int, int, int, int]:
-    """Of a frame's display matrix (ISO 14496-12, 6.2.2), to the nearest quarter turn; upright where
-    there is none, or one that shows nothing."""
+    """Orientation from a frame's display matrix (ISO 14496-12, 6.2.2), rounded to quarter turns;
+    upright without a matrix or with a singular one."""
     stated = frame.side_data.get("DISPLAYMATRIX")
     if stated is None:
         return 1, 0, 0, 1
@@ -209,12 +209,12 @@ def _sign(value: float) -> int:
 
 @contextmanager
 def opened_video(path: Path) -> Iterator[Video]:
-    """A video, closed at the end of the block.
+    """Open a video; it is closed at the end of the block.
 
     Raises:
         BackendError: PyAV is not installed.
-        DatasetError: there is no such file, or it has no moving pictures.
-        FormatError: it is no video, damaged, encrypted or of a codec that is not there.
+        DatasetError: there is no such file, or it has no video stream.
+        FormatError: it is no video, damaged, encrypted or of an unsupported codec.
     """
     av = need("av", "Reading a video")
     if not path.exists():
@@ -235,17 +235,17 @@ def _why_not_opened(path: Path) -> str:
     if is_file(path) and path.stat().st_size == 0:
         return f"{brief(path)} is empty. Copy it from the camera again."
     return (
-        f"{brief(path)} cannot be opened as a video: it is none, it is damaged, or the recording "
-        f"was cut off before its end was written. {_HOW}, or repair it with the camera's program."
+        f"{brief(path)} cannot be opened as a video: it is none, damaged, or an unfinished "
+        f"recording. {_HOW}, or repair it with the camera's program."
     )
 
 
 def _stream(path: Path, container: Any) -> Any:
-    """The stream of moving pictures.
+    """The video stream.
 
     Raises:
         DatasetError: there is none.
-        FormatError: it is encrypted, or nothing here decodes it.
+        FormatError: it is encrypted, or of an unsupported codec.
     """
     best = container.streams.best("video")
     if best is None:
@@ -260,7 +260,7 @@ def _stream(path: Path, container: Any) -> Any:
         raise _encrypted(path)
     if context is None or not context.is_decoder:
         raise FormatError(
-            f"Nothing here decodes the video in {brief(path)} (codec {tag or 'unknown'}). {_HOW}."
+            f"The codec of the video {brief(path)} is not supported ({tag or 'unknown'}). {_HOW}."
         )
     if context.name in _STRICT:
         context.options = {"err_detect": "explode"}
@@ -270,23 +270,22 @@ def _stream(path: Path, container: Any) -> Any:
 
 def _encrypted(path: Path) -> FormatError:
     return FormatError(
-        f"{brief(path)} is encrypted (DRM), so its pictures cannot be read. Take a recording of "
-        "your own."
+        f"{brief(path)} is encrypted (DRM), so its pictures cannot be read. Use your own recording."
     )
 
 
 def damage_words(video: Video, last: float) -> str:
-    """A sentence on what was damaged or is missing at the end; empty: nothing.
+    """Warning about damaged frames or a missing end; empty without any.
 
     Args:
-        video: Whose frames were all taken.
-        last: Seconds of the last one that was whole.
+        video: The video, after all of its frames were read.
+        last: Time of the last undamaged frame, s.
     """
     stated = video.facts.seconds
     if stated and last < 0.95 * stated - 1.0:
         return (
             f"The video states {stated:.1f} s but its frames end at {last:.1f} s: it was cut "
-            "short. What is there is used."
+            "short. The existing frames are used."
         )
     if video.damaged:
         return f"{count_words(video.damaged, 'damaged frame')} left out."
@@ -294,7 +293,7 @@ def damage_words(video: Video, last: float) -> str:
 
 
 def _deinterlaced(av: Any, frames: Iterator[Any]) -> Iterator[Any]:
-    """Frames of one moment each, from frames of two fields of different moments."""
+    """Deinterlaced frames, at the time of their first field."""
     graph = None
     for frame in frames:
         if graph is None:

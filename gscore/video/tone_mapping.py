@@ -9,13 +9,13 @@ import functools
 import numpy as np
 
 _WHITE = 203.0
-"""cd/m2 of a white sheet of paper in HDR."""
+"""Reference (paper) white in HDR, cd/m2."""
 _PEAK = 1000.0
-"""cd/m2 of the screen that HLG is seen on."""
+"""Peak luminance of the display for HLG, cd/m2."""
 _SHOULDER = 0.75
-"""Of a screen's range: what is darker stays as it is."""
+"""Largest value that is not compressed, share of the display range."""
 _HEADROOM = 4.0
-"""Multiples of white that still differ from each other."""
+"""Value that is mapped to the end of the display range, in display whites."""
 _TO_BT709 = np.array(
     [
         [1.660491, -0.587641, -0.072850],
@@ -26,14 +26,14 @@ _TO_BT709 = np.array(
 )
 _BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)
 _STEPS = 4096
-"""Entries of the table that encodes; 16 for each of the 256 values."""
+"""Entries of the encoding table; 16 for each of the 256 values."""
 
 
 def to_screen(pixels: np.ndarray, kind: str, *, wide: bool) -> np.ndarray:
-    """[H, W, 3] uint8 sRGB of HDR pixels.
+    """Tone-map HDR pixels to [H, W, 3] uint8 sRGB.
 
-    Reference white becomes 0.9 of a screen's; three quarters of the range keep their
-    contrast, and what is brighter is compressed, by the brightest channel so that hues stay.
+    Reference white becomes 0.9 of display white. Three quarters of the range keep their contrast,
+    brighter values are compressed, by the brightest channel so that hues stay.
 
     Args:
         pixels: [H, W, 3] uint16, RGB with the transfer function of `kind`, of full range.
@@ -42,7 +42,7 @@ def to_screen(pixels: np.ndarray, kind: str, *, wide: bool) -> np.ndarray:
     """
     light = np.take(_decode_table(kind), pixels)
     if "HLG" in kind:
-        # The screen's own curve (OOTF), gamma 1.2 on luminance at 1000 cd/m2.
+        # The display's OOTF, gamma 1.2 on luminance at 1000 cd/m2.
         luma = light @ _BT2020_LUMA
         light *= (np.maximum(luma, 1e-6) ** 0.2)[..., None] * np.float32(_PEAK / _WHITE)
     if wide:
@@ -55,18 +55,18 @@ def to_screen(pixels: np.ndarray, kind: str, *, wide: bool) -> np.ndarray:
 
 
 def _compressed(bright: np.ndarray) -> np.ndarray:
-    """Straight up to the shoulder, then a curve of equal slope that reaches 1 at the headroom."""
+    """Identity up to the shoulder, then a curve of equal slope that reaches 1 at the headroom."""
     room = np.float32(1 - _SHOULDER)
     over = np.maximum(bright - np.float32(_SHOULDER), 0) / room
     most = (_HEADROOM - _SHOULDER) / room
-    bent = over * (1 + over / np.float32(most**2)) / (1 + over)  # Reinhard et al. 2002, eq. 4
-    return np.where(bright > _SHOULDER, _SHOULDER + room * np.minimum(bent, 1), bright)
+    curve = over * (1 + over / np.float32(most**2)) / (1 + over)  # Reinhard et al. 2002, eq. 4
+    return np.where(bright > _SHOULDER, _SHOULDER + room * np.minimum(curve, 1), bright)
 
 
 @functools.cache
 def _decode_table(kind: str) -> np.ndarray:
-    """[65536] float32: light of a 16-bit value; of PQ in units of reference white, of HLG of the
-    scene."""
+    """[65536] float32: linear light of a 16-bit value; display light in units of reference white
+    for PQ, scene light for HLG."""
     value = np.arange(65536, dtype=np.float64) / 65535
     if "PQ" in kind:
         m1, m2, c1, c2, c3 = 0.1593017578125, 78.84375, 0.8359375, 18.8515625, 18.6875
@@ -80,7 +80,7 @@ def _decode_table(kind: str) -> np.ndarray:
 
 @functools.cache
 def _encode_table() -> np.ndarray:
-    """uint8 sRGB by the square root of linear light."""
+    """[4096] uint8 sRGB by the square root of linear light."""
     light = (np.arange(_STEPS) / (_STEPS - 1)) ** 2
     code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.rint(code * 255).astype(np.uint8)

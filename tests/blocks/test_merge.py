@@ -72,7 +72,7 @@ def test_only_all_blocks_of_one_split_can_be_merged(records: list[BlockRecord]) 
     """Oracle: sentences that name the runs and the blocks."""
     runs = [(Path(f"run{record.index}"), record) for record in records]
     check_complete(runs[::-1])
-    with pytest.raises(ConfigError, match=r"2 of 4 blocks are not there: 1, 3\."):
+    with pytest.raises(ConfigError, match=r"2 of 4 blocks are missing: 1, 3\."):
         check_complete(runs[::2])
     with pytest.raises(ConfigError, match="run0 and run0 were trained on the same block, 0"):
         check_complete([*runs, runs[0]])

@@ -137,7 +137,7 @@ def test_a_capture_without_points(tmp_path: Path) -> None:
     rows = {name: values[:0] for name, values in vars(model.points).items()}
     empty = replace(model, points=replace(model.points, **rows))
     folder = write_street(tmp_path / "street", empty)
-    with pytest.raises(DatasetError, match="no points, by which"):
+    with pytest.raises(DatasetError, match="no points, which blocks"):
         cut_capture(DataConfig(source=folder, eval=True), 2)
 
 

@@ -38,7 +38,7 @@ def test_steps_come_in_their_order(make_splats: Make, views: EditViews) -> None:
         scale=2,
     )
     told: list[str] = []
-    edited = apply_edits(parts, request, views=views, told=told.append)
+    edited = apply_edits(parts, request, views=views, on_step=told.append)
     names = [step.name for step in edited.steps]
     cleaning = ["opacity", "size", "contribution", "isolation", "clusters"]
     assert names == ["crop", *cleaning, "sh degree", "count", "place"]
@@ -88,7 +88,7 @@ def test_count_keeps_what_adds_most(make_splats: Make, views: EditViews) -> None
     blind = apply_edits([splats], EditRequest(count=50))
     wanted = most_important(importance_of(splats), 50)
     np.testing.assert_array_equal(blind.splats.means, splats.means[wanted])
-    assert "No cameras are known" in blind.notes[0]
+    assert "Without cameras" in blind.notes[0]
 
 
 @pytest.mark.parametrize("coding", [lambda n: 1000 + 50 * n, lambda n: 300 + 8 * n**1.2])
@@ -142,7 +142,7 @@ def test_usual_cleaning_leaves_what_was_given() -> None:
         ({"box": (50, 50, 50, 60, 60, 60)}, "'crop' would leave none of 100 splats"),
         ({"min_opacity": 1.0}, "'opacity' would leave none"),
         ({"size": 1e-5}, "'file size' would leave none"),
-        ({"frustum": (0,)}, "What a view shows is only known with cameras"),
+        ({"frustum": (0,)}, "The content of a view is only known with cameras"),
         ({"min_contribution": 1.0}, "only known with cameras"),
     ],
 )
@@ -161,7 +161,7 @@ def test_nothing_left_and_no_cameras_are_refused(
     [
         ({"box": (1, 0, 0, 0, 1, 1)}, "lower corner first"),
         ({"sphere": (0, 0, 0, 0)}, "radius"),
-        ({"outside": True}, "say of what"),
+        ({"outside": True}, "needs a shape"),
         ({"gap": 0.1}, "gap"),
         ({"count": 5, "size": 5.0}, "not both"),
         ({"matrix": np.eye(4), "scale": 2.0, "move": (1, 2, 3)}, "leave out scale, move"),

@@ -117,7 +117,7 @@ def test_a_stopped_build_leaves_nothing(ply: Path, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(chunk_layout, "MOST_IN_A_CHUNK", CHUNK)
         with pytest.raises(KeyboardInterrupt):
-            build_lod(ply, tmp_path / "a.lod", LodFacts(), told=stop)
+            build_lod(ply, tmp_path / "a.lod", LodFacts(), on_share=stop)
     assert not list(tmp_path.iterdir())
 
 
@@ -127,11 +127,11 @@ def test_a_model_that_changes_meanwhile(ply: Path, tmp_path: Path) -> None:
     write_splats(path, wall(300))
 
     def cut(what: str, share: float) -> None:
-        if what == "Sorting splats by place":
+        if what == "Sorting splats by position":
             write_splats(path, wall(200))
 
     with pytest.raises(DatasetError, match="changed while it was read"):
-        build_lod(path, tmp_path / "a.lod", LodFacts(), told=cut)
+        build_lod(path, tmp_path / "a.lod", LodFacts(), on_share=cut)
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
 
 

@@ -117,7 +117,7 @@ def test_times_that_hide_all_frames_but_one_are_named(
     path.write_bytes(data)
     assert main(["frames", str(path), "-o", str(tmp_path / "out"), "--quiet"]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "states 45 frames, but by its times one of them is shown" in said
+    assert "states 45 frames, but only one is displayed" in said
 
 
 @pytest.mark.parametrize("seed", [16, 44, 48, 95])
@@ -314,11 +314,11 @@ def _all_blurred(path: Path, walk: list[np.ndarray]) -> None:
     [
         ("sound.wav", _sound, "has no moving pictures, only audio"),
         ("noise.mp4", _noise, "cannot be opened as a video"),
-        ("cut.mp4", _no_index, "the recording was cut off"),
+        ("cut.mp4", _no_index, "an unfinished recording"),
         ("film.mp4", _encrypted, "is encrypted"),
-        ("odd.mp4", _unknown_codec, "Nothing here decodes"),
+        ("odd.mp4", _unknown_codec, "is not supported"),
         ("photo.mp4", _photo, "cannot be opened as a video"),
-        ("one.mp4", _one_frame, "one picture only"),
+        ("one.mp4", _one_frame, "only one picture"),
         ("text.txt", _text, "cannot be opened as a video"),
         ("list.m3u8", _playlist, "cannot be opened as a video"),
         ("empty.mp4", lambda path, walk: path.write_bytes(b""), "is empty"),

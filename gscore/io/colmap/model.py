@@ -35,7 +35,7 @@ class ColmapCamera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether `K` alone describes the camera: a pinhole model, or one whose distortion is 0."""
+        """True if `K` alone describes the camera: a pinhole model, or one whose distortion is 0."""
         if self.model not in PINHOLE_WITHOUT_DISTORTION:
             return False
         named = self.named_params
@@ -154,7 +154,7 @@ class ColmapModel:
     """Cameras, images and points of one reconstruction."""
 
     cameras: dict[int, ColmapCamera]
-    """By camera id."""
+    """Cameras by id."""
     images: list[ColmapImage]
     """In file order."""
     points: ColmapPoints
